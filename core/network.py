@@ -1,0 +1,247 @@
+"""The hierarchical Bayesian network, declared.
+
+A network says which parameters exist and at which level, and how readings see them::
+
+    shared   psi_global   one value for the rotor          T1T, sigma_obs of each quantity
+    local    psi_local    one value for each blade         TBC thickness, alpha, gamma
+    known                 given for each blade             a stress, a slot
+    dormant               held at its nominal value        freed only by an effect
+
+with the joint density (the paper's Eq. 4 and Fig. 6, for B blades and shared s, local l_b)
+
+    p(s, l, D) = p(s) Π_b p(l_b) Π_{i in b} N(y_i | Y_m(t_i; l_b, s), sigma² + sigma_surrogate²)
+
+The declaration is data: it is written to JSON, posted over HTTP and stored with every state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from core.errors import InputError
+
+Array = NDArray[np.float64]
+Level = Literal["local", "shared", "known", "dormant"]
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Prior of one parameter, bounded on [low, high].
+
+    kind  ``uniform``; ``log_uniform`` (density ∝ 1/x); ``normal`` with `mean` and `sd`, cut at
+    the bounds.
+    """
+
+    kind: Literal["uniform", "log_uniform", "normal"]
+    low: float
+    high: float
+    mean: float = 0.0
+    sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise InputError(
+                "prior bounds", (self.low, self.high), "are not an interval", "give low < high"
+            )
+        if self.kind == "log_uniform" and self.low <= 0:
+            raise InputError("prior low", self.low, "is not positive", "a log_uniform needs low > 0")
+        if self.kind == "normal" and not self.sd > 0:
+            raise InputError("prior sd", self.sd, "is not positive", "give sd > 0")
+        if self.kind not in ("uniform", "log_uniform", "normal"):
+            raise InputError(
+                "prior kind", self.kind, "is not known", "use uniform, log_uniform or normal"
+            )
+
+    @staticmethod
+    def gaussian(mean: float, sd: float, width: float = 8.0) -> Prior:
+        """A normal prior whose bounds lie `width` standard deviations away."""
+        return Prior("normal", mean - width * sd, mean + width * sd, mean, sd)
+
+    @property
+    def log_scale(self) -> bool:
+        return self.kind == "log_uniform"
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """Bounds on the working scale u: log x for a log-uniform prior, else x."""
+        return (math.log(self.low), math.log(self.high)) if self.log_scale else (self.low, self.high)
+
+    def to_u(self, x: Array) -> Array:
+        return np.log(x) if self.log_scale else np.asarray(x, float)
+
+    def to_x(self, u: Array) -> Array:
+        return np.exp(u) if self.log_scale else np.asarray(u, float)
+
+    def log_density_u(self, u: Array) -> Array:
+        """Log density on the working scale; −inf outside the bounds.
+
+        >>> Prior("uniform", 0.0, 4.0).log_density_u(np.array([1.0, 5.0])).round(4).tolist()
+        [-1.3863, -inf]
+        """
+        low, high = self.box
+        inside = (u >= low) & (u <= high)
+        if self.kind == "normal":
+            mass = ndtr((high - self.mean) / self.sd) - ndtr((low - self.mean) / self.sd)
+            z = (u - self.mean) / self.sd
+            value = -0.5 * z * z - math.log(self.sd * math.sqrt(2 * math.pi) * mass)
+        else:
+            value = np.full(np.shape(u), -math.log(high - low))
+        return np.where(inside, value, -np.inf)
+
+    def quantile(self, p: Array) -> Array:
+        """Inverse distribution function, on the scale of x."""
+        low, high = self.box
+        if self.kind == "normal":
+            f0, f1 = ndtr((low - self.mean) / self.sd), ndtr((high - self.mean) / self.sd)
+            return np.clip(self.mean + self.sd * ndtri(f0 + p * (f1 - f0)), low, high)
+        return self.to_x(low + p * (high - low))
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """An input of the model and its place in the network.
+
+    `nominal` is the value used while the parameter is dormant, or known and not given.
+    """
+
+    name: str
+    level: Level
+    prior: Prior
+    unit: str = "1"
+    symbol: str = ""
+    nominal: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.level not in ("local", "shared", "known", "dormant"):
+            raise InputError(
+                f"level of {self.name}", self.level, "is not known", "local, shared, known, dormant"
+            )
+        if self.level == "dormant" and self.nominal is None:
+            raise InputError(
+                f"nominal of {self.name}", None, "is missing", "a dormant parameter needs a value"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """Something that is measured.
+
+    name, unit   as inspections give them
+    kind         ``scalar`` (one value), ``field`` (a value at a node) or ``vector`` (x, y, z at
+                 many nodes)
+    sigma_obs    prior of the noise's standard deviation, shared by the rotor
+    low, high    plausible range of a reading; outside it is refused as a likely unit mistake
+    node         node used when a reading of a field names none
+    """
+
+    name: str
+    unit: str
+    kind: Literal["scalar", "field", "vector"]
+    sigma_obs: Prior
+    low: float
+    high: float
+    node: str | None = None
+
+    @property
+    def sigma_name(self) -> str:
+        return f"sigma_obs.{self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """Parameters and quantities; immutable, JSON both ways."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    quantities: tuple[Quantity, ...]
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for what, names in {
+            "parameters": [p.name for p in self.parameters],
+            "quantities": [q.name for q in self.quantities],
+        }.items():
+            twice = sorted({n for n in names if names.count(n) > 1})
+            if twice:
+                raise InputError(what, twice, "are declared twice", "give each name once")
+        if len(self.of_level("local")) > 3:
+            raise InputError(
+                "local parameters",
+                [p.name for p in self.of_level("local")],
+                "are more than three",
+                "declare some as shared, known or dormant",
+            )
+
+    def of_level(self, level: Level) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.parameters if p.level == level)
+
+    def parameter(self, name: str) -> Parameter:
+        for p in self.parameters:
+            if p.name == name:
+                return p
+        raise InputError(
+            "parameter", name, "does not exist", f"use one of {[p.name for p in self.parameters]}"
+        )
+
+    def quantity(self, name: str) -> Quantity:
+        for q in self.quantities:
+            if q.name == name:
+                return q
+        raise InputError(
+            "quantity", name, "is not measured here", f"use one of {[q.name for q in self.quantities]}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        return {"schema": SCHEMA, **asdict(self)}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Network:
+        """The inverse of `to_json`; unknown keys are refused.
+
+        >>> Network.from_json(rotor_blade_network().to_json()) == rotor_blade_network()
+        True
+        """
+        body = dict(data)
+        if body.pop("schema", SCHEMA) != SCHEMA:
+            raise InputError("schema", data["schema"], "is not known", f"write schema {SCHEMA}")
+        try:
+            return Network(
+                name=body.pop("name"),
+                parameters=tuple(
+                    Parameter(**{**p, "prior": Prior(**p["prior"])}) for p in body.pop("parameters")
+                ),
+                quantities=tuple(
+                    Quantity(**{**q, "sigma_obs": Prior(**q["sigma_obs"])})
+                    for q in body.pop("quantities")
+                ),
+                **body,
+            )
+        except (TypeError, KeyError) as error:
+            raise InputError("network", str(error), "does not fit the schema", "see Network") from error
+
+
+def rotor_blade_network() -> Network:
+    """The paper's network: T1T shared; TBC thickness, alpha and gamma local to each blade."""
+    return Network(
+        name="rotor-blade",
+        parameters=(
+            Parameter("tbc_thickness", "local", Prior("uniform", 2 / 3, 4 / 3), "1", "TBC"),
+            Parameter("t1t_rate", "shared", Prior("uniform", 0.8, 1.0), "1", "T1T"),
+            Parameter("creep_transient", "local", Prior("uniform", -3, 3), "1", "alpha"),
+            Parameter("creep_steady", "local", Prior("uniform", -3, 3), "1", "gamma"),
+        ),
+        quantities=(
+            Quantity("elongation", "mm", "scalar", Prior("log_uniform", 1e-3, 0.2), -5.0, 50.0),
+            Quantity("deformation", "mm", "vector", Prior("log_uniform", 1e-3, 0.2), -50.0, 50.0),
+            Quantity("ceeq", "1", "field", Prior("log_uniform", 1e-5, 1e-2), 0.0, 0.5, "critical"),
+        ),
+        notes={"source": "Kapusuzoglu et al. 2023, doi 10.1115/1.4055243, Sec. 4 and Table 1"},
+    )

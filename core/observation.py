@@ -1,0 +1,219 @@
+"""What one reading sees of the model, and which readings count.
+
+An `Inspection` is a value that never changes. Corrections and retractions are further entries of
+the log: `effective` folds the log into the readings that count, in one canonical order, so that
+every order of arrival gives the same set.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import InputError, RangeError, UnitError
+from core.network import Network
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """One reading of one blade.
+
+    values  (1,) for a scalar or a field at one node, (n, 3) for a 3-D deformation [unit]
+    nodes   the n node indices, or None where the quantity needs none
+    sigma   known standard deviation of this reading's noise [unit]; None: the rotor's shared one
+    """
+
+    id: str
+    blade: str
+    quantity: str
+    time_h: float
+    values: Array
+    nodes: NDArray[np.int64] | None = None
+    unit: str | None = None
+    sigma: float | None = None
+    instrument: str | None = None
+    campaign: str | None = None
+    observed_at: str | None = None
+    replaces: str | None = None
+
+    def __post_init__(self) -> None:
+        values = np.array(self.values, dtype=np.float64)
+        values.flags.writeable = False
+        object.__setattr__(self, "values", values)
+        if self.nodes is not None:
+            nodes = np.array(self.nodes, dtype=np.int64)
+            nodes.flags.writeable = False
+            object.__setattr__(self, "nodes", nodes)
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain dictionary; absent fields are left out, floats are exact."""
+        out: dict[str, Any] = {
+            "id": self.id,
+            "blade": self.blade,
+            "quantity": self.quantity,
+            "time_h": float(self.time_h),
+            "values": self.values.tolist(),
+        }
+        if self.nodes is not None:
+            out["nodes"] = self.nodes.tolist()
+        for name in ("unit", "sigma", "instrument", "campaign", "observed_at", "replaces"):
+            if (value := getattr(self, name)) is not None:
+                out[name] = value
+        return out
+
+    @staticmethod
+    def from_json(data: dict[str, Any]) -> Inspection:
+        return Inspection(**data)
+
+    def digest(self) -> str:
+        """128 bits over everything the reading says, as hex; equal exactly for equal readings."""
+        text = json.dumps(self.to_json(), sort_keys=True, separators=(",", ":"))
+        return blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+class Covers(Protocol):
+    """What `check` needs to know of a model (a surrogate has it)."""
+
+    @property
+    def horizon_h(self) -> float: ...
+    @property
+    def node_count(self) -> int: ...
+
+
+def check(reading: Inspection, network: Network, model: Covers, where: str = "") -> None:
+    """Refuse a reading that the model cannot use; `where` prefixes the field's name.
+
+    Raises InputError, UnitError or RangeError naming the field, its value and the remedy.
+    """
+
+    def name(fieldname: str) -> str:
+        return f"{where}{fieldname}"
+
+    quantity = network.quantity(reading.quantity)
+    if reading.unit is not None and reading.unit != quantity.unit:
+        raise UnitError(
+            name("unit"),
+            reading.unit,
+            f"is not the unit of {quantity.name}",
+            f"convert the value to {quantity.unit!r} and say so, or leave the unit out",
+        )
+    time = reading.time_h
+    if not (math.isfinite(time) and 0 <= time <= model.horizon_h):
+        raise RangeError(
+            name("time_h"),
+            time,
+            f"lies outside 0 … {model.horizon_h:g} h, which the model covers",
+            "give the blade's operating hours at the inspection",
+        )
+    values = reading.values
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        raise InputError(
+            name("values"),
+            float(values[tuple(bad[0])]),
+            f"at {bad[0].tolist()} is not a number",
+            "leave readings that failed out",
+        )
+    outside = np.argwhere((values < quantity.low) | (values > quantity.high))
+    if outside.size:
+        raise RangeError(
+            name("values"),
+            float(values[tuple(outside[0])]),
+            f"lies outside the plausible {quantity.low:g} … {quantity.high:g} {quantity.unit}",
+            f"check the unit: {quantity.unit!r} is expected",
+        )
+    if reading.sigma is not None and not (math.isfinite(reading.sigma) and reading.sigma > 0):
+        raise RangeError(
+            name("sigma"), reading.sigma, "is not a positive number", "give the noise's sd"
+        )
+    _check_shape(reading, quantity.kind, model.node_count, name("values"), name("nodes"))
+
+
+def _check_shape(
+    reading: Inspection, kind: str, node_count: int, values_name: str, nodes_name: str
+) -> None:
+    values, nodes = reading.values, reading.nodes
+    if kind == "vector":
+        if nodes is None or nodes.size == 0:
+            raise InputError(nodes_name, None, "is missing", "name the node of each x, y, z triple")
+        if values.shape != (nodes.size, 3):
+            raise InputError(
+                values_name,
+                list(values.shape),
+                f"is not the shape of {nodes.size} nodes × 3",
+                "give x, y, z for each node",
+            )
+        if len(np.unique(nodes)) != nodes.size:
+            raise InputError(nodes_name, nodes.size, "names a node twice", "give each node once")
+    else:
+        if values.shape != (1,):
+            raise InputError(
+                values_name, list(values.shape), "is not one value", "post each value by itself"
+            )
+        if kind == "scalar" and nodes is not None:
+            raise InputError(
+                nodes_name, nodes.tolist(), "belongs to no scalar quantity", "leave it out"
+            )
+        if kind == "field" and nodes is not None and nodes.shape != (1,):
+            raise InputError(nodes_name, nodes.tolist(), "is not one node", "name one node")
+    if nodes is not None:
+        wrong = nodes[(nodes < 0) | (nodes >= node_count)]
+        if wrong.size:
+            raise RangeError(
+                nodes_name,
+                int(wrong[0]),
+                f"does not exist: the mesh has nodes 0 … {node_count - 1}",
+                "use the node numbers of the model's mesh",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One entry of the log: an inspection or the retraction of one, with its arrival number."""
+
+    seq: int
+    kind: Literal["inspection", "retraction"]
+    target: str
+    inspection: Inspection | None = None
+
+
+def effective(entries: Iterable[Entry]) -> tuple[Inspection, ...]:
+    """The readings that count, ordered by (time, id).
+
+    A reading counts unless it was retracted or replaced. Retracting a correction brings what it
+    replaced back; a chain of corrections counts by its last link. The result depends on the set
+    of entries only, not on their order.
+
+    >>> a = Inspection("a", "B1", "elongation", 8000.0, np.array([0.10]))
+    >>> b = Inspection("b", "B1", "elongation", 8000.0, np.array([0.11]), replaces="a")
+    >>> log = [Entry(1, "inspection", "a", a), Entry(2, "inspection", "b", b)]
+    >>> [i.id for i in effective(log)]
+    ['b']
+    >>> [i.id for i in effective([Entry(3, "retraction", "b"), *log])]
+    ['a']
+    """
+    entries = list(entries)
+    gone = {e.target for e in entries if e.kind == "retraction"}
+    standing = {
+        e.inspection.id: e.inspection
+        for e in entries
+        if e.inspection is not None and e.inspection.id not in gone
+    }
+    replaced = {i.replaces for i in standing.values() if i.replaces is not None}
+    counts = [i for i in standing.values() if i.id not in replaced]
+    return tuple(sorted(counts, key=lambda i: (i.time_h, i.id)))
+
+
+def digest_of(readings: Iterable[Inspection]) -> str:
+    """One digest over a set of readings, whatever their order."""
+    text = "\n".join(sorted(i.digest() for i in readings))
+    return blake2b(text.encode(), digest_size=16).hexdigest()
