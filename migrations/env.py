@@ -1,0 +1,10 @@
+"""Runs the migrations on the connection that the caller opened (service.store.migrate)."""
+
+from alembic import context
+
+from service.store.tables import metadata
+
+connection = context.config.attributes["connection"]
+context.configure(connection=connection, target_metadata=metadata, transactional_ddl=True)
+with context.begin_transaction():
+    context.run_migrations()

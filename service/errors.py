@@ -1,0 +1,72 @@
+"""The errors of the service, beside those of the science.
+
+::
+
+    BladetwinError
+    ├── InputError …          (core.errors)
+    ├── FaultsError           a request with one or more faults, each an InputError
+    ├── NotFoundError         something that the address or body names does not exist
+    ├── ConflictError         the same id with another content
+    ├── NotYetError           an answer that a worker has yet to compute
+    ├── GoneError             a version that is no longer kept
+    └── LostLeaseError        a worker whose rotor another one has taken
+"""
+
+from __future__ import annotations
+
+from core.errors import BladetwinError, InputError
+
+
+class FaultsError(BladetwinError):
+    """A request that cannot be used; `faults` names every field, value and remedy."""
+
+    def __init__(self, faults: list[InputError]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("; ".join(map(str, faults)))
+
+
+class NotFoundError(BladetwinError):
+    """`what` (a noun) called `name` does not exist."""
+
+    def __init__(self, what: str, name: str, remedy: str) -> None:
+        self.what = what
+        self.name = name
+        self.remedy = remedy
+        super().__init__(f"{what} {name!r} does not exist. To mend it: {remedy}.")
+
+
+class ConflictError(BladetwinError):
+    """`what` called `name` exists with another content."""
+
+    def __init__(self, what: str, name: str, remedy: str) -> None:
+        self.what = what
+        self.name = name
+        self.remedy = remedy
+        super().__init__(f"{what} {name!r} exists with another content. To mend it: {remedy}.")
+
+
+class NotYetError(BladetwinError):
+    """The answer is being computed; ask again later."""
+
+    def __init__(self, what: str, remedy: str) -> None:
+        self.what = what
+        self.remedy = remedy
+        super().__init__(f"{what} is not computed yet. To mend it: {remedy}.")
+
+
+class GoneError(BladetwinError):
+    """A version that was thinned out."""
+
+    def __init__(self, what: str, remedy: str) -> None:
+        self.what = what
+        self.remedy = remedy
+        super().__init__(f"{what} is no longer kept. To mend it: {remedy}.")
+
+
+class LostLeaseError(BladetwinError):
+    """The fence of a worker no longer holds: nothing of its work is written."""
+
+    def __init__(self, rotor: str, fence: int) -> None:
+        self.rotor = rotor
+        self.fence = fence
+        super().__init__(f"rotor {rotor}: fence {fence} no longer holds; the update is dropped")

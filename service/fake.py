@@ -1,0 +1,214 @@
+"""A small exact twin in memory: the science's seam for tests, trials and users' own tests.
+
+Each blade elongates at a rate of its own around the rotor's::
+
+    r_b = m + l_b,   m ~ N(0.5, 0.1²),   l_b ~ N(0, 0.2²)            [mm per 50,000 h]
+    y   = r_b h + e,  h = t / 50,000,    e ~ N(0, sigma²)             [mm]
+
+with sigma given by the reading or 0.02 mm. All is conjugate, so posterior and prediction are exact:
+with n = Σ h²/sigma² and s = Σ h y/sigma² of a blade, its message about m is N(s/n, 1/n + 0.2²).
+A deformation at node k of N is (0, 0, r_b h (k+1)/N); ceeq there is r_b h (k+1)/(100 N).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from core.errors import InputError
+from core.network import Network, Parameter, Prior, Quantity
+from core.observation import Inspection, digest_of
+from core.rng import stream
+from service.ports import Array, Draws, Get, ModelCard, RotorSpec
+
+MEAN, SD, SCATTER, SIGMA = 0.5, 0.1, 0.2, 0.02
+HORIZON_H = 50_000.0
+LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
+
+
+def fake_network() -> Network:
+    """The declaration of the conjugate twin."""
+    noise = Prior("log_uniform", 1e-3, 0.2)
+    return Network(
+        name="fake",
+        parameters=(
+            Parameter("rate", "shared", Prior.gaussian(MEAN, SD), "mm"),
+            Parameter("offset", "local", Prior.gaussian(0.0, SCATTER), "mm"),
+        ),
+        quantities=(
+            Quantity("elongation", "mm", "scalar", noise, -5.0, 50.0),
+            Quantity("deformation", "mm", "vector", noise, -50.0, 50.0),
+            Quantity("ceeq", "1", "field", noise, 0.0, 0.5, "critical"),
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FakeState:
+    """Sufficient statistics: ``column/<blade>`` (n, s) and ``shared/moments`` (mean, variance)."""
+
+    meta: Mapping[str, Any]
+    arrays: Mapping[str, Array]
+
+    @property
+    def digest(self) -> str:
+        found = hashlib.sha256(json.dumps(dict(self.meta), sort_keys=True).encode())
+        for name in sorted(self.arrays):
+            found.update(name.encode() + self.arrays[name].tobytes())
+        return found.hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class FakePrediction:
+    """Bands of one quantity, by source."""
+
+    time_h: Array
+    mean: Array
+    sd: Mapping[str, Array]
+    lower: Array
+    upper: Array
+    quantiles: Mapping[float, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class FakeScience:
+    """The twin. `delay_s` makes an update slow; `provisional` makes quick updates unsealed."""
+
+    node_count: int = 6448
+    delay_s: float = 0.0
+    provisional: bool = False
+    network: Network = field(default_factory=fake_network)
+
+    def builtin(self, name: str) -> ModelCard:
+        if name not in ("rotor-blade", "fake"):
+            raise InputError("builtin", name, "is no built-in model", "use rotor-blade")
+        digest = hashlib.sha256(json.dumps(self.network.to_json()).encode()).hexdigest()
+        return ModelCard(
+            id=name,
+            version=f"fake-{digest[:8]}",
+            digest=digest,
+            network=self.network,
+            horizon_h=HORIZON_H,
+            node_count=self.node_count,
+            nodes={"tip": self.node_count - 1, "critical": 3},
+            time_h=tuple(np.linspace(0.0, HORIZON_H, 6).tolist()),
+            outputs={q.name: q.unit for q in self.network.quantities},
+            summary={"what": "conjugate Gaussian twin"},
+        )
+
+    def warm(self, card: ModelCard) -> None:
+        """Nothing is compiled here."""
+
+    def update(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        readings: Sequence[Inspection],
+        previous: Any,
+        *,
+        quick: bool,
+    ) -> FakeState:
+        time.sleep(self.delay_s)
+        columns = {blade: np.zeros(2) for blade in rotor.blades}
+        for reading in readings:
+            h = self._sensitivity(reading, card)
+            precision = 1.0 / (reading.sigma or SIGMA) ** 2
+            y = reading.values[:, -1] if reading.values.ndim == 2 else reading.values
+            columns[reading.blade] += [precision * float(h @ h), precision * float(h @ y)]
+        precision, weighted = 1.0 / SD**2, MEAN / SD**2
+        for n, s in columns.values():
+            if n > 0:
+                precision += 1.0 / (1.0 / n + SCATTER**2)
+                weighted += (s / n) / (1.0 / n + SCATTER**2)
+        arrays: dict[str, Array] = {f"column/{name}": column for name, column in columns.items()}
+        arrays["shared/moments"] = np.array([weighted / precision, 1.0 / precision])
+        meta = {
+            "algorithm_version": "fake-1",
+            "digest": digest_of(readings),
+            "sealed": not (quick and self.provisional),
+            "health": {"ess": rotor.particles, "ess_ratio": 1.0},
+            "blades": list(rotor.blades),
+            "particles": rotor.particles,
+            "seed": rotor.seed,
+            "readings": len(readings),
+        }
+        return FakeState(meta, arrays)
+
+    @staticmethod
+    def _sensitivity(reading: Inspection, card: ModelCard) -> NDArray[np.float64]:
+        h = reading.time_h / HORIZON_H
+        if reading.quantity == "elongation":
+            return np.array([h])
+        nodes = np.array([3]) if reading.nodes is None else reading.nodes
+        scale = 1.0 if reading.quantity == "deformation" else 0.01
+        return np.asarray(scale * h * (nodes + 1) / card.node_count)
+
+    def restore(self, meta: Mapping[str, Any], get: Get) -> FakeState:
+        names = [f"column/{blade}" for blade in meta["blades"]] + ["shared/moments"]
+        return FakeState(meta, {name: get(name) for name in names})
+
+    @staticmethod
+    def moments(get: Get, blade: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean (2,) and covariance (2, 2) of (m, l_b) given everything."""
+        (mean, variance), (n, s) = get("shared/moments"), get(f"column/{blade}")
+        gain = n * SCATTER**2 / (1.0 + n * SCATTER**2)
+        rate = s / n if n > 0 else 0.0
+        local_variance = SCATTER**2 * (1.0 - gain)
+        centre = np.array([mean, gain * (rate - mean)])
+        cross = -gain * variance
+        covariance = [[variance, cross], [cross, local_variance + gain**2 * variance]]
+        return centre, np.array(covariance)
+
+    def shared_draws(self, meta: Mapping[str, Any], get: Get) -> Draws:
+        mean, variance = get("shared/moments")
+        z = stream(meta["seed"], "shared").standard_normal((meta["particles"], 1))
+        return Draws(("rate",), mean + np.sqrt(variance) * z, np.zeros(len(z)))
+
+    def blade_draws(self, meta: Mapping[str, Any], get: Get, blade: str) -> Draws:
+        mean, covariance = self.moments(get, blade)
+        z = stream(meta["seed"], "blade", blade).standard_normal((meta["particles"], 2))
+        root = np.linalg.cholesky(covariance + 1e-15 * np.eye(2))
+        return Draws(("rate", "offset"), mean + z @ root.T, np.zeros(len(z)))
+
+    def predict(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        times: Sequence[float],
+        node: int | None,
+        probability: float,
+    ) -> FakePrediction:
+        mean, covariance = self.moments(get, blade)
+        time_h = np.asarray(times, float)
+        scale = np.ones(1)
+        if quantity != "elongation":
+            k = card.nodes["critical"] if node is None else node
+            scale = np.array([0.0, 0.0, 1.0]) if quantity == "deformation" else np.array([0.01])
+            scale = scale * (k + 1) / card.node_count
+        h = time_h[:, None] / HORIZON_H * scale
+        h = h if quantity == "deformation" else h[:, 0]
+        parameters = np.sqrt(covariance.sum()) * h
+        zero, noise = np.zeros_like(h), np.full_like(h, SIGMA)
+        total = np.hypot(parameters, noise)
+        centre = mean.sum() * h
+        half = ndtri(0.5 + probability / 2) * total
+        parts = {"parameters": parameters, "surrogate": zero, "discrepancy": zero}
+        return FakePrediction(
+            time_h,
+            centre,
+            parts | {"noise": noise, "total": total},
+            centre - half,
+            centre + half,
+            {level: centre + ndtri(level) * total for level in LEVELS},
+        )

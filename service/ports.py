@@ -1,0 +1,288 @@
+"""What the use cases need from outside, as Protocols and plain records.
+
+`Science` is the calibration and its model; `service.science` wires the blade physics to it and
+`service.fake` is a small exact twin in memory, for tests and trials. `Transaction` is one
+transaction of the store. Neither knows HTTP, and the use cases know no SQL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.network import Network
+from core.observation import Inspection
+
+Array = np.ndarray[Any, np.dtype[Any]]
+Json = dict[str, Any]
+Get = Callable[[str], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class ModelCard:
+    """What is known of a model without loading it: enough to check a reading."""
+
+    id: str
+    version: str
+    digest: str
+    network: Network
+    horizon_h: float
+    node_count: int
+    nodes: Mapping[str, int]
+    time_h: tuple[float, ...]
+    outputs: Mapping[str, str]
+    summary: Mapping[str, Any]
+
+    def to_json(self) -> Json:
+        return {
+            "id": self.id,
+            "version": self.version,
+            "digest": self.digest,
+            "network": self.network.to_json(),
+            "horizon_h": self.horizon_h,
+            "node_count": self.node_count,
+            "nodes": dict(self.nodes),
+            "time_h": list(self.time_h),
+            "outputs": dict(self.outputs),
+            "summary": dict(self.summary),
+        }
+
+    @staticmethod
+    def from_json(data: Json) -> ModelCard:
+        parts = data | {"network": Network.from_json(data["network"])}
+        return ModelCard(**parts | {"time_h": tuple(data["time_h"])})
+
+
+@dataclass(frozen=True, slots=True)
+class RotorSpec:
+    """What an update needs to know of a rotor besides its readings."""
+
+    id: str
+    blades: tuple[str, ...]
+    particles: int
+    seed: int
+
+
+class RotorState(Protocol):
+    """A posterior of one rotor: a JSON-able `meta` and named arrays; never changes.
+
+    meta holds at least ``algorithm_version``, ``digest`` (of the event set), ``sealed`` and
+    ``health``.
+    """
+
+    @property
+    def meta(self) -> Mapping[str, Any]: ...
+    @property
+    def arrays(self) -> Mapping[str, Array]: ...
+    @property
+    def digest(self) -> str: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """Weighted draws: names (d,), values (n, d), log_w (n,), and how well they mix."""
+
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
+    log_w: NDArray[np.float64]
+
+
+class Prediction(Protocol):
+    """Bands of one quantity of one blade, by source (see core.prediction)."""
+
+    @property
+    def time_h(self) -> Array: ...
+    @property
+    def mean(self) -> Array: ...
+    @property
+    def sd(self) -> Mapping[str, Array]: ...
+    @property
+    def lower(self) -> Array: ...
+    @property
+    def upper(self) -> Array: ...
+    @property
+    def quantiles(self) -> Mapping[float, Array]: ...
+
+
+class Science(Protocol):
+    """The calibration: pure functions of readings, rotor and earlier state."""
+
+    def builtin(self, name: str) -> ModelCard: ...
+    def update(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        readings: Sequence[Inspection],
+        previous: RotorState | None,
+        *,
+        quick: bool,
+    ) -> RotorState: ...
+    def restore(self, meta: Mapping[str, Any], get: Get) -> RotorState: ...
+    def shared_draws(self, meta: Mapping[str, Any], get: Get) -> Draws: ...
+    def blade_draws(self, meta: Mapping[str, Any], get: Get, blade: str) -> Draws: ...
+    def predict(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        times: Sequence[float],
+        node: int | None,
+        probability: float,
+    ) -> Prediction: ...
+    def warm(self, card: ModelCard) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class BladeRecord:
+    """A blade of a rotor. `added_seq` 0: there from the beginning."""
+
+    id: str
+    slot: str | None = None
+    lot: str | None = None
+    coating_lot: str | None = None
+    installed_at: str | None = None
+    time_h0: float | None = None
+    added_seq: int = 0
+    retired_seq: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RotorRecord:
+    """A rotor with its place in the log and its worker's cursor."""
+
+    id: str
+    model_id: str
+    model_version: str
+    particles: int
+    seed: int
+    head_seq: int
+    digest: str
+    created_at: float
+    applied_seq: int = 0
+    version: int = 0
+    dirty: bool = True
+    attempts: int = 0
+    blocked: bool = False
+    last_error: str | None = None
+    last_error_event: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NewEvent:
+    """An entry before it has a place in the log; `digest` is that of `body`."""
+
+    event_id: str
+    kind: str
+    body: str
+    digest: str
+    replaces: str | None = None
+    blade: str | None = None
+    time_h: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Event(NewEvent):
+    """An entry of the log."""
+
+    seq: int = 0
+    received_at: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Appended:
+    """Where an entry stands; `new` is False where it had been there before."""
+
+    event_id: str
+    seq: int
+    new: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StateRecord:
+    """A version of a rotor's posterior, without its arrays."""
+
+    rotor_id: str
+    version: int
+    through_seq: int
+    model_id: str
+    model_version: str
+    algorithm_version: str
+    sealed: bool
+    digest: str
+    events_digest: str
+    meta: Json
+    created_at: float
+
+
+@dataclass(frozen=True, slots=True)
+class JobRecord:
+    """A piece of work that answers later."""
+
+    id: str
+    kind: str
+    status: str
+    request: Json
+    created_at: float
+    result: Json | None = None
+    error: str | None = None
+    attempts: int = 0
+    finished_at: float | None = None
+
+
+class Records(Protocol):
+    """Models, jobs, rotors and blades."""
+
+    def put_model(self, card: ModelCard, source: Json) -> None: ...
+    def model(self, model_id: str, version: str | None = None) -> ModelCard: ...
+    def models(self, after: str, limit: int) -> list[ModelCard]: ...
+    def put_job(self, job_id: str, kind: str, request: Json) -> JobRecord: ...
+    def job(self, job_id: str) -> JobRecord: ...
+    def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool: ...
+    def rotor(self, rotor_id: str) -> RotorRecord: ...
+    def rotors(self, after: str, limit: int) -> list[RotorRecord]: ...
+    def blades(self, rotor_id: str) -> list[BladeRecord]: ...
+    def put_blade(self, rotor_id: str, blade: BladeRecord) -> None: ...
+    def retire_blade(self, rotor_id: str, blade_id: str, seq: int) -> None: ...
+
+
+class Log(Protocol):
+    """The inspection log, which is the queue."""
+
+    def lock(self, rotor_id: str) -> int: ...
+    def append(self, rotor_id: str, events: Sequence[NewEvent]) -> list[Appended]: ...
+    def free(self, rotor_id: str) -> None: ...
+    def find(self, rotor_id: str, event_id: str) -> Event | None: ...
+    def page(self, rotor_id: str, kind: str, after: int, limit: int) -> list[Event]: ...
+    def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]: ...
+
+
+class States(Protocol):
+    """Versions of posteriors."""
+
+    def get(self, rotor_id: str, version: int | None = None) -> StateRecord: ...
+    def arrays(self, rotor_id: str, version: int) -> Get: ...
+
+
+class Transaction(Protocol):
+    """One transaction: all of it is written, or nothing."""
+
+    @property
+    def records(self) -> Records: ...
+    @property
+    def log(self) -> Log: ...
+    @property
+    def states(self) -> States: ...
+
+
+class Store(Protocol):
+    """Opens transactions."""
+
+    def read(self) -> AbstractContextManager[Transaction]: ...
+    def write(self) -> AbstractContextManager[Transaction]: ...

@@ -1,0 +1,102 @@
+"""Every setting, in one object.
+
+A setting is an environment variable ``BLADETWIN_<NAME>``; what is not set has the default below.
+An unknown ``BLADETWIN_…`` variable is refused, so that a misspelt one is never silently ignored.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from core.errors import InputError
+
+PREFIX = "BLADETWIN_"
+# Names under the prefix that belong to the tests and not to the service.
+FOREIGN = frozenset({"BLADETWIN_TEST_DATABASE_URL"})
+
+
+class Settings(BaseModel):
+    """The settings of one process; frozen.
+
+    >>> Settings.load({"BLADETWIN_WORKERS": "3"}).workers
+    3
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", hide_input_in_errors=True)
+
+    database_url: str = Field(
+        "sqlite:///bladetwin.db",
+        description="where everything is kept: sqlite:///file.db or postgresql://user@host/name",
+        repr=False,
+    )
+    host: str = Field("127.0.0.1", description="address that `serve` listens on")
+    port: int = Field(8000, ge=0, le=65535, description="port that `serve` listens on")
+    workers: int = Field(1, ge=0, le=256, description="worker processes that `serve` starts")
+    migrate: Literal["auto", "always", "never"] = Field(
+        "auto", description="migrate at `serve`: auto = SQLite yes, PostgreSQL no"
+    )
+    science: Literal["core", "fake"] = Field(
+        "core", description="core = blade physics; fake = the small Gaussian twin for trials"
+    )
+    particles: int = Field(
+        1000, ge=16, le=1_000_000, description="particles per blade where a rotor names none"
+    )
+    max_body_mb: float = Field(32.0, gt=0, le=4096, description="largest request body, MiB")
+    page_limit: int = Field(200, ge=1, le=10_000, description="most items on one page of a list")
+    wait_max_s: float = Field(60.0, ge=0, le=3600, description="longest `timeout` of `wait_for`, s")
+    lease_s: float = Field(6.0, gt=0, le=3600, description="a silent worker loses its rotor after")
+    max_attempts: int = Field(5, ge=1, le=100, description="attempts before a rotor is blocked")
+    retry_base_s: float = Field(0.5, ge=0, description="first pause after a failed update, doubled")
+    retry_max_s: float = Field(60.0, ge=0, description="longest pause after a failed update, s")
+    poll_ms: float = Field(5.0, ge=1, le=1000, description="how often SQLite is looked at, ms")
+    keep_versions: int = Field(100, ge=1, description="newest posterior versions that are kept")
+    checkpoint_every: int = Field(
+        50, ge=1, description="of older versions every n-th is kept as a checkpoint"
+    )
+    cache_mb: float = Field(256.0, ge=0, description="decoded arrays kept for reads, MiB")
+    rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="least level that is logged"
+    )
+
+    @classmethod
+    def load(cls, environ: Mapping[str, str] | None = None, **overrides: Any) -> Settings:
+        """Settings from the environment; `overrides` that are not None win."""
+        environ = os.environ if environ is None else environ
+        values: dict[str, Any] = {}
+        for name, text in environ.items():
+            if not name.startswith(PREFIX) or name in FOREIGN:
+                continue
+            field = name.removeprefix(PREFIX).lower()
+            if field not in cls.model_fields:
+                raise InputError(name, "…", "is no setting", f"use one of {', '.join(names())}")
+            values[field] = text
+        values |= {name: value for name, value in overrides.items() if value is not None}
+        try:
+            return cls(**values)
+        except ValidationError as error:
+            first = error.errors()[0]
+            name = PREFIX + str(first["loc"][0]).upper()
+            shown = "…" if "URL" in name else values[str(first["loc"][0])]
+            raise InputError(name, shown, f"does not fit: {first['msg']}", "correct it") from None
+
+    def environ(self) -> dict[str, str]:
+        """The same settings as environment variables, for a child process."""
+        return {PREFIX + name.upper(): str(value) for name, value in self.model_dump().items()}
+
+
+def names() -> list[str]:
+    """The environment variable of each setting."""
+    return [PREFIX + name.upper() for name in Settings.model_fields]
+
+
+def table() -> list[tuple[str, str, str]]:
+    """(variable, default, meaning) of each setting, for help and documents."""
+    return [
+        (PREFIX + name.upper(), str(field.default), str(field.description))
+        for name, field in Settings.model_fields.items()
+    ]

@@ -1,0 +1,7 @@
+"""Where everything is kept: one relational database, SQLite or PostgreSQL, one code path.
+
+tables.py    the tables                       engine.py   connections and transactions
+encoding.py  arrays as checked .npy bytes     log.py      the inspection log, which is the queue
+states.py    versions of a rotor's posterior  records.py  models, jobs, rotors, blades
+unit_of_work.py   one transaction with all of these
+"""

@@ -1,0 +1,79 @@
+"""Arrays as bytes and back.
+
+An array is kept as the bytes of a ``.npy`` file (format of numpy, no pickle in either direction)
+beside its dtype, shape and the SHA-256 of the bytes. Reading checks all three, so that a damaged
+row is named and never used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import sha256
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+
+from core.errors import ModelError
+
+Array = np.ndarray[Any, np.dtype[Any]]
+ENCODING = "npy"
+
+
+class DamagedArrayError(ModelError):
+    """A stored array whose bytes, dtype or shape are not what was written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """One array as it is stored."""
+
+    encoding: str
+    dtype: str
+    shape: str
+    sha256: str
+    data: bytes
+
+
+def shape_text(shape: tuple[int, ...]) -> str:
+    """A shape as text.
+
+    >>> shape_text((54, 3)), shape_text(())
+    ('54x3', '')
+    """
+    return "x".join(map(str, shape))
+
+
+def encode(array: Array) -> Encoded:
+    """An array of numbers as bytes; objects are refused.
+
+    >>> bool((decode("a", encode(np.array([1.5, 2.5]))) == [1.5, 2.5]).all())
+    True
+    """
+    array = np.ascontiguousarray(array) if array.ndim else array
+    if array.dtype.kind not in "biuf":
+        raise ModelError(f"an array of dtype {array.dtype} is not stored; convert it to numbers")
+    buffer = BytesIO()
+    np.lib.format.write_array(buffer, array, allow_pickle=False)
+    data = buffer.getvalue()
+    digest = sha256(data).hexdigest()
+    return Encoded(ENCODING, array.dtype.str, shape_text(array.shape), digest, data)
+
+
+def decode(name: str, stored: Encoded) -> Array:
+    """The array, read-only; DamagedArrayError where bytes, dtype or shape do not agree."""
+    if stored.encoding != ENCODING:
+        raise DamagedArrayError(f"array {name}: encoding {stored.encoding!r} is not {ENCODING!r}")
+    found = sha256(stored.data).hexdigest()
+    if found != stored.sha256:
+        raise DamagedArrayError(
+            f"array {name}: sha256 {found[:12]}… is not {stored.sha256[:12]}… as written. "
+            "Restore the database, or delete the state and POST …/retry to recompute it."
+        )
+    array: Array = np.lib.format.read_array(BytesIO(stored.data), allow_pickle=False)
+    if (array.dtype.str, shape_text(array.shape)) != (stored.dtype, stored.shape):
+        raise DamagedArrayError(
+            f"array {name}: {array.dtype.str} {array.shape} is not {stored.dtype} ({stored.shape})"
+        )
+    array.setflags(write=False)
+    return array

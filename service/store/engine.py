@@ -1,0 +1,93 @@
+"""Connections and transactions on SQLite and PostgreSQL.
+
+SQLite runs in WAL mode with a busy timeout of 30 s and full synchronisation; a transaction that
+writes begins with ``BEGIN IMMEDIATE``, so that two writers queue instead of failing half-way.
+PostgreSQL runs READ COMMITTED; rows are locked by name where order matters. `now_s()` is the
+database's clock, the only clock that leases know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from sqlalchemy import Connection, Double, Engine, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.sql.functions import FunctionElement
+
+from core.errors import InputError
+
+WRITE = "bladetwin_write"
+
+
+class now_s(FunctionElement[float]):
+    """Seconds since 1970 by the database's clock."""
+
+    type = Double()
+    inherit_cache = True
+
+
+@compiles(now_s, "sqlite")
+def _now_sqlite(element: Any, compiler: Any, **kw: Any) -> str:
+    return "((julianday('now') - 2440587.5) * 86400.0)"
+
+
+@compiles(now_s, "postgresql")
+def _now_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
+    return "extract(epoch from clock_timestamp())::double precision"
+
+
+def open_engine(url: str) -> Engine:
+    """An engine for ``sqlite:///file`` or ``postgresql://…``; anything else is refused."""
+    try:
+        parsed = make_url(url)
+    except ArgumentError:
+        raise InputError(
+            "BLADETWIN_DATABASE_URL", "…", "is no database URL", "write sqlite:///bladetwin.db"
+        ) from None
+    backend = parsed.get_backend_name()
+    if backend == "postgresql":
+        parsed = parsed.set(drivername="postgresql+psycopg")
+        return create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True)
+    if backend != "sqlite" or not parsed.database or parsed.database == ":memory:":
+        raise InputError(
+            "BLADETWIN_DATABASE_URL",
+            parsed.render_as_string(hide_password=True),
+            "is neither a SQLite file nor PostgreSQL",
+            "write sqlite:///bladetwin.db or postgresql://user@host/name",
+        )
+    engine = create_engine(
+        parsed.set(drivername="sqlite+pysqlite"),
+        connect_args={"isolation_level": None, "timeout": 30.0, "check_same_thread": False},
+        pool_size=20,
+        max_overflow=40,
+    )
+    event.listen(engine, "connect", _prepare_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _prepare_sqlite(connection: Any, record: Any) -> None:
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "cache_size=-32000"):
+        connection.execute(f"PRAGMA {pragma}").close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    write = connection.get_execution_options().get(WRITE, False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
+
+
+@contextmanager
+def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
+    """One transaction: committed at the end, rolled back on any error."""
+    with engine.connect() as connection:
+        connection = connection.execution_options(**{WRITE: write})
+        with connection.begin():
+            yield connection
+
+
+def is_sqlite(engine: Engine) -> bool:
+    """Whether the engine is the embedded database."""
+    return engine.dialect.name == "sqlite"

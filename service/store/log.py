@@ -1,0 +1,139 @@
+"""The inspection log, which is the queue.
+
+Appending takes the rotor's row lock first (`lock`), so that sequence numbers are gap-free and in
+the order of the commits: whoever sees number n sees every number below it. In the same
+transaction the rotor's cursor becomes dirty; workers are notified when it flips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sqlalchemy import Connection, false, insert, select, text, true, update
+
+from service.errors import ConflictError, NotFoundError
+from service.ports import Appended, Event, NewEvent
+from service.store import tables as t
+from service.store.engine import now_s
+
+COLUMNS = [column for column in t.entry.c if column.name != "rotor_id"]
+CHUNK = 500
+
+
+def notify(connection: Connection, channel: str, payload: str = "") -> None:
+    """Wake listeners at the commit (PostgreSQL; SQLite's readers watch the file)."""
+    if connection.dialect.name == "postgresql":
+        statement = text("SELECT pg_notify(:channel, :payload)")
+        connection.execute(statement, {"channel": channel, "payload": payload})
+
+
+def lock_rotor(connection: Connection, rotor_id: str) -> int | None:
+    """Lock the rotor's row until the end of the transaction; its head_seq."""
+    query = select(t.rotor.c.head_seq).where(t.rotor.c.id == rotor_id).with_for_update()
+    return connection.execute(query).scalar()
+
+
+class SqlLog:
+    """The `Log` of one transaction."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def lock(self, rotor_id: str) -> int:
+        head = lock_rotor(self._connection, rotor_id)
+        if head is None:
+            raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
+        return head
+
+    def append(self, rotor_id: str, events: Sequence[NewEvent]) -> list[Appended]:
+        """Append what is new; what is there with the same digest keeps its first place.
+
+        ConflictError names an id that is there with another digest: then nothing is written.
+        """
+        head = self.lock(rotor_id)
+        known = self._known(rotor_id, [event.event_id for event in events])
+        answers: list[Appended] = []
+        rows: list[dict[str, object]] = []
+        for event in events:
+            digest, seq = known.get(event.event_id, (None, 0))
+            if digest is None:
+                seq = head + len(rows) + 1
+                known[event.event_id] = (event.digest, seq)
+                row = {name: getattr(event, name) for name in NewEvent.__slots__}
+                rows.append(row | {"rotor_id": rotor_id, "seq": seq})
+            elif digest != event.digest:
+                raise ConflictError(
+                    event.kind, event.event_id, "choose a new id, or post a correction (replaces)"
+                )
+            answers.append(Appended(event.event_id, seq, digest is None))
+        if rows:
+            self._connection.execute(insert(t.entry).values(received_at=now_s()), rows)
+            advance = update(t.rotor).where(t.rotor.c.id == rotor_id)
+            self._connection.execute(advance.values(head_seq=head + len(rows)))
+            self._mark_dirty(rotor_id)
+        return answers
+
+    def _known(self, rotor_id: str, ids: list[str]) -> dict[str, tuple[str | None, int]]:
+        found: dict[str, tuple[str | None, int]] = {}
+        for start in range(0, len(ids), CHUNK):
+            query = select(t.entry.c.event_id, t.entry.c.digest, t.entry.c.seq).where(
+                t.entry.c.rotor_id == rotor_id, t.entry.c.event_id.in_(ids[start : start + CHUNK])
+            )
+            found |= {row[0]: (row[1], row[2]) for row in self._connection.execute(query)}
+        return found
+
+    def _mark_dirty(self, rotor_id: str) -> None:
+        flip = update(t.cursor).where(t.cursor.c.rotor_id == rotor_id, t.cursor.c.dirty == false())
+        result = self._connection.execute(flip.values(dirty=True, dirty_since=now_s()))
+        if result.rowcount == 1:
+            notify(self._connection, "bladetwin_work")
+
+    def free(self, rotor_id: str) -> None:
+        """Let a blocked or pausing rotor be tried again at once."""
+        self.lock(rotor_id)
+        held = (t.cursor.c.rotor_id == rotor_id) & (
+            (t.cursor.c.blocked == true()) | t.cursor.c.not_before.is_not(None)
+        )
+        values = {"blocked": False, "attempts": 0, "not_before": None}
+        if self._connection.execute(update(t.cursor).where(held).values(**values)).rowcount:
+            notify(self._connection, "bladetwin_work")
+
+    def find(self, rotor_id: str, event_id: str) -> Event | None:
+        query = select(*COLUMNS).where(
+            t.entry.c.rotor_id == rotor_id, t.entry.c.event_id == event_id
+        )
+        row = self._connection.execute(query).one_or_none()
+        return None if row is None else Event(**row._mapping)
+
+    def page(self, rotor_id: str, kind: str, after: int, limit: int) -> list[Event]:
+        query = (
+            select(*COLUMNS)
+            .where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind == kind, t.entry.c.seq > after)
+            .order_by(t.entry.c.seq)
+            .limit(limit)
+        )
+        return [Event(**row._mapping) for row in self._connection.execute(query)]
+
+    def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]:
+        """Retractions and corrections of these inspections, and retractions of those."""
+        found: dict[str, Event] = {}
+        wanted = list(ids)
+        while wanted:
+            query = select(*COLUMNS).where(
+                t.entry.c.rotor_id == rotor_id, t.entry.c.replaces.in_(wanted[:CHUNK])
+            )
+            fresh = [Event(**row._mapping) for row in self._connection.execute(query)]
+            fresh = [event for event in fresh if event.event_id not in found]
+            found |= {event.event_id: event for event in fresh}
+            wanted = wanted[CHUNK:] + [e.event_id for e in fresh if e.kind == "inspection"]
+        return list(found.values())
+
+
+def read_entries(connection: Connection, rotor_id: str, after: int, through: int) -> list[Event]:
+    """The entries with after < seq <= through, in order."""
+    query = (
+        select(*COLUMNS)
+        .where(t.entry.c.rotor_id == rotor_id, t.entry.c.seq > after, t.entry.c.seq <= through)
+        .order_by(t.entry.c.seq)
+    )
+    return [Event(**row._mapping) for row in connection.execute(query)]

@@ -1,0 +1,141 @@
+"""Models, jobs, rotors and blades."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sqlalchemy import Connection, Row, insert, select, update
+from sqlalchemy.dialects import postgresql, sqlite
+
+from service.errors import NotFoundError
+from service.ports import BladeRecord, JobRecord, Json, ModelCard, RotorRecord
+from service.store import tables as t
+from service.store.engine import now_s
+from service.store.log import notify
+
+ROTOR = (
+    *(column for column in t.rotor.c),
+    *(t.cursor.c[n] for n in ("applied_seq", "version", "dirty", "attempts", "blocked")),
+    *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
+)
+
+
+def insert_new(connection: Connection, table: Any, values: Json) -> bool:
+    """Insert a row unless its key is there; whether it was inserted."""
+    dialect = sqlite if connection.dialect.name == "sqlite" else postgresql
+    statement = dialect.insert(table).values(values).on_conflict_do_nothing()
+    return connection.execute(statement).rowcount == 1
+
+
+class SqlRecords:
+    """The `Records` of one transaction."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def put_model(self, card: ModelCard, source: Json) -> None:
+        values = {
+            "id": card.id,
+            "version": card.version,
+            "digest": card.digest,
+            "source": json.dumps(source),
+            "card": json.dumps(card.to_json()),
+            "created_at": now_s(),
+        }
+        insert_new(self._connection, t.model, values)
+
+    def model(self, model_id: str, version: str | None = None) -> ModelCard:
+        query = select(t.model.c.card).where(t.model.c.id == model_id)
+        if version is not None:
+            query = query.where(t.model.c.version == version)
+        text = self._connection.execute(query.order_by(t.model.c.created_at.desc())).scalar()
+        if text is None:
+            raise NotFoundError("model", model_id, "GET /v1/models lists those that exist")
+        return ModelCard.from_json(json.loads(text))
+
+    def models(self, after: str, limit: int) -> list[ModelCard]:
+        ids = select(t.model.c.id).where(t.model.c.id > after).distinct().order_by(t.model.c.id)
+        return [self.model(name) for name in self._connection.execute(ids.limit(limit)).scalars()]
+
+    def put_job(self, job_id: str, kind: str, request: Json) -> JobRecord:
+        statement = insert(t.job).values(
+            id=job_id,
+            kind=kind,
+            status="queued",
+            request=json.dumps(request),
+            attempts=0,
+            fence=0,
+            created_at=now_s(),
+        )
+        self._connection.execute(statement)
+        notify(self._connection, "bladetwin_work")
+        return self.job(job_id)
+
+    def job(self, job_id: str) -> JobRecord:
+        query = select(t.job).where(t.job.c.id == job_id)
+        row = self._connection.execute(query).mappings().one_or_none()
+        if row is None:
+            raise NotFoundError("job", job_id, "use the id of the answer to the POST")
+        return JobRecord(
+            id=row["id"],
+            kind=row["kind"],
+            status=row["status"],
+            request=json.loads(row["request"]),
+            created_at=row["created_at"],
+            result=None if row["result"] is None else json.loads(row["result"]),
+            error=row["error"],
+            attempts=row["attempts"],
+            finished_at=row["finished_at"],
+        )
+
+    def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool:
+        """Write a new rotor with its blades and a dirty cursor; False: the id is taken."""
+        values = {name: getattr(rotor, name) for name in t.rotor.c.keys()}  # noqa: SIM118
+        if not insert_new(self._connection, t.rotor, values | {"created_at": now_s()}):
+            return False
+        self._connection.execute(
+            insert(t.cursor).values(
+                rotor_id=rotor.id,
+                applied_seq=0,
+                version=0,
+                dirty=True,
+                dirty_since=now_s(),
+                fence=0,
+                attempts=0,
+                blocked=False,
+            )
+        )
+        for blade in blades:
+            self.put_blade(rotor.id, blade)
+        notify(self._connection, "bladetwin_work")
+        return True
+
+    def rotor(self, rotor_id: str) -> RotorRecord:
+        query = select(*ROTOR).join(t.cursor).where(t.rotor.c.id == rotor_id)
+        row = self._connection.execute(query).one_or_none()
+        if row is None:
+            raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
+        return _rotor(row)
+
+    def rotors(self, after: str, limit: int) -> list[RotorRecord]:
+        query = select(*ROTOR).join(t.cursor).where(t.rotor.c.id > after).order_by(t.rotor.c.id)
+        return [_rotor(row) for row in self._connection.execute(query.limit(limit))]
+
+    def blades(self, rotor_id: str) -> list[BladeRecord]:
+        columns = [c for c in t.blade.c if c.name != "rotor_id"]
+        query = select(*columns).where(t.blade.c.rotor_id == rotor_id).order_by(t.blade.c.id)
+        return [BladeRecord(**row._mapping) for row in self._connection.execute(query)]
+
+    def put_blade(self, rotor_id: str, blade: BladeRecord) -> None:
+        self._connection.execute(insert(t.blade).values(rotor_id=rotor_id, **asdict(blade)))
+
+    def retire_blade(self, rotor_id: str, blade_id: str, seq: int) -> None:
+        key = (t.blade.c.rotor_id == rotor_id) & (t.blade.c.id == blade_id)
+        self._connection.execute(update(t.blade).where(key).values(retired_seq=seq))
+
+
+def _rotor(row: Row[Any]) -> RotorRecord:
+    return RotorRecord(**row._mapping)

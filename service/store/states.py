@@ -1,0 +1,168 @@
+"""Versions of a rotor's posterior: written once, read by name, thinned when old.
+
+Only an array whose SHA-256 changed is written, under the version that changed it. Reading name n
+at version v takes the row with the greatest version <= v. Decoded arrays are cached by (rotor,
+version, name), so that a read of one blade loads what that blade needs and no more.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import asdict
+
+from sqlalchemy import Connection, delete, exists, func, insert, select
+
+from core.errors import ModelError
+from service.errors import GoneError, NotFoundError, NotYetError
+from service.ports import Array, Get, StateRecord
+from service.store import tables as t
+from service.store.encoding import Encoded, decode
+from service.store.engine import now_s
+
+Key = tuple[str, int, str]
+ENDED = Encoded("npy", "", "", "", b"")
+
+
+class ArrayCache:
+    """Decoded arrays, least recently used ones dropped above `limit_mb`; safe between threads."""
+
+    def __init__(self, limit_mb: float) -> None:
+        self._limit = int(limit_mb * 2**20)
+        self._size = 0
+        self._arrays: OrderedDict[Key, Array] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: Key) -> Array | None:
+        with self._lock:
+            if key in self._arrays:
+                self._arrays.move_to_end(key)
+            return self._arrays.get(key)
+
+    def put(self, key: Key, array: Array) -> None:
+        with self._lock:
+            if key in self._arrays or array.nbytes > self._limit:
+                return
+            self._arrays[key] = array
+            self._size += array.nbytes
+            while self._size > self._limit:
+                _, dropped = self._arrays.popitem(last=False)
+                self._size -= dropped.nbytes
+
+
+class SqlStates:
+    """The `States` of one transaction."""
+
+    def __init__(self, connection: Connection, cache: ArrayCache) -> None:
+        self._connection = connection
+        self._cache = cache
+
+    def get(self, rotor_id: str, version: int | None = None) -> StateRecord:
+        """The newest version, or the one asked for."""
+        query = select(t.state).where(t.state.c.rotor_id == rotor_id)
+        if version is not None:
+            query = query.where(t.state.c.version == version)
+        row = self._connection.execute(query.order_by(t.state.c.version.desc()).limit(1)).first()
+        if row is not None:
+            return StateRecord(**dict(row._mapping) | {"meta": json.loads(row.meta)})
+        newest = select(t.cursor.c.version).where(t.cursor.c.rotor_id == rotor_id)
+        last = self._connection.execute(newest).scalar()
+        if last is None:
+            raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
+        if version is None or last == 0:
+            raise NotYetError(
+                f"the posterior of rotor {rotor_id}",
+                f"wait for it with GET /v1/rotors/{rotor_id}?wait_for=0&timeout=30",
+            )
+        if 1 <= version <= last:
+            raise GoneError(
+                f"version {version} of rotor {rotor_id}",
+                f"ask for the newest, {last}, or raise BLADETWIN_KEEP_VERSIONS",
+            )
+        raise NotFoundError("version", str(version), f"the newest one is {last}")
+
+    def arrays(self, rotor_id: str, version: int) -> Get:
+        """A lazy reader of the arrays of one version, for the time of this transaction."""
+
+        def get(name: str) -> Array:
+            key = (rotor_id, version, name)
+            array = self._cache.get(key)
+            if array is None:
+                array = decode(name, self._row(key))
+                self._cache.put(key, array)
+            return array
+
+        return get
+
+    def _row(self, key: Key) -> Encoded:
+        rotor_id, version, name = key
+        a = t.state_array.c
+        query = (
+            select(a.encoding, a.dtype, a.shape, a.sha256, a.data)
+            .where(a.rotor_id == rotor_id, a.name == name, a.version <= version)
+            .order_by(a.version.desc())
+            .limit(1)
+        )
+        row = self._connection.execute(query).one_or_none()
+        if row is None or not row.dtype:
+            raise ModelError(f"rotor {rotor_id}, version {version}: no array {name!r} is stored")
+        return Encoded(**row._mapping)
+
+
+def digests(connection: Connection, rotor_id: str) -> dict[str, str]:
+    """name -> SHA-256 of each array of the newest version."""
+    a = t.state_array.c
+    newest = (
+        select(a.name, func.max(a.version).label("version"))
+        .where(a.rotor_id == rotor_id)
+        .group_by(a.name)
+        .subquery()
+    )
+    query = select(a.name, a.sha256).where(
+        a.rotor_id == rotor_id, a.name == newest.c.name, a.version == newest.c.version
+    )
+    return {row[0]: row[1] for row in connection.execute(query) if row[1]}
+
+
+def write_state(
+    connection: Connection, record: StateRecord, changed: Mapping[str, Encoded | None]
+) -> None:
+    """Write a version and the arrays that changed since the one before; None: the name ended."""
+    values = asdict(record) | {"meta": json.dumps(record.meta), "created_at": now_s()}
+    connection.execute(insert(t.state).values(values))
+    key = {"rotor_id": record.rotor_id, "version": record.version}
+    rows = [key | {"name": name} | asdict(e or ENDED) for name, e in changed.items()]
+    if rows:
+        connection.execute(insert(t.state_array), rows)
+
+
+def thin(connection: Connection, rotor_id: str, newest: int, keep: int, every: int) -> None:
+    """Keep the `keep` newest versions and every `every`-th older one; drop what only others used.
+
+    An array row of version a, replaced at version b, is needed while a kept version lies in
+    a … b-1. The log is never deleted.
+    """
+    old = (t.state.c.rotor_id == rotor_id) & (t.state.c.version <= newest - keep)
+    connection.execute(delete(t.state).where(old, t.state.c.version % every != 0))
+    row = t.state_array
+    later = row.alias("later")
+    replaced_at = (
+        select(func.min(later.c.version))
+        .where(
+            later.c.rotor_id == row.c.rotor_id,
+            later.c.name == row.c.name,
+            later.c.version > row.c.version,
+        )
+        .correlate(row)
+        .scalar_subquery()
+    )
+    needed = exists().where(
+        t.state.c.rotor_id == row.c.rotor_id,
+        t.state.c.version >= row.c.version,
+        t.state.c.version < replaced_at,
+    )
+    connection.execute(
+        delete(row).where(row.c.rotor_id == rotor_id, replaced_at.is_not(None), ~needed)
+    )

@@ -1,0 +1,182 @@
+"""The tables.
+
+The inspection log (`event`) is the queue. `rotor.head_seq` is the number of the newest event and
+is touched by ingest alone; `cursor.applied_seq` is the newest event that the posterior rests on
+and moves only together with a new row of `state`. `rotor` and `cursor` are two tables so that a
+worker's claim never blocks ingest. Times are seconds since 1970 (UTC) by the database's clock.
+
+`state_array` holds an array under the version that last changed it: version v of a rotor has, for
+each name, the row with the greatest version <= v. A row with an empty dtype says that the name
+ended there.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import (
+    DDL,
+    BigInteger,
+    Boolean,
+    Column,
+    Double,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    UniqueConstraint,
+    event,
+)
+
+metadata = MetaData(
+    naming_convention={
+        "pk": "pk_%(table_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_name)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+    }
+)
+NAME = String(200)
+BIG = BigInteger().with_variant(Integer, "sqlite")
+
+model = Table(
+    "model",
+    metadata,
+    Column("id", NAME, primary_key=True),
+    Column("version", NAME, primary_key=True),
+    Column("digest", String(64), nullable=False),
+    Column("source", Text, nullable=False),
+    Column("card", Text, nullable=False),
+    Column("created_at", Double, nullable=False),
+)
+
+job = Table(
+    "job",
+    metadata,
+    Column("id", NAME, primary_key=True),
+    Column("kind", String(40), nullable=False),
+    Column("status", String(20), nullable=False),
+    Column("request", Text, nullable=False),
+    Column("result", Text),
+    Column("error", Text),
+    Column("attempts", Integer, nullable=False),
+    Column("fence", BIG, nullable=False),
+    Column("owner", NAME),
+    Column("lease_until", Double),
+    Column("not_before", Double),
+    Column("created_at", Double, nullable=False),
+    Column("finished_at", Double),
+    Index("ix_job_status_created_at", "status", "created_at"),
+)
+
+rotor = Table(
+    "rotor",
+    metadata,
+    Column("id", NAME, primary_key=True),
+    Column("model_id", NAME, nullable=False),
+    Column("model_version", NAME, nullable=False),
+    Column("particles", Integer, nullable=False),
+    Column("seed", BIG, nullable=False),
+    Column("head_seq", BIG, nullable=False),
+    Column("digest", String(64), nullable=False),
+    Column("created_at", Double, nullable=False),
+    ForeignKeyConstraint(["model_id", "model_version"], ["model.id", "model.version"]),
+)
+
+blade = Table(
+    "blade",
+    metadata,
+    Column("rotor_id", NAME, ForeignKey("rotor.id"), primary_key=True),
+    Column("id", NAME, primary_key=True),
+    Column("slot", NAME),
+    Column("lot", NAME),
+    Column("coating_lot", NAME),
+    Column("installed_at", NAME),
+    Column("time_h0", Double),
+    Column("added_seq", BIG, nullable=False),
+    Column("retired_seq", BIG),
+)
+
+entry = Table(
+    "event",
+    metadata,
+    Column("rotor_id", NAME, ForeignKey("rotor.id"), primary_key=True),
+    Column("seq", BIG, primary_key=True, autoincrement=False),
+    Column("event_id", String(240), nullable=False),
+    Column("kind", String(20), nullable=False),
+    Column("replaces", NAME),
+    Column("blade", NAME),
+    Column("time_h", Double),
+    Column("body", Text, nullable=False),
+    Column("digest", String(64), nullable=False),
+    Column("received_at", Double, nullable=False),
+    UniqueConstraint("rotor_id", "event_id"),
+    Index("ix_event_rotor_id_replaces", "rotor_id", "replaces"),
+)
+
+cursor = Table(
+    "cursor",
+    metadata,
+    Column("rotor_id", NAME, ForeignKey("rotor.id"), primary_key=True),
+    Column("applied_seq", BIG, nullable=False),
+    Column("version", BIG, nullable=False),
+    Column("dirty", Boolean, nullable=False),
+    Column("dirty_since", Double),
+    Column("fence", BIG, nullable=False),
+    Column("owner", NAME),
+    Column("lease_until", Double),
+    Column("not_before", Double),
+    Column("attempts", Integer, nullable=False),
+    Column("blocked", Boolean, nullable=False),
+    Column("last_error", Text),
+    Column("last_error_event", NAME),
+    Index("ix_cursor_dirty_dirty_since", "dirty", "dirty_since"),
+)
+
+state = Table(
+    "state",
+    metadata,
+    Column("rotor_id", NAME, ForeignKey("rotor.id"), primary_key=True),
+    Column("version", BIG, primary_key=True, autoincrement=False),
+    Column("through_seq", BIG, nullable=False),
+    Column("model_id", NAME, nullable=False),
+    Column("model_version", NAME, nullable=False),
+    Column("algorithm_version", NAME, nullable=False),
+    Column("sealed", Boolean, nullable=False),
+    Column("digest", String(64), nullable=False),
+    Column("events_digest", String(64), nullable=False),
+    Column("meta", Text, nullable=False),
+    Column("created_at", Double, nullable=False),
+)
+
+state_array = Table(
+    "state_array",
+    metadata,
+    Column("rotor_id", NAME, ForeignKey("rotor.id"), primary_key=True),
+    Column("name", NAME, primary_key=True),
+    Column("version", BIG, primary_key=True, autoincrement=False),
+    Column("encoding", String(20), nullable=False),
+    Column("dtype", String(20), nullable=False),
+    Column("shape", String(100), nullable=False),
+    Column("sha256", String(64), nullable=False),
+    Column("data", LargeBinary, nullable=False),
+)
+
+outbox = Table(
+    "outbox",
+    metadata,
+    Column("id", BIG, primary_key=True, autoincrement=True),
+    Column("rotor_id", NAME, ForeignKey("rotor.id"), nullable=False),
+    Column("kind", String(20), nullable=False),
+    Column("payload", Text, nullable=False),
+    Column("at", Double, nullable=False),
+    Index("ix_outbox_rotor_id_id", "rotor_id", "id"),
+)
+
+# Array bytes do not compress; PostgreSQL need not try.
+EXTERNAL_STORAGE = "ALTER TABLE state_array ALTER COLUMN data SET STORAGE EXTERNAL"
+_external = DDL(EXTERNAL_STORAGE)  # type: ignore[no-untyped-call]
+event.listen(state_array, "after_create", _external.execute_if(dialect="postgresql"))

@@ -1,0 +1,44 @@
+"""One transaction with all rooms of the store."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from sqlalchemy import Connection, Engine
+
+from service.store.engine import transaction
+from service.store.log import SqlLog
+from service.store.records import SqlRecords
+from service.store.states import ArrayCache, SqlStates
+
+
+class SqlTransaction:
+    """Models, rotors, log and states of one connection's open transaction."""
+
+    def __init__(self, connection: Connection, cache: ArrayCache) -> None:
+        self.connection = connection
+        self.records = SqlRecords(connection)
+        self.log = SqlLog(connection)
+        self.states = SqlStates(connection, cache)
+
+
+class SqlStore:
+    """Opens transactions on one database."""
+
+    def __init__(self, engine: Engine, cache_mb: float = 64.0) -> None:
+        self.engine = engine
+        self.cache = ArrayCache(cache_mb)
+
+    @contextmanager
+    def read(self) -> Iterator[SqlTransaction]:
+        with transaction(self.engine, write=False) as connection:
+            yield SqlTransaction(connection, self.cache)
+
+    @contextmanager
+    def write(self) -> Iterator[SqlTransaction]:
+        with transaction(self.engine, write=True) as connection:
+            yield SqlTransaction(connection, self.cache)
+
+    def close(self) -> None:
+        self.engine.dispose()

@@ -1,0 +1,12 @@
+"""Workers: processes that turn the log into posteriors.
+
+    lease.py      claim, heartbeat, commit, failure: the fenced moves of a cursor
+    update.py     one rotor's pending entries become one new version
+    jobs.py       work that is not of a rotor, e.g. the registration of a model
+    wake.py       how a sleeping worker or reader learns of a commit
+    loop.py       the life of one worker process
+    supervise.py  `serve` starts workers, restarts a dead one and leaves no orphan
+
+The guarantee: every entry of a rotor's log is applied to its posterior exactly once, in the same
+transaction that moves the rotor's cursor past it, by a worker whose fence still holds.
+"""

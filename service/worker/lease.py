@@ -1,0 +1,185 @@
+"""The fenced moves of a rotor's cursor.
+
+A claim raises the fence and takes a lease by the database's clock. Whoever finds the lease over
+may claim again with a higher fence; from then on the earlier worker's heartbeat and commit match
+no row and change nothing. The cursor moves in the transaction that writes the new version, so a
+worker that dies anywhere leaves either both or neither.
+
+Every condition below is one function, so that a test can take it away and see the loss noticed.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Engine,
+    and_,
+    false,
+    insert,
+    or_,
+    select,
+    true,
+    update,
+)
+
+from service.errors import LostLeaseError
+from service.store import tables as t
+from service.store.engine import now_s, transaction
+from service.store.log import lock_rotor, notify
+
+c = t.cursor.c
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """A claimed rotor: what its cursor said, and the fence that the claim raised."""
+
+    rotor_id: str
+    owner: str
+    fence: int
+    applied_seq: int
+    version: int
+    attempts: int
+
+
+def claimable(table: Any) -> ColumnElement[bool]:
+    """There is work, nobody alive holds it, and no pause is running."""
+    return and_(
+        table.dirty == true(),
+        table.blocked == false(),
+        or_(table.lease_until.is_(None), table.lease_until <= now_s()),
+        or_(table.not_before.is_(None), table.not_before <= now_s()),
+    )
+
+
+def holds(lease: Lease) -> ColumnElement[bool]:
+    """The fence: no one has claimed the rotor since."""
+    return c.fence == lease.fence
+
+
+def moves_on(lease: Lease) -> ColumnElement[bool]:
+    """The cursor stands where the worker began."""
+    return c.applied_seq == lease.applied_seq
+
+
+def owned(lease: Lease) -> ColumnElement[bool]:
+    """The claim is the caller's own."""
+    return c.owner == lease.owner
+
+
+def claim(engine: Engine, owner: str, lease_s: float) -> Lease | None:
+    """Take the rotor that has waited longest; None: nothing to do."""
+    first = select(c.rotor_id).where(claimable(c)).order_by(c.dirty_since).limit(1)
+    with transaction(engine, write=False) as connection:
+        if connection.execute(first).scalar() is None:
+            return None
+    with transaction(engine, write=True) as connection:
+        rotor_id = connection.execute(first.with_for_update(skip_locked=True)).scalar()
+        if rotor_id is None:
+            return None
+        take = (
+            update(t.cursor)
+            .where(c.rotor_id == rotor_id)
+            .values(
+                fence=c.fence + 1,
+                attempts=c.attempts + 1,
+                owner=owner,
+                lease_until=now_s() + lease_s,
+            )
+            .returning(c.fence, c.applied_seq, c.version, c.attempts)
+        )
+        row = connection.execute(take).one()
+        return Lease(rotor_id, owner, row.fence, row.applied_seq, row.version, row.attempts)
+
+
+def heartbeat(engine: Engine, lease: Lease, lease_s: float) -> bool:
+    """Prolong the lease; False: the rotor is no longer the caller's."""
+    own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)
+    with transaction(engine, write=True) as connection:
+        beat = update(t.cursor).where(own).values(lease_until=now_s() + lease_s)
+        return connection.execute(beat).rowcount == 1
+
+
+def advance(connection: Connection, lease: Lease, through: int, *, sealed: bool) -> int:
+    """Move the cursor to `through` in the caller's transaction; the number of the new version.
+
+    The rotor's row is locked first, in the same order as ingest does. The rotor stays dirty when
+    its head moved on, or when a sealing pass has to follow. LostLeaseError: roll everything back.
+    """
+    head = lock_rotor(connection, lease.rotor_id)
+    dirty = not sealed or (head or 0) > through
+    move = (
+        update(t.cursor)
+        .where(c.rotor_id == lease.rotor_id, holds(lease), moves_on(lease))
+        .values(
+            applied_seq=through,
+            version=c.version + 1,
+            dirty=dirty,
+            dirty_since=now_s() if dirty else None,
+            attempts=0,
+            owner=None,
+            lease_until=None,
+            not_before=None,
+            last_error=None,
+            last_error_event=None,
+        )
+        .returning(c.version)
+    )
+    version = connection.execute(move).scalar()
+    if version is None:
+        raise LostLeaseError(lease.rotor_id, lease.fence)
+    post(connection, lease.rotor_id, "applied", {"version": version, "through_seq": through})
+    if dirty:
+        notify(connection, "bladetwin_work")
+    return int(version)
+
+
+def fail(
+    engine: Engine, lease: Lease, error: str, event: str | None, pause_s: float, *, block: bool
+) -> None:
+    """Note the error and give the rotor back, to pause or to stay blocked until freed."""
+    own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)
+    with transaction(engine, write=True) as connection:
+        note = (
+            update(t.cursor)
+            .where(own)
+            .values(
+                owner=None,
+                lease_until=None,
+                not_before=now_s() + pause_s,
+                blocked=block,
+                last_error=error[:4000],
+                last_error_event=event,
+            )
+        )
+        if connection.execute(note).rowcount == 1 and block:
+            post(connection, lease.rotor_id, "blocked", {"error": error[:4000], "event": event})
+
+
+def release(engine: Engine, owner: str) -> int:
+    """End the leases of a worker that is known to be dead; how many there were.
+
+    The attempt stays counted: an entry that kills its worker must block its rotor in the end.
+    """
+    with transaction(engine, write=True) as connection:
+        freed = connection.execute(
+            update(t.cursor).where(c.owner == owner).values(lease_until=None, owner=None)
+        ).rowcount
+        connection.execute(
+            update(t.job).where(t.job.c.owner == owner).values(lease_until=None, owner=None)
+        )
+        if freed:
+            notify(connection, "bladetwin_work")
+        return freed
+
+
+def post(connection: Connection, rotor_id: str, kind: str, payload: dict[str, Any]) -> None:
+    """A row of the outbox, in the transaction of what it tells, and a hint to who waits."""
+    row = {"rotor_id": rotor_id, "kind": kind, "payload": json.dumps(payload), "at": now_s()}
+    connection.execute(insert(t.outbox).values(row))
+    notify(connection, "bladetwin_applied", rotor_id)

@@ -1,0 +1,93 @@
+"""The life of one worker process: wake, apply, run jobs, sleep.
+
+A worker that `serve` started holds the read end of a pipe whose write end only its parent has;
+when the parent dies, even by kill -9, the read returns and the worker ends at once. That is safe
+at any point, for nothing is written outside a transaction.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+from types import FrameType
+
+from sqlalchemy.exc import DBAPIError
+
+from service.ports import Science
+from service.settings import Settings
+from service.store.unit_of_work import SqlStore
+from service.worker.jobs import Jobs
+from service.worker.update import Updater
+from service.worker.wake import open_wake
+
+log = logging.getLogger("bladetwin.worker")
+IDLE_S = 0.5
+
+
+def owner_name() -> str:
+    """A name that no other worker has, now or later."""
+    return f"{os.uname().nodename}-{os.getpid()}-{os.urandom(4).hex()}"
+
+
+class Worker:
+    """Applies what is pending until it is stopped."""
+
+    def __init__(self, store: SqlStore, science: Science, settings: Settings, owner: str) -> None:
+        self.store = store
+        self.science = science
+        self.updater = Updater(store, science, settings, owner)
+        self.jobs = Jobs(store, science, settings, owner)
+        self.settings = settings
+        self._stop = threading.Event()
+
+    def stop(self, signum: int | None = None, frame: FrameType | None = None) -> None:
+        """Finish the update at hand, then end; fits `signal.signal`."""
+        self._stop.set()
+
+    def warm(self) -> None:
+        """Load the models and compile what they need, so that the first update is as fast."""
+        with self.store.read() as tx:
+            cards = tx.records.models("", 100)
+        for card in cards:
+            self.science.warm(card)
+
+    def drain(self) -> None:
+        """Apply everything that can be applied now."""
+        while not self._stop.is_set() and (self.updater.run_once() or self.jobs.run_once()):
+            pass
+
+    def run(self) -> None:
+        """Work until stopped; a database that is away is waited for."""
+        wake = open_wake(self.store.engine, "bladetwin_work", self.settings.poll_ms)
+        try:
+            self.warm()
+            while not self._stop.is_set():
+                try:
+                    self.drain()
+                except DBAPIError as error:
+                    log.error("database: %s; trying again in 1 s", type(error.orig).__name__)
+                    self._stop.wait(1.0)
+                    continue
+                wake.wait(IDLE_S)
+        finally:
+            wake.close()
+
+
+def end_with_parent(stream: int = 0) -> None:
+    """End this process as soon as the pipe on `stream` closes, i.e. when the parent is gone."""
+
+    def watch() -> None:
+        while os.read(stream, 1):
+            pass
+        os._exit(0)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def run_worker(worker: Worker) -> None:
+    """Run in the main thread of a process of its own; SIGTERM and SIGINT stop it."""
+    signal.signal(signal.SIGTERM, worker.stop)
+    signal.signal(signal.SIGINT, worker.stop)
+    worker.run()

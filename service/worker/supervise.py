@@ -1,0 +1,112 @@
+"""`serve` starts workers, restarts a dead one and leaves no orphan.
+
+Each worker gets the read end of a pipe as its standard input; the supervisor holds the write end
+and never writes. Children do not inherit each other's pipes, so the death of the supervisor by
+any means closes them all. The lease of a worker that died is ended at once: its rotor need not
+wait until the lease runs out.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from sqlalchemy import Engine
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.worker.lease import release
+from service.worker.loop import owner_name
+
+log = logging.getLogger("bladetwin.supervisor")
+HEALTHY_S = 5.0
+LONGEST_PAUSE_S = 10.0
+
+
+@dataclass(slots=True)
+class Child:
+    """A running worker and the name under which it claims."""
+
+    process: subprocess.Popen[bytes]
+    owner: str
+    started: float
+
+
+class Supervisor:
+    """Keeps `count` workers alive. `command(owner)` is the command line of one."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        count: int,
+        command: Callable[[str], list[str]],
+        environ: Mapping[str, str],
+    ) -> None:
+        self._engine = engine
+        self._count = count
+        self._command = command
+        self._environ = {**os.environ, **environ}
+        self._children: list[Child] = []
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="supervisor", daemon=True)
+        self._pause = 0.1
+
+    def start(self) -> None:
+        self._children = [self._spawn() for _ in range(self._count)]
+        self._thread.start()
+
+    def pids(self) -> list[int]:
+        """Process ids of the workers that run now."""
+        return [child.process.pid for child in self._children if child.process.poll() is None]
+
+    def _spawn(self) -> Child:
+        owner = owner_name()
+        process = subprocess.Popen(
+            self._command(owner), stdin=subprocess.PIPE, env=self._environ, close_fds=True
+        )
+        return Child(process, owner, time.monotonic())
+
+    def _watch(self) -> None:
+        while not self._stop.wait(0.05):
+            for i, child in enumerate(self._children):
+                code = child.process.poll()
+                if code is not None and not self._stop.is_set():
+                    self._replace(i, child, code)
+
+    def _replace(self, i: int, child: Child, code: int) -> None:
+        log.warning("worker %d ended with %d; starting another", child.process.pid, code)
+        self._close(child)
+        try:
+            release(self._engine, child.owner)
+        except SQLAlchemyError as error:
+            log.error("leases of %s stay until they run out: %s", child.owner, type(error).__name__)
+        young = time.monotonic() - child.started < HEALTHY_S
+        self._pause = min(2 * self._pause, LONGEST_PAUSE_S) if young else 0.1
+        if not self._stop.wait(self._pause if young else 0.0):
+            self._children[i] = self._spawn()
+
+    @staticmethod
+    def _close(child: Child) -> None:
+        if child.process.stdin is not None:
+            child.process.stdin.close()
+
+    def stop(self, patience_s: float = 10.0) -> None:
+        """Let every worker finish its update; end those that take longer than `patience_s`."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        for child in self._children:
+            if child.process.poll() is None:
+                child.process.terminate()
+        end = time.monotonic() + patience_s
+        for child in self._children:
+            try:
+                child.process.wait(max(0.0, end - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()
+            self._close(child)

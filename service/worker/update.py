@@ -1,0 +1,264 @@
+"""One rotor's pending entries become one new version of its posterior.
+
+Read the entries since the cursor, compute outside any transaction while a heartbeat prolongs the
+lease, commit state and cursor together. A state that the science calls provisional is committed
+as such and the rotor stays dirty: the next pass finds nothing pending and seals it.
+
+The worker keeps the last state that it wrote. It is used only while its version is the one that
+the claim read, so that another worker's commit in between makes this one read the database.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+from sqlalchemy import Engine
+from sqlalchemy.exc import SQLAlchemyError
+
+from core.errors import CalibrationError
+from core.observation import Entry, Inspection, effective
+from service.errors import LostLeaseError
+from service.ports import Array, Event, ModelCard, RotorSpec, RotorState, Science, StateRecord
+from service.settings import Settings
+from service.store.encoding import Encoded, encode
+from service.store.engine import transaction
+from service.store.log import read_entries
+from service.store.states import digests, thin, write_state
+from service.store.unit_of_work import SqlStore
+from service.worker import lease as leases
+from service.worker.lease import Lease
+
+log = logging.getLogger("bladetwin.worker")
+THIN_EVERY = 16
+# SHA-256 of each array of a version, and the arrays to write (None: the name ended)
+Change = tuple[dict[str, str], dict[str, Encoded | None]]
+
+
+@dataclass(slots=True)
+class Memory:
+    """What a worker remembers of a rotor: valid for one version only.
+
+    arrays are those that this worker wrote (none after a restore), so that an array that is the
+    same object need not be hashed again.
+    """
+
+    version: int
+    through: int
+    state: RotorState | None
+    arrays: Mapping[str, Array]
+    sha256: dict[str, str]
+    entries: list[Entry]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Everything that one update rests on."""
+
+    card: ModelCard
+    spec: RotorSpec
+    through: int
+    entries: list[Entry]
+    pending: int
+    memory: Memory
+
+
+def entry_of(event: Event) -> Entry:
+    """The log's row as the science knows it."""
+    if event.kind == "inspection":
+        reading = Inspection.from_json(json.loads(event.body))
+        return Entry(event.seq, "inspection", event.event_id, reading)
+    return Entry(event.seq, "retraction", event.replaces or "")
+
+
+class Updater:
+    """Applies pending entries, one rotor at a time."""
+
+    def __init__(self, store: SqlStore, science: Science, settings: Settings, owner: str) -> None:
+        self.store = store
+        self.science = science
+        self.settings = settings
+        self.owner = owner
+        self._memory: OrderedDict[str, Memory] = OrderedDict()
+
+    @property
+    def engine(self) -> Engine:
+        return self.store.engine
+
+    def run_once(self) -> bool:
+        """Claim a rotor and bring it up to date; False: there was nothing to claim."""
+        lease = leases.claim(self.engine, self.owner, self.settings.lease_s)
+        if lease is None:
+            return False
+        if lease.attempts > self.settings.max_attempts:
+            error = f"{lease.attempts - 1} workers died or lost their lease during the update"
+            leases.fail(self.engine, lease, error, None, 0.0, block=True)
+            return True
+        with self.heartbeats(lease):
+            task: Task | None = None
+            try:
+                task = self.read(lease)
+                state = self.compute(task)
+                change = self.change(task, state)
+            except Exception as error:
+                self.give_back(lease, task, error)
+                return True
+        try:
+            self.commit(lease, task, state, change)
+        except LostLeaseError as error:
+            self._memory.pop(lease.rotor_id, None)
+            log.warning("%s", error)
+        return True
+
+    def read(self, lease: Lease) -> Task:
+        """The rotor, its entries up to the head, and the state before them."""
+        with self.store.read() as tx:
+            rotor = tx.records.rotor(lease.rotor_id)
+            card = tx.records.model(rotor.model_id, rotor.model_version)
+            memory = self._memory.get(lease.rotor_id)
+            if memory is None or (memory.version, memory.through) != (
+                lease.version,
+                lease.applied_seq,
+            ):
+                memory = self._restore(lease)
+            through = rotor.head_seq
+            fresh = read_entries(tx.connection, rotor.id, memory.through, through)
+            blades = [b.id for b in tx.records.blades(rotor.id) if b.added_seq <= through]
+        readings = [entry_of(e) for e in fresh if e.kind in ("inspection", "retraction")]
+        return Task(
+            card=card,
+            spec=RotorSpec(rotor.id, tuple(blades), rotor.particles, rotor.seed),
+            through=through,
+            entries=memory.entries + readings,
+            pending=len(readings),
+            memory=memory,
+        )
+
+    def _restore(self, lease: Lease) -> Memory:
+        def get(name: str) -> Array:
+            with self.store.read() as tx:
+                return tx.states.arrays(lease.rotor_id, lease.version)(name)
+
+        with self.store.read() as tx:
+            events = read_entries(tx.connection, lease.rotor_id, 0, lease.applied_seq)
+            entries = [entry_of(e) for e in events if e.kind in ("inspection", "retraction")]
+            if lease.version == 0:
+                return Memory(0, 0, None, {}, {}, entries)
+            record = tx.states.get(lease.rotor_id, lease.version)
+            sha256 = digests(tx.connection, lease.rotor_id)
+        state = self.science.restore(record.meta, get)
+        return Memory(lease.version, lease.applied_seq, state, {}, sha256, entries)
+
+    def compute(self, task: Task) -> RotorState:
+        """The new posterior: quick while entries are pending, sealed when none are."""
+        previous = task.memory.state
+        sealing = previous is not None and not previous.meta["sealed"] and task.pending == 0
+        return self.science.update(
+            task.card, task.spec, effective(task.entries), previous, quick=not sealing
+        )
+
+    def change(self, task: Task, state: RotorState) -> Change:
+        """The arrays that the new version has to write, and the digest of each that it has."""
+        memory = task.memory
+        sha256: dict[str, str] = {}
+        changed: dict[str, Encoded | None] = {}
+        for name, array in state.arrays.items():
+            if memory.arrays.get(name) is array:
+                sha256[name] = memory.sha256[name]
+                continue
+            encoded = encode(array)
+            sha256[name] = encoded.sha256
+            if memory.sha256.get(name) != encoded.sha256:
+                changed[name] = encoded
+        return sha256, changed | dict.fromkeys(memory.sha256.keys() - sha256.keys())
+
+    def commit(self, lease: Lease, task: Task, state: RotorState, change: Change) -> None:
+        """State and cursor in one transaction; LostLeaseError leaves the database as it was."""
+        sha256, changed = change
+        sealed = bool(state.meta["sealed"])
+        with transaction(self.engine, write=True) as connection:
+            version = leases.advance(connection, lease, task.through, sealed=sealed)
+            record = StateRecord(
+                rotor_id=lease.rotor_id,
+                version=version,
+                through_seq=task.through,
+                model_id=task.card.id,
+                model_version=task.card.version,
+                algorithm_version=str(state.meta["algorithm_version"]),
+                sealed=sealed,
+                digest=state.digest,
+                events_digest=str(state.meta["digest"]),
+                meta=dict(state.meta),
+                created_at=0.0,
+            )
+            write_state(connection, record, changed)
+            if version % THIN_EVERY == 0:
+                keep, every = self.settings.keep_versions, self.settings.checkpoint_every
+                thin(connection, lease.rotor_id, version, keep, every)
+        arrays = dict(state.arrays)
+        memory = Memory(version, task.through, state, arrays, sha256, task.entries)
+        self._memory[lease.rotor_id] = memory
+        self._memory.move_to_end(lease.rotor_id)
+        while len(self._memory) > self.settings.rotors_in_memory:
+            self._memory.popitem(last=False)
+        log.debug(
+            "rotor %s: version %d through %d, %d new entries, sealed %s",
+            lease.rotor_id,
+            version,
+            task.through,
+            task.pending,
+            sealed,
+        )
+
+    def give_back(self, lease: Lease, task: Task | None, error: Exception) -> None:
+        """Pause and try again, or block the rotor and name the entry that stops it."""
+        block = lease.attempts >= self.settings.max_attempts
+        event = error.event if isinstance(error, CalibrationError) else None
+        if block and event is None and task is not None and task.pending:
+            event = self.culprit(task)
+        pause = min(
+            self.settings.retry_max_s, self.settings.retry_base_s * 2 ** (lease.attempts - 1)
+        )
+        text = f"{type(error).__name__}: {error}"
+        leases.fail(self.engine, lease, text, event, pause, block=block)
+        self._memory.pop(lease.rotor_id, None)
+        log.error("rotor %s: attempt %d failed: %s", lease.rotor_id, lease.attempts, text)
+
+    def culprit(self, task: Task) -> str | None:
+        """The first pending entry with which the update fails, by bisection."""
+        done = len(task.entries) - task.pending
+        works, fails = done, len(task.entries)
+        while fails - works > 1:
+            middle = (works + fails) // 2
+            readings = effective(task.entries[:middle])
+            try:
+                self.science.update(task.card, task.spec, readings, task.memory.state, quick=True)
+            except Exception:
+                fails = middle
+            else:
+                works = middle
+        return task.entries[fails - 1].target
+
+    @contextmanager
+    def heartbeats(self, lease: Lease) -> Iterator[None]:
+        """Prolong the lease every third of it, while the block runs."""
+        stop = threading.Event()
+
+        def beat() -> None:
+            while not stop.wait(self.settings.lease_s / 3):
+                with suppress(SQLAlchemyError):
+                    if not leases.heartbeat(self.engine, lease, self.settings.lease_s):
+                        return
+
+        thread = threading.Thread(target=beat, name="heartbeat", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()

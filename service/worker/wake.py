@@ -1,0 +1,90 @@
+"""How a sleeping worker, or a reader that waits for a version, learns of a commit.
+
+PostgreSQL tells by LISTEN/NOTIFY. SQLite keeps `PRAGMA data_version`, a counter in the shared
+memory of the file that changes with every commit of another connection; reading it costs some
+microseconds, so it is looked at every few milliseconds. Both are hints: whoever wakes looks for
+work in the tables, and looks there now and then without a hint.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Protocol
+
+import psycopg
+from sqlalchemy import Engine
+
+from service.store.engine import is_sqlite
+
+
+class Wake(Protocol):
+    """Sleeps until something was committed."""
+
+    def wait(self, timeout_s: float) -> bool:
+        """True as soon as something was committed since the last call, False at the timeout."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class SqliteWake:
+    """Watches `data_version` of one connection that never writes."""
+
+    def __init__(self, engine: Engine, poll_ms: float) -> None:
+        self._connection: Any = engine.raw_connection()
+        self._cursor = self._connection.cursor()
+        self._poll_s = poll_ms / 1000.0
+        self._seen = self._version()
+
+    def _version(self) -> int:
+        return int(self._cursor.execute("PRAGMA data_version").fetchone()[0])
+
+    def wait(self, timeout_s: float) -> bool:
+        end = time.monotonic() + timeout_s
+        while (version := self._version()) == self._seen:
+            left = end - time.monotonic()
+            if left <= 0:
+                return False
+            time.sleep(min(self._poll_s, left))
+        self._seen = version
+        return True
+
+    def close(self) -> None:
+        self._cursor.close()
+        self._connection.close()
+
+
+class PostgresWake:
+    """Listens on one channel with a connection of its own, opened again if it was lost."""
+
+    def __init__(self, engine: Engine, channel: str) -> None:
+        self._parameters = engine.dialect.create_connect_args(engine.url)
+        self._channel = channel
+        self._connection: psycopg.Connection[Any] | None = None
+        self._open()
+
+    def _open(self) -> None:
+        arguments, options = self._parameters
+        self._connection = psycopg.connect(*arguments, **options, autocommit=True)
+        self._connection.execute(f"LISTEN {self._channel}")
+
+    def wait(self, timeout_s: float) -> bool:
+        try:
+            if self._connection is None:
+                self._open()
+            assert self._connection is not None
+            return any(True for _ in self._connection.notifies(timeout=timeout_s, stop_after=1))
+        except psycopg.OperationalError:
+            self.close()
+            time.sleep(min(1.0, timeout_s))
+            return True
+
+    def close(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+        self._connection = None
+
+
+def open_wake(engine: Engine, channel: str, poll_ms: float) -> Wake:
+    """The wake of the engine's database; `channel` matters to PostgreSQL only."""
+    return SqliteWake(engine, poll_ms) if is_sqlite(engine) else PostgresWake(engine, channel)
