@@ -19,14 +19,13 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import h5netcdf
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from core.errors import InputError, ModelError, RangeError
@@ -132,9 +131,11 @@ class Declaration:
                     "is of an unknown kind",
                     f"use one of {', '.join(_DIMENSIONS)}",
                 )
-        names = [item.name for item in (*self.inputs, *self.quantities)]
+        names = [item.name for item in self.inputs] + [item.name for item in self.quantities]
         if len(set(names)) < len(names):
-            raise InputError("names", names, "has a name twice", "name each input and quantity once")
+            raise InputError(
+                "names", names, "has a name twice", "name each input and quantity once"
+            )
         for name, node in self.named.items():
             if not 0 <= node < self.nodes:
                 raise RangeError(
@@ -146,13 +147,21 @@ class Declaration:
         full = {"time": len(self.time_h), "node": self.nodes, "xyz": 3}
         return tuple(full[name] for name in _DIMENSIONS[quantity.kind])
 
+    def dimensions(self) -> dict[str, int]:
+        """The dimensions of a run's file."""
+        time, inputs = len(self.time_h), len(self.inputs)
+        return {"input": inputs, "time": time, "node": self.nodes, "xyz": 3}
+
     def check(self, index: int, run: Run) -> None:
         """Refuse a run that does not fit, naming run, quantity, instant and node."""
         names = {item.name for item in self.inputs}
         if set(run.inputs) != names:
             odd = sorted(set(run.inputs) ^ names)
             raise InputError(
-                f"run {index}: inputs", odd, "are missing or unknown", f"give exactly {sorted(names)}"
+                f"run {index}: inputs",
+                odd,
+                "are missing or unknown",
+                f"give exactly {sorted(names)}",
             )
         for item in self.inputs:
             value = float(run.inputs[item.name])
@@ -188,7 +197,10 @@ class Declaration:
             if len(where) > 1:
                 place += f", node {where[1]}"
             raise InputError(
-                what, float(values[where]), f"is not finite {place}", "repeat the run or leave it out"
+                what,
+                float(values[where]),
+                f"is not finite {place}",
+                "repeat the run or leave it out",
             )
 
     def to_json(self) -> str:
@@ -201,9 +213,7 @@ class Declaration:
         try:
             raw = json.loads(text)
             if raw["schema"] != SCHEMA:
-                raise ModelError(
-                    f"archive schema {raw['schema']} is not {SCHEMA}: write it again with this version"
-                )
+                raise ModelError(f"archive schema {raw['schema']} is not {SCHEMA}: write it again")
             raw["inputs"] = tuple(Input(**item) for item in raw["inputs"])
             raw["quantities"] = tuple(Quantity(**item) for item in raw["quantities"])
             raw["time_h"] = tuple(float(t) for t in raw["time_h"])
@@ -249,7 +259,13 @@ class Archive:
                 raise ModelError(f"{path} holds another archive: choose an empty directory")
             return present
         path.mkdir(parents=True, exist_ok=True)
-        _write_dataset(path / "mesh.nc", _mesh_dataset(mesh))
+
+        def fill(name: Path) -> None:
+            with h5netcdf.File(name, "w") as out:
+                out.dimensions = {"node": len(mesh.points), "xyz": 3}
+                _write_mesh(out, mesh)
+
+        _replace(path / "mesh.nc", fill)
         _replace(path / "archive.json", lambda name: name.write_text(declaration.to_json()))
         return cls(path, declaration)
 
@@ -265,12 +281,12 @@ class Archive:
 
     def mesh(self) -> Mesh:
         """The mesh all runs share."""
-        with _open_dataset(self.path / "mesh.nc") as data:
+        with _opened(self.path / "mesh.nc") as data:
             return Mesh(
                 self.declaration.mesh,
-                data["points"].values,
-                data["cells"].values,
-                data["parametric"].values,
+                data["points"][...],
+                data["cells"][...],
+                data["parametric"][...],
                 self.declaration.named,
             )
 
@@ -283,26 +299,27 @@ class Archive:
         if index < 0:
             raise RangeError("index", index, "is negative", "number the runs from 0")
         self.declaration.check(index, run)
-        variables: dict[str, Any] = {
-            "inputs": ("input", [float(run.inputs[item.name]) for item in self.declaration.inputs])
-        }
-        encoding = {}
-        for quantity in self.declaration.quantities:
-            dtype = "f8" if quantity.kind == "scalar" else "f4"
-            values = np.asarray(run.values[quantity.name], dtype=dtype)
-            variables[quantity.name] = (_DIMENSIONS[quantity.kind], values, {"unit": quantity.unit})
-            encoding[quantity.name] = {"zlib": True, "complevel": 1, "shuffle": True}
-        _write_dataset(self.file(index), xr.Dataset(variables), encoding)
+        declared = self.declaration
+
+        def fill(name: Path) -> None:
+            with h5netcdf.File(name, "w") as out:
+                out.dimensions = declared.dimensions()
+                inputs = np.array([float(run.inputs[item.name]) for item in declared.inputs])
+                out.create_variable("inputs", ("input",), data=inputs)
+                for quantity in declared.quantities:
+                    _variable(out, quantity)[...] = run.values[quantity.name]
+
+        _replace(self.file(index), fill)
 
     def done(self) -> tuple[int, ...]:
         """Indices of the runs that are present and can be opened, ascending."""
         found = []
         for file in sorted(self.path.glob("run-*.nc")):
             try:
-                with _open_dataset(file) as data:
-                    if "inputs" in data:
+                with _opened(file) as data:
+                    if "inputs" in data.variables:
                         found.append(int(file.stem.removeprefix("run-")))
-            except (OSError, ValueError):
+            except (ModelError, ValueError):
                 continue
         return tuple(found)
 
@@ -310,18 +327,16 @@ class Archive:
         """Inputs of the runs, (n, d), in the order of `indices` (default `done`)."""
         rows = []
         for index in self.done() if indices is None else indices:
-            with self._dataset(index) as data:
-                rows.append(np.asarray(data["inputs"].values, dtype=float))
+            with _opened(self.file(index)) as data:
+                rows.append(np.asarray(data["inputs"][...], dtype=float))
         return np.array(rows).reshape(len(rows), len(self.declaration.inputs))
 
     def read(self, index: int) -> Run:
         """One run."""
-        with self._dataset(index) as data:
-            inputs = {
-                item.name: float(value)
-                for item, value in zip(self.declaration.inputs, data["inputs"].values, strict=True)
-            }
-            return Run(inputs, {q.name: data[q.name].values for q in self.declaration.quantities})
+        names = [item.name for item in self.declaration.inputs]
+        with _opened(self.file(index)) as data:
+            inputs = dict(zip(names, map(float, data["inputs"][...]), strict=True))
+            return Run(inputs, {q.name: data[q.name][...] for q in self.declaration.quantities})
 
     def runs(self) -> Iterator[tuple[int, Run]]:
         """All runs in turn; only one is in memory."""
@@ -339,15 +354,9 @@ class Archive:
             )
         rows = []
         for index in indices:
-            with self._dataset(index) as data:
-                rows.append(data[quantity].values)
+            with _opened(self.file(index)) as data:
+                rows.append(data[quantity][...])
         return np.stack(rows)
-
-    def _dataset(self, index: int) -> xr.Dataset:
-        try:
-            return _open_dataset(self.file(index))
-        except (OSError, ValueError) as error:
-            raise ModelError(f"run {index} of {self.path} cannot be read: {error}") from error
 
     def to_netcdf(self, path: str | Path) -> None:
         """Pack the archive into one file with a leading dimension ``run``."""
@@ -358,30 +367,12 @@ class Archive:
         def fill(name: Path) -> None:
             with h5netcdf.File(name, "w") as out:
                 out.attrs["declaration"] = declared.to_json()
-                out.dimensions = {
-                    "run": len(done),
-                    "input": len(declared.inputs),
-                    "time": len(declared.time_h),
-                    "node": declared.nodes,
-                    "xyz": 3,
-                    "cell": mesh.cells.shape[0],
-                    "corner": mesh.cells.shape[1],
-                }
-                out.create_variable("points", ("node", "xyz"), data=mesh.points)
-                out.create_variable("cells", ("cell", "corner"), data=mesh.cells)
-                out.create_variable("parametric", ("node", "xyz"), data=mesh.parametric)
+                out.dimensions = {"run": len(done), **declared.dimensions()}
+                _write_mesh(out, mesh)
                 out.create_variable("index", ("run",), data=np.array(done, dtype=np.int64))
                 out.create_variable("inputs", ("run", "input"), data=self.inputs(done))
                 for quantity in declared.quantities:
-                    variable = out.create_variable(
-                        quantity.name,
-                        ("run", *_DIMENSIONS[quantity.kind]),
-                        dtype="f8" if quantity.kind == "scalar" else "f4",
-                        chunks=(1, *declared.shape(quantity)),
-                        compression="gzip",
-                        compression_opts=1,
-                        shuffle=True,
-                    )
+                    variable = _variable(out, quantity, runs=True)
                     for k, index in enumerate(done):
                         variable[k] = self.read(index).values[quantity.name]
 
@@ -390,11 +381,7 @@ class Archive:
     @classmethod
     def from_netcdf(cls, path: str | Path, directory: str | Path) -> Archive:
         """Unpack a file of `to_netcdf` into `directory`; every run is checked again."""
-        try:
-            packed = _open_dataset(Path(path))
-        except (OSError, ValueError) as error:
-            raise ModelError(f"{path} is no netCDF file: {error}") from error
-        with packed:
+        with _opened(Path(path)) as packed:
             needed = {"points", "cells", "parametric", "index", "inputs"}
             if "declaration" not in packed.attrs or not needed <= set(packed.variables):
                 raise ModelError(f"{path} holds no packed archive (no declaration, mesh or inputs)")
@@ -409,43 +396,55 @@ class Archive:
                 time_h=declared.time_h,
                 mesh=Mesh(
                     declared.mesh,
-                    packed["points"].values,
-                    packed["cells"].values,
-                    packed["parametric"].values,
+                    packed["points"][...],
+                    packed["cells"][...],
+                    packed["parametric"][...],
                     declared.named,
                 ),
                 seed=declared.seed,
                 command=declared.command,
             )
             names = [item.name for item in declared.inputs]
-            for k, index in enumerate(packed["index"].values):
-                inputs = dict(zip(names, map(float, packed["inputs"].values[k]), strict=True))
-                values = {q.name: packed[q.name][k].values for q in declared.quantities}
+            for k, index in enumerate(packed["index"][...]):
+                inputs = dict(zip(names, map(float, packed["inputs"][k]), strict=True))
+                values = {q.name: packed[q.name][k] for q in declared.quantities}
                 archive.write(int(index), Run(inputs, values))
         return archive
 
 
-def _mesh_dataset(mesh: Mesh) -> xr.Dataset:
-    return xr.Dataset(
-        {
-            "points": (("node", "xyz"), np.asarray(mesh.points, dtype=float)),
-            "cells": (("cell", "corner"), np.asarray(mesh.cells, dtype=np.int64)),
-            "parametric": (("node", "xyz"), np.asarray(mesh.parametric, dtype=float)),
-        }
+def _write_mesh(out: h5netcdf.File, mesh: Mesh) -> None:
+    out.dimensions.update({"cell": mesh.cells.shape[0], "corner": mesh.cells.shape[1]})
+    out.create_variable("points", ("node", "xyz"), data=np.asarray(mesh.points, dtype=float))
+    out.create_variable("cells", ("cell", "corner"), data=np.asarray(mesh.cells, dtype=np.int64))
+    parametric = np.asarray(mesh.parametric, dtype=float)
+    out.create_variable("parametric", ("node", "xyz"), data=parametric)
+
+
+def _variable(out: h5netcdf.File, quantity: Quantity, *, runs: bool = False) -> Any:
+    """A compressed variable, one chunk per run."""
+    names = _DIMENSIONS[quantity.kind]
+    shape = tuple(out.dimensions[name].size for name in names)
+    made = out.create_variable(
+        quantity.name,
+        ("run", *names) if runs else names,
+        dtype="f8" if quantity.kind == "scalar" else "f4",
+        chunks=(1, *shape) if runs else shape,
+        compression="gzip",
+        compression_opts=1,
+        shuffle=True,
     )
+    made.attrs["units"] = quantity.unit
+    return made
 
 
-def _open_dataset(path: Path) -> xr.Dataset:
-    return xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False)
+def _opened(path: Path) -> h5netcdf.File:
+    try:
+        return h5netcdf.File(path, "r")
+    except (OSError, ValueError) as error:
+        raise ModelError(f"{path} cannot be read as netCDF: {error}") from error
 
 
-def _write_dataset(
-    path: Path, data: xr.Dataset, encoding: Mapping[str, Mapping[str, Any]] | None = None
-) -> None:
-    _replace(path, lambda name: data.to_netcdf(name, engine="h5netcdf", encoding=encoding))
-
-
-def _replace(path: Path, fill: Any) -> None:
+def _replace(path: Path, fill: Callable[[Path], object]) -> None:
     """Write under a temporary name, flush to the disk, rename."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

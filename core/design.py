@@ -40,7 +40,9 @@ def criterion(points: Array, power: int = POWER) -> float:
     return float(np.sum((nearest / distance) ** power) ** (1.0 / power) / nearest)
 
 
-def maximin_lhs(n: int, low: Sequence[float], high: Sequence[float], seed: int) -> Array:
+def maximin_lhs(
+    n: int, low: Sequence[float] | Array, high: Sequence[float] | Array, seed: int
+) -> Array:
     """n points (n, d) in the box low … high: a Latin hypercube with a small `criterion`.
 
     >>> x = maximin_lhs(5, [0.0], [10.0], seed=3)
@@ -57,7 +59,7 @@ def maximin_lhs(n: int, low: Sequence[float], high: Sequence[float], seed: int) 
     rng = stream(seed, "maximin-lhs", n, len(lower))
     cells = np.column_stack([rng.permutation(n) for _ in lower])
     best = _anneal((cells + EDGE) / n, rng) if len(lower) > 1 else (cells + EDGE) / n
-    return lower + best * (upper - lower)
+    return np.asarray(lower + best * (upper - lower))
 
 
 def _anneal(unit: Array, rng: np.random.Generator) -> Array:

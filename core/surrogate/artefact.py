@@ -1,0 +1,148 @@
+"""The artefact: ``arrays.npz`` and ``manifest.json`` in one directory.
+
+No pickle: arrays are loaded with ``allow_pickle=False``, everything else is JSON. The manifest
+holds a schema number, what is needed to read the arrays (``structure``), where the model comes
+from and how well it did, and the digest: SHA-256 over ``structure`` and over name, type, shape and
+bytes of every array. `load` recomputes it and refuses what differs. The digest says which numbers
+predict; notes on provenance and errors may be added to a manifest without changing it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.archive import Input, Quantity
+from core.errors import ModelError
+from core.surrogate.kernel import Hyper, SharedGP
+from core.surrogate.model import Part, Surrogate
+from core.surrogate.tucker import Factors
+
+SCHEMA = 1
+ARRAYS, MANIFEST = "arrays.npz", "manifest.json"
+Arrays = dict[str, NDArray[Any]]
+_PROCESS = ("z", "weights", "beta", "whiten", "trend", "h_solve")
+
+
+def _unpack(model: Surrogate) -> tuple[dict[str, Any], Arrays]:
+    arrays: Arrays = {"time_h": model.time_h, "points": model.points}
+    arrays |= {f"process/{name}": getattr(model.process, name) for name in _PROCESS}
+    parts = {}
+    for name, part in model.parts.items():
+        factors = part.factors
+        arrays |= {
+            f"{name}/space": factors.space,
+            f"{name}/time": factors.time,
+            f"{name}/time_h": factors.time_h,
+            f"{name}/core": factors.core,
+            f"{name}/left_out": part.left_out,
+            f"{name}/cut_time": part.cut_time,
+            f"{name}/cut_space": part.cut_space,
+        }
+        columns = [part.columns.start, part.columns.stop]
+        parts[name] = {"form": part.form, "columns": columns, "inflation": part.inflation}
+    structure = {
+        "inputs": [asdict(item) for item in model.inputs],
+        "quantities": [asdict(quantity) for quantity in model.quantities.values()],
+        "named": dict(model.named),
+        "hyper": asdict(model.process.hyper),
+        "parts": parts,
+        "v_typical": model.v_typical,
+    }
+    return json.loads(json.dumps(structure)), arrays
+
+
+def _digest(structure: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+    total = sha256(json.dumps(structure, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        total.update(f"{name}|{array.dtype.str}|{array.shape}".encode())
+        total.update(array.data)
+    return total.hexdigest()
+
+
+def digest_of(model: Surrogate) -> str:
+    """SHA-256 of a surrogate's content."""
+    return _digest(*_unpack(model))
+
+
+def save(model: Surrogate, directory: str | Path) -> Surrogate:
+    """Write the artefact; the surrogate returned carries its digest and full manifest."""
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    structure, arrays = _unpack(model)
+    notes = {k: v for k, v in model.manifest.items() if k not in ("schema", "digest", "structure")}
+    digest = _digest(structure, arrays)
+    manifest = {"schema": SCHEMA, "digest": digest, **notes, "structure": structure}
+    part = directory / f".{ARRAYS}.part"
+    with open(part, "wb") as handle:
+        np.savez(handle, allow_pickle=False, **arrays)
+    os.replace(part, directory / ARRAYS)
+    part = directory / f".{MANIFEST}.part"
+    part.write_text(json.dumps(manifest, indent=1) + "\n")
+    os.replace(part, directory / MANIFEST)
+    return replace(model, manifest=manifest, digest=digest)
+
+
+def load(directory: str | Path) -> Surrogate:
+    """Read an artefact; a missing, damaged or foreign one is a ModelError."""
+    directory = Path(directory)
+    try:
+        manifest = json.loads((directory / MANIFEST).read_text())
+    except (OSError, ValueError) as error:
+        raise ModelError(f"{directory} holds no readable {MANIFEST}: {error}") from error
+    if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
+        raise ModelError(f"{directory}: the artefact's schema is not {SCHEMA}: train it again")
+    try:
+        with np.load(directory / ARRAYS, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ModelError(f"{directory} holds no readable {ARRAYS}: {error}") from error
+    found = _digest(manifest.get("structure", {}), arrays)
+    if found != manifest.get("digest"):
+        raise ModelError(
+            f"{directory} is damaged: its content has digest {found[:12]}…, the manifest says "
+            f"{str(manifest.get('digest'))[:12]}…. Fetch or train it again"
+        )
+    for array in arrays.values():
+        array.flags.writeable = False
+    return _pack(manifest, arrays)
+
+
+def _pack(manifest: dict[str, Any], arrays: Arrays) -> Surrogate:
+    structure = manifest["structure"]
+    hyper = Hyper(**structure["hyper"] | {"lengths": tuple(structure["hyper"]["lengths"])})
+    parts = {}
+    for name, one in structure["parts"].items():
+        own = {key: arrays[f"{name}/{key}"] for key in ("space", "time", "time_h", "core")}
+        parts[name] = Part(
+            one["form"],
+            Factors(**own),
+            slice(*one["columns"]),
+            arrays[f"{name}/left_out"],
+            arrays[f"{name}/cut_time"],
+            arrays[f"{name}/cut_space"],
+            one["inflation"],
+        )
+    process = SharedGP(hyper=hyper, **{name: arrays[f"process/{name}"] for name in _PROCESS})
+    return Surrogate(
+        inputs=tuple(Input(**item) for item in structure["inputs"]),
+        time_h=arrays["time_h"],
+        quantities={item["name"]: Quantity(**item) for item in structure["quantities"]},
+        points=arrays["points"],
+        named=structure["named"],
+        process=process,
+        parts=parts,
+        v_typical=structure["v_typical"],
+        manifest=manifest,
+        digest=manifest["digest"],
+    )

@@ -1,0 +1,171 @@
+"""One Gaussian process for all coefficients.
+
+Every coefficient c_j (j = 1 … J) of the reduced model is a function of the same d inputs
+z in [-1, 1]^d and gets the same correlation, a trend and a scale of its own:
+
+    c_j(z) = h(z)^T beta_j + sigma_j g_j(z),    cov(g_j(z), g_j(z')) = k(z, z'),
+    k(z, z') = exp(-1/2 sum_i (z_i - z'_i)^2 / l_i^2) + nugget [z = z'].
+
+With R the correlation matrix of the n runs, H (n, p) their trend rows and
+
+    Q = R^-1 - R^-1 H (H^T R^-1 H)^-1 H^T R^-1,
+
+the restricted log-likelihood with sigma_j^2 = c_j^T Q c_j / (n - p) profiled out is
+
+    2 L = -(n - p) sum_j w_j log sigma_j^2 - sum_j w_j (log|R| + log|H^T R^-1 H|),
+
+maximised over the d length scales and the nugget (C. E. Rasmussen, C. K. I. Williams,
+"Gaussian Processes for Machine Learning", 2006, section 2.7; weights w_j sum to one). Because R
+is shared there is one predictive variance, relative to the prior's, for everything:
+
+    v(z) = 1 + nugget - k^T R^-1 k + u^T (H^T R^-1 H)^-1 u,   u = h(z) - H^T R^-1 k,
+
+and the leave-one-out residuals have the closed form e_ij = [Q c_j]_i / Q_ii with v_i = 1 / Q_ii.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.optimize import minimize
+
+from core.errors import ModelError
+from core.response import monomials
+
+Array = NDArray[np.float64]
+LENGTHS = (0.2, 20.0)
+NUGGETS = (1e-9, 1e-2)
+STARTS = (0.7, 1.5, 3.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Hyper:
+    """Length scales (d,) in units of half the input's interval, nugget, degree of the trend."""
+
+    lengths: tuple[float, ...]
+    nugget: float
+    trend: int
+
+
+def correlation(z: Array, other: Array, lengths: Array) -> Array:
+    """exp(-|z - z'|^2 / 2) in scaled units, (n, m).
+
+    >>> correlation(np.array([[0.0]]), np.array([[2.0]]), np.array([2.0])).round(4).tolist()
+    [[0.6065]]
+    """
+    a, b = z / lengths, other / lengths
+    square = np.sum(a * a, axis=1)[:, None] + np.sum(b * b, axis=1) - 2.0 * (a @ b.T)
+    np.maximum(square, 0.0, out=square)
+    square *= -0.5
+    return np.asarray(np.exp(square, out=square))
+
+
+@dataclass(frozen=True, slots=True)
+class SharedGP:
+    """The conditioned process.
+
+    z        runs' inputs in [-1, 1], (n, d)
+    hyper    length scales, nugget, degree of the trend
+    weights  R^-1 (C - H beta), (n, J)
+    beta     trend coefficients, (p, J)
+    whiten   L^-1 with R = L L^T, (n, n)
+    trend    rows that turn u into its whitened part: (H^T R^-1 H)^{-1/2}, (p, p)
+    h_solve  R^-1 H, (n, p)
+    """
+
+    z: Array
+    hyper: Hyper
+    weights: Array
+    beta: Array
+    whiten: Array
+    trend: Array
+    h_solve: Array
+
+    @classmethod
+    def condition(cls, z: Array, targets: Array, hyper: Hyper) -> SharedGP:
+        """Condition on targets (n, J) at z (n, d)."""
+        h = monomials(z, hyper.trend)
+        if len(z) < h.shape[1] + 2:
+            raise ModelError(
+                f"{len(z)} runs do not carry a trend of {h.shape[1]} terms: "
+                f"make at least {h.shape[1] + 2} runs"
+            )
+        lengths = np.array(hyper.lengths)
+        r = correlation(z, z, lengths)
+        r[np.diag_indices_from(r)] += hyper.nugget
+        lower = cholesky(r, lower=True)
+        whiten = solve_triangular(lower, np.eye(len(z)), lower=True)
+        h_solve = whiten.T @ (whiten @ h)
+        gram = h.T @ h_solve
+        factor = cho_factor(gram, lower=True)
+        beta = cho_solve(factor, h_solve.T @ targets)
+        weights = whiten.T @ (whiten @ (targets - h @ beta))
+        trend = solve_triangular(factor[0], np.eye(h.shape[1]), lower=True)
+        return cls(z, hyper, weights, beta, whiten, trend, h_solve)
+
+    def mean_and_variance(
+        self, z: Array, columns: Sequence[slice] = (slice(None),)
+    ) -> tuple[list[Array], Array]:
+        """At z (m, d): coefficients (m, J') of each set of columns, the shared v (m,)."""
+        k = correlation(z, self.z, np.array(self.hyper.lengths))
+        h = monomials(z, self.hyper.trend)
+        means = [k @ self.weights[:, some] + h @ self.beta[:, some] for some in columns]
+        half = k @ self.whiten.T
+        u = (h - k @ self.h_solve) @ self.trend.T
+        v = 1.0 - np.einsum("ij,ij->i", half, half) + np.einsum("ij,ij->i", u, u)
+        return means, np.maximum(v, 0.0) + self.hyper.nugget
+
+    def left_out(self) -> tuple[Array, Array]:
+        """Leave-one-out residuals e (n, J) and their relative variances v (n,)."""
+        q = self.whiten.T @ self.whiten
+        tall = self.trend @ self.h_solve.T
+        diagonal = np.diag(q) - np.einsum("ij,ij->j", tall, tall)
+        # Q c = R^-1 (c - H beta): the weights
+        return self.weights / diagonal[:, None], 1.0 / diagonal
+
+
+def log_likelihood(z: Array, targets: Array, share: Array, hyper: Hyper) -> float:
+    """The restricted log-likelihood of the module's text; share (J,) are the weights w_j."""
+    h = monomials(z, hyper.trend)
+    n, p = h.shape
+    r = correlation(z, z, np.array(hyper.lengths))
+    r[np.diag_indices_from(r)] += hyper.nugget
+    try:
+        lower = cholesky(r, lower=True)
+        whitened = solve_triangular(lower, np.hstack([h, targets]), lower=True)
+        hw, cw = whitened[:, :p], whitened[:, p:]
+        gram = cholesky(hw.T @ hw, lower=True)
+    except np.linalg.LinAlgError:
+        return -np.inf
+    along = solve_triangular(gram, hw.T @ cw, lower=True)
+    variance = (np.sum(cw**2, axis=0) - np.sum(along**2, axis=0)) / (n - p)
+    logs = np.log(np.maximum(variance, np.finfo(float).tiny))
+    determinant = 2.0 * float(np.sum(np.log(np.diag(lower))) + np.sum(np.log(np.diag(gram))))
+    return -0.5 * float((n - p) * float(share @ logs) + determinant)
+
+
+def fit_hyper(z: Array, targets: Array, share: Array, trend: int) -> Hyper:
+    """Length scales and nugget by maximum restricted likelihood, from fixed starts."""
+    d = z.shape[1]
+    bounds = [tuple(np.log(LENGTHS))] * d + [tuple(np.log(NUGGETS))]
+
+    def unpack(theta: Array) -> Hyper:
+        scales = np.exp(theta)
+        return Hyper(tuple(float(s) for s in scales[:d]), float(scales[d]), trend)
+
+    def cost(theta: Array) -> float:
+        value = log_likelihood(z, targets, share, unpack(theta))
+        return -value if np.isfinite(value) else 1e10
+
+    best: Any = None
+    for start in STARTS:
+        theta = np.log(np.array([start] * d + [1e-5]))
+        found = minimize(cost, theta, method="L-BFGS-B", bounds=bounds)
+        if best is None or found.fun < best.fun:
+            best = found
+    return unpack(best.x)

@@ -1,0 +1,101 @@
+"""Fields of several runs as spatial modes x time modes x coefficients (a Tucker form).
+
+The values of run i at instant t and row r (a node, or a node's x, y or z) are
+
+    y_i(t, r) = sum_ab tau_a(t) phi_b(r) [ G0_ab + sum_j c_ij G_jab ],
+
+phi from the randomised SVD of all snapshots, tau from the projections on phi, and the G_j with
+their coefficients c from the projections on both (sequentially truncated, N. Vannieuwenhoven,
+R. Vandebril, K. Meerbergen, SIAM J. Sci. Comput. 34 (2012) A1027-A1052). Ranks are the smallest
+that leave a root-mean-square residual below a tolerance, up to a cap.
+
+Between the instants the tau are cubic splines in log t; before the first instant t1 > 0 they
+keep their value at t1. A part that has a value at t = 0 as well uses log(1 + t).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from core.reduction import Basis
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Ranks:
+    """Caps of the ranks, and the residual that is small enough to stop below them."""
+
+    space: int
+    time: int
+    coefficients: int
+    tolerance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Factors:
+    """space (R, B) float32, time (T, A) at `time_h` (T,), core (1 + J, A, B), row 0 = G0."""
+
+    space: NDArray[np.float32]
+    time: Array
+    time_h: Array
+    core: Array
+
+    @property
+    def coefficients(self) -> int:
+        """J, the number of coefficients."""
+        return len(self.core) - 1
+
+    def at(self, time_h: Array) -> Array:
+        """Time modes at any times, (T', A)."""
+        if len(self.time_h) == 1:
+            return np.repeat(self.time, len(time_h), axis=0)
+        if self.time_h[0] > 0:
+            clock, asked = np.log(self.time_h), np.log(np.maximum(time_h, self.time_h[0]))
+        else:
+            clock, asked = np.log1p(self.time_h), np.log1p(time_h)
+        return np.asarray(CubicSpline(clock, self.time, axis=0)(asked))
+
+    def modes(self, time_h: Array) -> Array:
+        """The forms of the coefficients of the spatial modes at times, (1 + J, T', B)."""
+        return np.asarray(np.einsum("ta,jab->jtb", self.at(time_h), self.core, optimize=True))
+
+    def decode(self, c: Array, time_h: Array, rows: NDArray[np.int64]) -> Array:
+        """Values (n, T', R') of coefficients c (n, J), only at the rows asked for."""
+        forms = self.modes(time_h)
+        mixed = forms[0] + np.tensordot(c, forms[1:], axes=1)
+        return np.asarray(mixed @ self.space[rows].T.astype(float))
+
+
+def factorise(values: Floats, time_h: Array, ranks: Ranks, seed: int) -> tuple[Factors, Array]:
+    """Factors and coefficients (n, J) of values (n, T, R)."""
+    n, instants, rows = values.shape
+    snapshots = np.ascontiguousarray(values.reshape(n * instants, rows))
+    space = _enough(Basis.of(snapshots, ranks.space, seed), snapshots.size, ranks.tolerance)
+    modes = space.modes.astype(np.float32)
+    projected = (snapshots @ space.modes).astype(float).reshape(n, instants, -1)
+    width = projected.shape[2]
+
+    along = projected.transpose(0, 2, 1).reshape(n * width, instants)
+    time = _enough(Basis.of(along, ranks.time, seed), values.size, ranks.tolerance / 2)
+    both = np.einsum("ntb,ta->nab", projected, time.modes).reshape(n, -1)
+
+    mean = both.mean(axis=0)
+    rank = min(ranks.coefficients, n - 1)
+    runs = _enough(Basis.of(both - mean, rank, seed), values.size, ranks.tolerance / 2)
+    core = np.vstack([mean, runs.modes.T]).reshape(-1, time.modes.shape[1], width)
+    return Factors(modes, np.asarray(time.modes, dtype=float), time_h, core), np.asarray(
+        (both - mean) @ runs.modes
+    )
+
+
+def _enough(basis: Basis, size: int, tolerance: float) -> Basis:
+    """The fewest modes that leave an rms residual below the tolerance (all, if none do)."""
+    small = np.flatnonzero(basis.residual() / np.sqrt(size) <= tolerance)
+    return basis.head(int(small[0]) + 1) if len(small) else basis
