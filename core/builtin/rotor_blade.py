@@ -1,0 +1,164 @@
+"""The built-in model ``rotor-blade``: how it is made, and the made one.
+
+`build` makes a design of 66 training and 34 independent test points (two maximin Latin
+hypercubes, `core.design`), runs the finite elements (`core.blade`) into an archive that resumes
+where it was cut, trains the surrogate on the 66, measures it on the 34 and writes the artefact
+with its manifest. `load` reads the artefact shipped in ``rotor_blade_model/``; it was made by
+
+    bladetwin model build rotor-blade
+
+Everything is a function of the seed and of the finite-element code: a second build gives the
+same design and the same runs, on the same numerical libraries the same digest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import core.blade
+from core.archive import Archive, Input, Mesh, Run
+from core.blade import BOUNDS, BladeRun, build_mesh, output_times, run_campaign
+from core.design import maximin_lhs
+from core.errors import ModelError
+from core.rng import seed_of
+from core.surrogate import Surrogate, save, train
+from core.surrogate import load as load_artefact
+from core.surrogate.report import errors, polynomial_error
+
+NAME = "rotor-blade"
+COMMAND = "bladetwin model build rotor-blade"
+SEED = 20230106
+TRAINING, TEST = 66, 34
+MODEL = Path(__file__).with_name("rotor_blade_model")
+QUANTITIES = ("ceeq", "creep_damage", "mises", "displacement", "elongation")
+Progress = Callable[[str, int, int, float], None]
+
+
+def design(seed: int = SEED, training: int = TRAINING, test: int = TEST) -> NDArray[np.float64]:
+    """Inputs of all runs, (training + test, 4): two independent maximin Latin hypercubes.
+
+    >>> design().shape
+    (100, 4)
+    """
+    low, high = np.array(list(BOUNDS.values())).T
+    seeds = [seed_of(seed, NAME, part) for part in ("training", "test")]
+    return np.vstack(
+        [maximin_lhs(n, low, high, s) for n, s in zip((training, test), seeds, strict=True)]
+    )
+
+
+def as_run(run: BladeRun) -> Run:
+    """A finite-element run as the archive stores it."""
+    return Run(run.inputs, {name: getattr(run, name) for name in QUANTITIES})
+
+
+def open_archive(directory: str | Path, mesh: str = "default", seed: int = SEED) -> Archive:
+    """The archive of the rotor blade's runs in `directory`, new or begun."""
+    blade = build_mesh(mesh)
+    return Archive.create(
+        directory,
+        inputs=[Input(name, low, high) for name, (low, high) in BOUNDS.items()],
+        time_h=output_times(),
+        mesh=Mesh(mesh, blade.points, blade.cells, blade.parametric, blade.named),
+        seed=seed,
+        command=COMMAND,
+    )
+
+
+def simulate(
+    archive: Archive,
+    points: NDArray[np.float64],
+    *,
+    mesh: str | None = None,
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> None:
+    """Run the points (n, 4) that `archive` lacks; `mesh` may be finer than the archive's own."""
+    own = archive.declaration.mesh
+    names = [item.name for item in archive.declaration.inputs]
+    inputs = [dict(zip(names, map(float, x), strict=True)) for x in points]
+    campaign = run_campaign(
+        inputs,
+        lambda index, run: archive.write(index, as_run(run)),
+        mesh=mesh or own,
+        onto=own,
+        done=frozenset(archive.done()),
+        processes=workers,
+        progress=progress and (lambda done, total, left: progress("runs", done, total, left)),
+    )
+    if campaign.failures:
+        first = campaign.failures[0]
+        raise ModelError(
+            f"{len(campaign.failures)} of {len(points)} runs failed; run {first.index} at "
+            f"{first.inputs}: {first.reason}"
+        )
+
+
+def build(
+    out_dir: str | Path,
+    mesh: str = "default",
+    seed: int = SEED,
+    workers: int = 2,
+    progress: Progress | None = None,
+    *,
+    archive_dir: str | Path | None = None,
+    training: int = TRAINING,
+    test: int = TEST,
+    commit: str | None = None,
+) -> Surrogate:
+    """Make the model into `out_dir`; the runs go to `archive_dir` (default ``out_dir/archive``).
+
+    A build that was cut goes on where it was. `commit` is noted in the manifest beside the
+    digest of the finite-element code. A model without test runs (`test` = 0) reports no errors.
+    """
+    points = design(seed, training, test) if test else design(seed, training, 2)[:training]
+    archive = open_archive(archive_dir or Path(out_dir) / "archive", mesh, seed)
+    simulate(archive, points, workers=workers, progress=progress)
+    return finish(archive, out_dir, range(training), range(training, training + test), commit)
+
+
+def finish(
+    archive: Archive,
+    out_dir: str | Path,
+    training: Sequence[int],
+    test: Sequence[int],
+    commit: str | None = None,
+) -> Surrogate:
+    """Train on runs of an archive, measure on others, write the artefact."""
+    declared = archive.declaration
+    model = train(archive, training, seed=declared.seed)
+    manifest: dict[str, Any] = {
+        "name": NAME,
+        "command": declared.command,
+        "seed": declared.seed,
+        "mesh": declared.mesh,
+        "nodes": declared.nodes,
+        "runs": {"training": len(training), "test": len(test)},
+        "finite_elements": {"digest": blade_digest(), "commit": commit},
+        "training": model.manifest.get("training"),
+        "errors": errors(model, archive, test) if test else None,
+        "polynomials": polynomial_error(model, seed=declared.seed),
+    }
+    return save(replace(model, manifest=manifest), out_dir)
+
+
+def blade_digest() -> str:
+    """SHA-256 of the finite-element code's source files, by name."""
+    total = sha256()
+    for file in sorted(Path(core.blade.__file__).parent.glob("*.py")):
+        total.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    return total.hexdigest()
+
+
+@cache
+def load() -> Surrogate:
+    """The shipped artefact, read once per process."""
+    return load_artefact(MODEL)
