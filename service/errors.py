@@ -36,7 +36,7 @@ class NotFoundError(BladetwinError):
 
 
 class ConflictError(BladetwinError):
-    """`what` called `name` exists with another content."""
+    """`what` called `name` (or several of them) exists with another content."""
 
     def __init__(self, what: str, name: str, remedy: str) -> None:
         self.what = what

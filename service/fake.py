@@ -27,7 +27,7 @@ from core.errors import InputError
 from core.network import Network, Parameter, Prior, Quantity
 from core.observation import Inspection, digest_of
 from core.rng import stream
-from service.ports import Array, Draws, Get, ModelCard, RotorSpec
+from service.ports import Array, Draws, Get, ModelCard, Output, RotorSpec
 
 MEAN, SD, SCATTER, SIGMA = 0.5, 0.1, 0.2, 0.02
 HORIZON_H = 50_000.0
@@ -86,10 +86,11 @@ class FakeScience:
     delay_s: float = 0.0
     provisional: bool = False
     network: Network = field(default_factory=fake_network)
+    builtins: tuple[str, ...] = ("rotor-blade",)
 
     def builtin(self, name: str) -> ModelCard:
-        if name not in ("rotor-blade", "fake"):
-            raise InputError("builtin", name, "is no built-in model", "use rotor-blade")
+        if name not in self.builtins:
+            raise InputError("builtin", name, "is no built-in model", f"use {self.builtins[0]}")
         digest = hashlib.sha256(json.dumps(self.network.to_json()).encode()).hexdigest()
         return ModelCard(
             id=name,
@@ -100,7 +101,7 @@ class FakeScience:
             node_count=self.node_count,
             nodes={"tip": self.node_count - 1, "critical": 3},
             time_h=tuple(np.linspace(0.0, HORIZON_H, 6).tolist()),
-            outputs={q.name: q.unit for q in self.network.quantities},
+            outputs={q.name: Output(q.unit, q.kind) for q in self.network.quantities},
             summary={"what": "conjugate Gaussian twin"},
         )
 

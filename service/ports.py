@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,6 +24,14 @@ Get = Callable[[str], Array]
 
 
 @dataclass(frozen=True, slots=True)
+class Output:
+    """A quantity that the model predicts; kind scalar, field or vector."""
+
+    unit: str
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
 class ModelCard:
     """What is known of a model without loading it: enough to check a reading."""
 
@@ -35,7 +43,7 @@ class ModelCard:
     node_count: int
     nodes: Mapping[str, int]
     time_h: tuple[float, ...]
-    outputs: Mapping[str, str]
+    outputs: Mapping[str, Output]
     summary: Mapping[str, Any]
 
     def to_json(self) -> Json:
@@ -48,14 +56,16 @@ class ModelCard:
             "node_count": self.node_count,
             "nodes": dict(self.nodes),
             "time_h": list(self.time_h),
-            "outputs": dict(self.outputs),
+            "outputs": {name: asdict(output) for name, output in self.outputs.items()},
             "summary": dict(self.summary),
         }
 
     @staticmethod
     def from_json(data: Json) -> ModelCard:
-        parts = data | {"network": Network.from_json(data["network"])}
-        return ModelCard(**parts | {"time_h": tuple(data["time_h"])})
+        outputs = {name: Output(**output) for name, output in data["outputs"].items()}
+        network = Network.from_json(data["network"])
+        parts = {"network": network, "outputs": outputs, "time_h": tuple(data["time_h"])}
+        return ModelCard(**data | parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +121,9 @@ class Prediction(Protocol):
 
 class Science(Protocol):
     """The calibration: pure functions of readings, rotor and earlier state."""
+
+    @property
+    def builtins(self) -> tuple[str, ...]: ...
 
     def builtin(self, name: str) -> ModelCard: ...
     def update(
@@ -267,7 +280,6 @@ class States(Protocol):
     """Versions of posteriors."""
 
     def get(self, rotor_id: str, version: int | None = None) -> StateRecord: ...
-    def arrays(self, rotor_id: str, version: int) -> Get: ...
 
 
 class Transaction(Protocol):
@@ -286,3 +298,4 @@ class Store(Protocol):
 
     def read(self) -> AbstractContextManager[Transaction]: ...
     def write(self) -> AbstractContextManager[Transaction]: ...
+    def arrays(self, rotor_id: str, version: int) -> Get: ...

@@ -53,6 +53,7 @@ class SqlLog:
         head = self.lock(rotor_id)
         known = self._known(rotor_id, [event.event_id for event in events])
         answers: list[Appended] = []
+        others: list[str] = []
         rows: list[dict[str, object]] = []
         for event in events:
             digest, seq = known.get(event.event_id, (None, 0))
@@ -62,10 +63,11 @@ class SqlLog:
                 row = {name: getattr(event, name) for name in NewEvent.__slots__}
                 rows.append(row | {"rotor_id": rotor_id, "seq": seq})
             elif digest != event.digest:
-                raise ConflictError(
-                    event.kind, event.event_id, "choose a new id, or post a correction (replaces)"
-                )
+                others.append(event.event_id)
             answers.append(Appended(event.event_id, seq, digest is None))
+        if others:
+            remedy = "choose a new id, or post a correction with `replaces`"
+            raise ConflictError(events[0].kind, ", ".join(others), remedy)
         if rows:
             self._connection.execute(insert(t.entry).values(received_at=now_s()), rows)
             advance = update(t.rotor).where(t.rotor.c.id == rotor_id)

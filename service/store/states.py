@@ -17,7 +17,7 @@ from sqlalchemy import Connection, delete, exists, func, insert, select
 
 from core.errors import ModelError
 from service.errors import GoneError, NotFoundError, NotYetError
-from service.ports import Array, Get, StateRecord
+from service.ports import Array, StateRecord
 from service.store import tables as t
 from service.store.encoding import Encoded, decode
 from service.store.engine import now_s
@@ -83,18 +83,13 @@ class SqlStates:
             )
         raise NotFoundError("version", str(version), f"the newest one is {last}")
 
-    def arrays(self, rotor_id: str, version: int) -> Get:
-        """A lazy reader of the arrays of one version, for the time of this transaction."""
-
-        def get(name: str) -> Array:
-            key = (rotor_id, version, name)
-            array = self._cache.get(key)
-            if array is None:
-                array = decode(name, self._row(key))
-                self._cache.put(key, array)
-            return array
-
-        return get
+    def array(self, key: Key) -> Array:
+        """One array of one version, from the cache or the database."""
+        array = self._cache.get(key)
+        if array is None:
+            array = decode(key[2], self._row(key))
+            self._cache.put(key, array)
+        return array
 
     def _row(self, key: Key) -> Encoded:
         rotor_id, version, name = key

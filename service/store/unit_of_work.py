@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from sqlalchemy import Connection, Engine
 
+from service.ports import Array, Get
 from service.store.engine import transaction
 from service.store.log import SqlLog
 from service.store.records import SqlRecords
@@ -39,6 +40,19 @@ class SqlStore:
     def write(self) -> Iterator[SqlTransaction]:
         with transaction(self.engine, write=True) as connection:
             yield SqlTransaction(connection, self.cache)
+
+    def arrays(self, rotor_id: str, version: int) -> Get:
+        """A lazy reader of one version's arrays: what is not cached takes a short transaction."""
+
+        def get(name: str) -> Array:
+            key = (rotor_id, version, name)
+            array = self.cache.get(key)
+            if array is None:
+                with self.read() as tx:
+                    array = tx.states.array(key)
+            return array
+
+        return get
 
     def close(self) -> None:
         self.engine.dispose()

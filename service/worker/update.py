@@ -140,10 +140,6 @@ class Updater:
         )
 
     def _restore(self, lease: Lease) -> Memory:
-        def get(name: str) -> Array:
-            with self.store.read() as tx:
-                return tx.states.arrays(lease.rotor_id, lease.version)(name)
-
         with self.store.read() as tx:
             events = read_entries(tx.connection, lease.rotor_id, 0, lease.applied_seq)
             entries = [entry_of(e) for e in events if e.kind in ("inspection", "retraction")]
@@ -151,6 +147,7 @@ class Updater:
                 return Memory(0, 0, None, {}, {}, entries)
             record = tx.states.get(lease.rotor_id, lease.version)
             sha256 = digests(tx.connection, lease.rotor_id)
+        get = self.store.arrays(lease.rotor_id, lease.version)
         state = self.science.restore(record.meta, get)
         return Memory(lease.version, lease.applied_seq, state, {}, sha256, entries)
 

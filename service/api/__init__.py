@@ -1,0 +1,1 @@
+"""The HTTP side: routes, schemas, problem details. Knows the use cases, and no SQL."""

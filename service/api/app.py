@@ -1,0 +1,76 @@
+"""The application: routers, limits and problems around the wired parts."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from importlib.metadata import PackageNotFoundError, version
+
+from fastapi import FastAPI
+
+from service.api import problems
+from service.api.limits import BodyLimit
+from service.api.routers import inspections, models, reads, rotors, system
+from service.api.services import Services
+
+PROBLEM = {
+    "description": "A problem (RFC 9457)",
+    "content": {
+        "application/problem+json": {
+            "schema": {
+                "type": "object",
+                "required": ["type", "title", "status", "detail", "instance", "faults"],
+                "properties": {
+                    "type": {"type": "string"},
+                    "title": {"type": "string"},
+                    "status": {"type": "integer"},
+                    "detail": {"type": "string"},
+                    "instance": {"type": "string"},
+                    "faults": {
+                        "type": "array",
+                        "items": {
+                            "type": "object",
+                            "required": ["field", "value", "problem", "remedy"],
+                        },
+                    },
+                },
+            }
+        }
+    },
+}
+
+
+def release() -> str:
+    """The installed version."""
+    try:
+        return version("bladetwin")
+    except PackageNotFoundError:
+        return "0+unknown"
+
+
+def create_app(services: Services, revisions: Callable[[], tuple[str | None, str]]) -> FastAPI:
+    """The application over wired parts; `revisions` gives the schema found and needed."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        services.changes.start()
+        yield
+        services.changes.close()
+
+    app = FastAPI(
+        title="bladetwin",
+        version=release(),
+        summary="Online digital twin of turbine rotor blades",
+        docs_url=None,
+        redoc_url=None,
+        lifespan=lifespan,
+        responses={"default": PROBLEM},
+        redirect_slashes=False,
+    )
+    app.state.services = services
+    app.state.revisions = revisions
+    for module in (system, models, rotors, inspections, reads):
+        app.include_router(module.router)
+    problems.install(app)
+    app.add_middleware(BodyLimit, limit=int(services.settings.max_body_mb * 2**20))
+    return app

@@ -1,0 +1,212 @@
+"""Problem details (RFC 9457): the one shape of every error.
+
+``type`` names the kind, ``detail`` says what is wrong in a sentence, and ``faults`` lists each
+fault with ``field``, ``value``, ``problem`` and ``remedy``, so that a program need not read the
+sentence.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from starlette.exceptions import HTTPException
+
+from core.errors import InputError
+from service.errors import ConflictError, FaultsError, GoneError, NotFoundError, NotYetError
+
+log = logging.getLogger("bladetwin.api")
+LONGEST = 200
+Fault = dict[str, Any]
+
+
+class RequestError(Exception):
+    """A request that is refused before any use case: status, kind, and what to do."""
+
+    def __init__(self, status: int, kind: str, detail: str, faults: Sequence[Fault] = ()) -> None:
+        self.status = status
+        self.kind = kind
+        self.detail = detail
+        self.faults = list(faults)
+        super().__init__(detail)
+
+
+def shown(value: object) -> object:
+    """A value as JSON can carry it, and not longer than a line or two.
+
+    >>> shown(float("nan")), shown("x" * 1000)[-1]
+    ('NaN', '…')
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    if value is None or isinstance(value, (bool, float)):
+        return value
+    if isinstance(value, int) and abs(value) < 2**63:
+        return value
+    if isinstance(value, int):
+        return "an integer of more than 64 bits"
+    text = value if isinstance(value, str) else repr(value)
+    text = text.encode("utf-8", "replace").decode()
+    return text if len(text) <= LONGEST else text[:LONGEST] + "…"
+
+
+def fault(field: str, value: object, problem: str, remedy: str) -> Fault:
+    return {"field": field, "value": shown(value), "problem": problem, "remedy": remedy}
+
+
+def problem(
+    request: Request,
+    status: int,
+    kind: str,
+    detail: str,
+    faults: Sequence[Fault] = (),
+    headers: Mapping[str, str] | None = None,
+) -> JSONResponse:
+    """The answer for one error."""
+    body = {
+        "type": f"urn:bladetwin:problem:{kind}",
+        "title": kind.replace("-", " "),
+        "status": status,
+        "detail": detail,
+        "instance": request.url.path,
+        "faults": list(faults),
+    }
+    return JSONResponse(
+        body, status, media_type="application/problem+json", headers=dict(headers or {})
+    )
+
+
+def fault_of(error: InputError) -> Fault:
+    return fault(error.what, error.value, error.problem, error.remedy)
+
+
+REMEDIES = {
+    "extra_forbidden": "leave the field out, or correct its name",
+    "missing": "give it",
+    "finite_number": "give a finite number; leave readings that failed out",
+    "string_pattern_mismatch": "use letters, digits and . _ : @ + - (no slash, no space)",
+}
+TAGS = frozenset({"vector", "scalar"})
+PLACES = frozenset({"body", "query", "path", "header"})
+
+
+def faults_of_validation(errors: Sequence[Any], prefix: str = "") -> list[Fault]:
+    """The faults that pydantic found, under the names that the caller wrote."""
+    return [
+        fault(
+            prefix + _field(error["loc"]),
+            None if error["type"] == "missing" else error.get("input"),
+            error["msg"][:1].lower() + error["msg"][1:],
+            REMEDIES.get(error["type"], "correct the value"),
+        )
+        for error in errors
+    ]
+
+
+def _field(loc: Sequence[str | int]) -> str:
+    parts = list(loc[1:]) if loc and loc[0] in PLACES and len(loc) > 1 else list(loc)
+    text = ""
+    for part in parts:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        elif part not in TAGS:
+            text += f".{part}" if text else part
+    return text or "body"
+
+
+async def _refused(request: Request, error: Any) -> JSONResponse:
+    return problem(request, error.status, error.kind, error.detail, error.faults)
+
+
+async def _faulty(request: Request, error: Any) -> JSONResponse:
+    faults = [fault_of(one) for one in error.faults]
+    return problem(request, 422, "invalid-input", _sentence(faults), faults)
+
+
+async def _unusable(request: Request, error: Any) -> JSONResponse:
+    return problem(request, 422, "invalid-input", str(error), [fault_of(error)])
+
+
+async def _malformed(request: Request, error: Any) -> JSONResponse:
+    faults = faults_of_validation(error.errors())
+    broken = any(one["type"] == "json_invalid" for one in error.errors())
+    status, kind = (400, "invalid-json") if broken else (422, "invalid-input")
+    return problem(request, status, kind, _sentence(faults), faults)
+
+
+async def _missing(request: Request, error: Any) -> JSONResponse:
+    faults = [fault(error.what, error.name, "does not exist", error.remedy)]
+    return problem(request, 404, "not-found", str(error), faults)
+
+
+async def _conflict(request: Request, error: Any) -> JSONResponse:
+    faults = [
+        fault(f"{error.what}.id", name, "exists with another content", error.remedy)
+        for name in error.name.split(", ")
+    ]
+    return problem(request, 409, "conflict", str(error), faults)
+
+
+async def _not_yet(request: Request, error: Any) -> JSONResponse:
+    faults = [fault("version", None, "is not computed yet", error.remedy)]
+    return problem(request, 409, "not-yet", str(error), faults, {"Retry-After": "1"})
+
+
+async def _gone(request: Request, error: Any) -> JSONResponse:
+    faults = [fault("version", error.what, "is no longer kept", error.remedy)]
+    return problem(request, 410, "gone", str(error), faults)
+
+
+async def _routed(request: Request, error: Any) -> JSONResponse:
+    kinds = {400: "invalid-json", 404: "not-found", 405: "method-not-allowed"}
+    kind = kinds.get(error.status_code, "refused")
+    detail = f"{request.method} {request.url.path}: {error.detail}. See /openapi.json"
+    return problem(request, error.status_code, kind, detail, (), error.headers)
+
+
+async def _away(request: Request, error: Any) -> JSONResponse:
+    log.error("database: %s: %s", type(error).__name__, getattr(error, "orig", ""))
+    detail = "the database does not answer; nothing was stored. Try again."
+    return problem(request, 503, "database-away", detail, (), {"Retry-After": "1"})
+
+
+async def _broken(request: Request, error: Any) -> JSONResponse:
+    detail = "the service failed and stored nothing; the log of the server says why."
+    return problem(request, 500, "internal-error", detail)
+
+
+HANDLERS = {
+    RequestError: _refused,
+    FaultsError: _faulty,
+    InputError: _unusable,
+    RequestValidationError: _malformed,
+    NotFoundError: _missing,
+    ConflictError: _conflict,
+    NotYetError: _not_yet,
+    GoneError: _gone,
+    HTTPException: _routed,
+    OperationalError: _away,
+    PoolTimeoutError: _away,
+    Exception: _broken,
+}
+
+
+def install(app: FastAPI) -> None:
+    """Every error of every route answers as a problem."""
+    for kind, handler in HANDLERS.items():
+        app.add_exception_handler(kind, handler)
+
+
+def _sentence(faults: Sequence[Fault]) -> str:
+    first = "; ".join(
+        f"{one['field']} = {one['value']!r}: {one['problem']}. To mend it: {one['remedy']}"
+        for one in faults[:5]
+    )
+    return first if len(faults) <= 5 else f"{first}; and {len(faults) - 5} more"

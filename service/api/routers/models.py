@@ -1,0 +1,57 @@
+"""Models and jobs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from fastapi.responses import JSONResponse
+
+from service.api.schemas import ModelIn
+from service.api.services import Cursor, Limit, Name, Wired, moment, page, page_size
+from service.handlers import models as use
+from service.ports import JobRecord, ModelCard
+
+router = APIRouter(prefix="/v1", tags=["models"])
+
+
+def model_out(card: ModelCard) -> dict[str, Any]:
+    return {"state": "ready"} | card.to_json()
+
+
+def job_out(job: JobRecord) -> dict[str, Any]:
+    return {
+        "id": job.id,
+        "kind": job.kind,
+        "status": job.status,
+        "request": job.request,
+        "result": job.result,
+        "error": job.error,
+        "attempts": job.attempts,
+        "created_at": moment(job.created_at),
+        "finished_at": moment(job.finished_at),
+    }
+
+
+@router.post("/models", status_code=202, summary="Register a model; answers with a job")
+def post_model(body: ModelIn, services: Wired) -> JSONResponse:
+    job = use.request_builtin(services.store, services.science, body.builtin)
+    return JSONResponse({"job": job_out(job)}, 202, headers={"Location": f"/v1/jobs/{job.id}"})
+
+
+@router.get("/models", summary="Models, page by page")
+def get_models(services: Wired, limit: Limit = None, cursor: Cursor = None) -> dict[str, Any]:
+    size = page_size(services, limit)
+    cards = use.list_models(services.store, cursor or "", size + 1)
+    rows = [{"id": c.id, "version": c.version, "digest": c.digest, "state": "ready"} for c in cards]
+    return page(rows, size, "id")
+
+
+@router.get("/models/{m}", summary="A model: network, quantities, mesh, errors")
+def get_model(m: Name, services: Wired) -> dict[str, Any]:
+    return model_out(use.find_model(services.store, m))
+
+
+@router.get("/jobs/{id}", summary="How far a job is")
+def get_job(id: Name, services: Wired) -> dict[str, Any]:
+    return job_out(use.find_job(services.store, id))

@@ -1,0 +1,82 @@
+"""Posterior and prediction, with an ETag of everything that they rest on."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import Response
+
+from service.api.problems import RequestError, fault
+from service.api.services import Name, Version, Wired, tag_of_basis, tagged, unchanged
+from service.handlers import reads as use
+
+router = APIRouter(prefix="/v1/rotors/{r}", tags=["reads"])
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+@router.get("/posterior", summary="The shared parameters of the rotor")
+def get_posterior(r: Name, request: Request, services: Wired, version: Version = None) -> Response:
+    return _posterior(request, services, r, None, version)
+
+
+@router.get("/blades/{b}/posterior", summary="The parameters of one blade")
+def get_blade_posterior(
+    r: Name, b: Name, request: Request, services: Wired, version: Version = None
+) -> Response:
+    return _posterior(request, services, r, b, version)
+
+
+def _posterior(
+    request: Request, services: Wired, r: str, b: str | None, version: int | None
+) -> Response:
+    found = use.basis(services.store, r, version, b)
+    tag = tag_of_basis(request, found)
+    if (same := unchanged(request, tag)) is not None:
+        return same
+    body = {"rotor": r} | ({} if b is None else {"blade": b})
+    body |= use.posterior(services.store, services.science, found, b)
+    return tagged(body | {"rests_on": found.to_json()}, tag)
+
+
+@router.get("/blades/{b}/prediction", summary="Bands of a quantity over time, by source")
+def get_prediction(
+    r: Name,
+    b: Name,
+    request: Request,
+    services: Wired,
+    quantity: Annotated[str, Query(max_length=100)] = "elongation",
+    times: Annotated[str | None, Query(description="hours, with commas between")] = None,
+    node: Annotated[str | None, Query(max_length=100)] = None,
+    probability: float = 0.95,
+    version: Version = None,
+) -> Response:
+    found = use.basis(services.store, r, version, b)
+    asked = use.question(found.card, quantity, read_times(times), node, probability)
+    tag = tag_of_basis(request, found)
+    if (same := unchanged(request, tag)) is not None:
+        return same
+    body = {"rotor": r} | use.predict(services.store, services.science, found, b, asked)
+    return tagged(body | {"rests_on": found.to_json()}, tag)
+
+
+def read_times(text: str | None) -> list[float] | None:
+    """Hours with commas between.
+
+    >>> read_times("0, 8000,2.5e4")
+    [0.0, 8000.0, 25000.0]
+    """
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    for part in parts:
+        if not NUMBER.fullmatch(part):
+            remedy = "give hours with commas between, e.g. times=8000,24000"
+            raise RequestError(
+                422,
+                "invalid-input",
+                f"times: {part!r} is not a number. To mend it: {remedy}",
+                [fault("times", part, "is not a number", remedy)],
+            )
+    return [float(part) for part in parts]

@@ -1,0 +1,164 @@
+"""Rotors: created, listed, looked at or waited for, tried again."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import JSONResponse, Response
+from starlette.concurrency import run_in_threadpool
+
+from service.api.problems import RequestError, fault
+from service.api.schemas import BladeIn, Nothing, RotorIn
+from service.api.services import (
+    Cursor,
+    Limit,
+    Name,
+    Services,
+    Wired,
+    accepted,
+    moment,
+    page,
+    page_size,
+    tag_of,
+    tagged,
+    unchanged,
+)
+from service.handlers import rotors as use
+from service.ports import BladeRecord, RotorRecord
+
+router = APIRouter(prefix="/v1/rotors", tags=["rotors"])
+LOOK_AGAIN_S = 1.0
+
+
+def rotor_out(rotor: RotorRecord) -> dict[str, Any]:
+    blocked = {"error": rotor.last_error, "event": rotor.last_error_event}
+    return {
+        "id": rotor.id,
+        "model": rotor.model_id,
+        "model_version": rotor.model_version,
+        "particles": rotor.particles,
+        "seed": rotor.seed,
+        "created_at": moment(rotor.created_at),
+        "head_seq": rotor.head_seq,
+        "applied_seq": rotor.applied_seq,
+        "version": rotor.version,
+        "status": "blocked" if rotor.blocked else "pending" if rotor.dirty else "current",
+        "attempts": rotor.attempts,
+        "last_error": blocked if rotor.last_error else None,
+    }
+
+
+def blade_out(blade: BladeRecord) -> dict[str, Any]:
+    return asdict(blade) | {"retired": blade.retired_seq is not None}
+
+
+def view_out(view: use.RotorView) -> dict[str, Any]:
+    state = view.state
+    posterior = state and {
+        "version": state.version,
+        "through_seq": state.through_seq,
+        "sealed": state.sealed,
+        "state_digest": state.digest,
+        "events_digest": state.events_digest,
+        "model_version": state.model_version,
+        "algorithm_version": state.algorithm_version,
+        "created_at": moment(state.created_at),
+    }
+    return rotor_out(view.rotor) | {
+        "blades": [blade_out(blade) for blade in view.blades],
+        "posterior": posterior,
+        "health": state.meta["health"] if state else None,
+    }
+
+
+@router.post("", status_code=201, summary="Create a rotor; the same again gives the same answer")
+def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
+    rotor, blades, new = use.create_rotor(
+        services.store,
+        body.id,
+        body.model,
+        [blade.record() for blade in body.blades],
+        services.settings.particles if body.particles is None else body.particles,
+        body.seed,
+    )
+    answer = {
+        "id": rotor.id,
+        "model": rotor.model_id,
+        "model_version": rotor.model_version,
+        "blades": [blade_out(blade) for blade in blades],
+        "particles": rotor.particles,
+        "seed": rotor.seed,
+        "created_at": moment(rotor.created_at),
+    }
+    headers = {"Location": f"/v1/rotors/{rotor.id}"}
+    return JSONResponse(answer, 201, headers if new else headers | {"Idempotent-Replayed": "true"})
+
+
+@router.get("", summary="Rotors, page by page")
+def get_rotors(services: Wired, limit: Limit = None, cursor: Cursor = None) -> dict[str, Any]:
+    size = page_size(services, limit)
+    rotors = use.list_rotors(services.store, cursor or "", size + 1)
+    return page([rotor_out(rotor) for rotor in rotors], size, "id")
+
+
+@router.get("/{r}", summary="A rotor as it stands; wait_for=SEQ waits until SEQ is applied")
+async def get_rotor(
+    r: Name,
+    request: Request,
+    services: Wired,
+    wait_for: Annotated[int | None, Query(ge=0, lt=2**62)] = None,
+    timeout: Annotated[float, Query(ge=0)] = 30.0,
+) -> Response:
+    view = await _wait(services, r, wait_for, timeout)
+    body = view_out(view)
+    tag = tag_of(request, json.dumps(body, sort_keys=True))
+    return unchanged(request, tag) or tagged(body, tag)
+
+
+async def _wait(services: Services, r: str, wait_for: int | None, timeout: float) -> use.RotorView:
+    """The rotor once `wait_for` is applied, or as it stands when the time is over or it blocks."""
+    most = services.settings.wait_max_s
+    if timeout > most:
+        remedy = f"wait at most {most:g} s, and ask again"
+        raise RequestError(
+            422,
+            "invalid-input",
+            f"timeout = {timeout:g} is above {most:g} s. To mend it: {remedy}",
+            [fault("timeout", timeout, f"is above {most:g} s", remedy)],
+        )
+    if wait_for is None:
+        return await run_in_threadpool(use.view_rotor, services.store, r)
+    changes = services.changes
+    end = time.monotonic() + timeout
+    async with changes.waiting():
+        while True:
+            event = changes.event()
+            view = await run_in_threadpool(use.view_rotor, services.store, r)
+            left = end - time.monotonic()
+            done = view.has_applied(wait_for) or view.rotor.blocked
+            if done or left <= 0 or changes.closing:
+                return view
+            try:
+                await asyncio.wait_for(event.wait(), min(left, LOOK_AGAIN_S))
+            except TimeoutError:
+                continue
+
+
+@router.post("/{r}/retry", status_code=202, summary="Let a blocked rotor be tried again")
+def post_retry(r: Name, services: Wired, body: Nothing | None = None) -> dict[str, Any]:
+    return rotor_out(use.retry(services.store, r))
+
+
+@router.post("/{r}/blades", status_code=202, summary="A blade joins the rotor")
+def post_blade(r: Name, body: BladeIn, services: Wired) -> JSONResponse:
+    return accepted([use.add_blade(services.store, r, body.record())])
+
+
+@router.post("/{r}/blades/{b}/retirement", status_code=202, summary="A blade leaves the rotor")
+def post_retirement(r: Name, b: Name, services: Wired, body: Nothing | None = None) -> JSONResponse:
+    return accepted([use.retire_blade(services.store, r, b)])

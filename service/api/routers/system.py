@@ -1,0 +1,32 @@
+"""Is the process alive; can it serve."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import JSONResponse
+from sqlalchemy.exc import SQLAlchemyError
+
+router = APIRouter(tags=["system"])
+
+
+@router.get("/healthz", summary="The process is alive")
+async def healthz() -> dict[str, str]:
+    return {"status": "alive"}
+
+
+@router.get("/readyz", summary="The database answers and has this release's schema")
+def readyz(request: Request) -> JSONResponse:
+    checks: dict[str, Any] = {}
+    try:
+        found, needed = request.app.state.revisions()
+        checks["database"] = "answers"
+        checks["schema"] = found
+        ready = found == needed
+        if not ready:
+            checks["remedy"] = f"run `bladetwin migrate`: revision {needed} is needed"
+    except SQLAlchemyError as error:
+        ready = False
+        checks["database"] = type(error).__name__
+    return JSONResponse({"ready": ready} | checks, 200 if ready else 503)

@@ -1,0 +1,244 @@
+"""What requests may hold. Unknown fields are refused, numbers are numbers and finite.
+
+JSON's ``NaN`` and ``Infinity``, which some writers emit, are read and then refused by name.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from datetime import datetime
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    StringConstraints,
+    Tag,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import from_json
+
+from core.observation import Inspection
+from service.api.problems import Fault, RequestError, fault, faults_of_validation
+from service.handlers.inspections import Item
+from service.ports import BladeRecord
+
+ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._:@+\-]*$"
+Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
+Text = Annotated[
+    str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")
+]
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+WHOLE = re.compile(r"\d{1,9}")
+
+
+def _moment(text: str) -> str:
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("a moment needs its offset, e.g. 2031-05-04T10:00:00Z")
+    return text
+
+
+Moment = Annotated[str, StringConstraints(max_length=40), AfterValidator(_moment)]
+Values = Annotated[
+    Annotated[list[list[FiniteFloat]], Tag("vector")] | Annotated[list[FiniteFloat], Tag("scalar")],
+    Discriminator(lambda v: "vector" if isinstance(v, list) and v and _is_list(v[0]) else "scalar"),
+]
+
+
+def _is_list(value: object) -> bool:
+    return isinstance(value, list)
+
+
+class Body(BaseModel):
+    """A body or a part of one."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class InspectionIn(Body):
+    """One reading."""
+
+    id: Id
+    blade: Id
+    quantity: Id
+    time_h: FiniteFloat
+    value: FiniteFloat | None = None
+    values: Values | None = None
+    nodes: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = None
+    unit: Text | None = None
+    sigma: Annotated[FiniteFloat, Field(gt=0)] | None = None
+    instrument: Text | None = None
+    campaign: Text | None = None
+    observed_at: Moment | None = None
+    replaces: Id | None = None
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Self:
+        if (self.value is None) == (self.values is None):
+            raise ValueError("give either `value`, or `values` with `nodes`")
+        widths = {len(row) for row in self.values or [] if isinstance(row, list)}
+        if len(widths) > 1:
+            raise ValueError(f"rows of `values` have different lengths {sorted(widths)}")
+        return self
+
+    def reading(self) -> Inspection:
+        values = [self.value] if self.values is None else self.values
+        return Inspection(
+            id=self.id,
+            blade=self.blade,
+            quantity=self.quantity,
+            time_h=float(self.time_h),
+            values=np.array(values, dtype=np.float64),
+            nodes=None if self.nodes is None else np.array(self.nodes, dtype=np.int64),
+            unit=self.unit,
+            sigma=self.sigma,
+            instrument=self.instrument,
+            campaign=self.campaign,
+            observed_at=self.observed_at,
+            replaces=self.replaces,
+        )
+
+
+class BladeIn(Body):
+    """A blade that a rotor has, or that joins it."""
+
+    id: Id
+    slot: Text | None = None
+    lot: Text | None = None
+    coating_lot: Text | None = None
+    installed_at: Moment | None = None
+    time_h0: Annotated[FiniteFloat, Field(ge=0)] | None = None
+
+    def record(self) -> BladeRecord:
+        return BladeRecord(**self.model_dump())
+
+
+class RotorIn(Body):
+    """A new rotor."""
+
+    id: Id
+    model: Id
+    blades: Annotated[list[BladeIn], Field(max_length=2000)]
+    particles: Annotated[int, Field(ge=16, le=1_000_000)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+
+
+class ModelIn(Body):
+    """A model to register."""
+
+    builtin: Id
+
+
+class Nothing(Body):
+    """A body without fields."""
+
+
+def read_inspections(body: bytes, content_type: str) -> list[Item]:
+    """The readings of a request: one, many or CSV. RequestError lists every fault."""
+    kind = content_type.split(";")[0].strip().lower()
+    if kind == "text/csv":
+        rows = _csv_rows(body)
+    elif kind in ("", "application/json"):
+        rows = _json_rows(body)
+    else:
+        raise RequestError(
+            415,
+            "unsupported-media-type",
+            f"{kind!r} is not read; post application/json or text/csv",
+        )
+    items: list[Item] = []
+    faults: list[Fault] = []
+    for where, row in rows:
+        try:
+            items.append(Item(where, InspectionIn.model_validate(row).reading()))
+        except ValidationError as error:
+            faults += faults_of_validation(error.errors(), where)
+    if faults:
+        raise invalid(faults)
+    return items
+
+
+def invalid(faults: list[Fault]) -> RequestError:
+    first = faults[0]
+    text = (
+        f"{first['field']} = {first['value']!r}: {first['problem']}. To mend it: {first['remedy']}"
+    )
+    more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
+    return RequestError(422, "invalid-input", text + more, faults)
+
+
+def _json_rows(body: bytes) -> list[tuple[str, Any]]:
+    try:
+        data = from_json(body, allow_inf_nan=True)
+    except ValueError as error:
+        raise RequestError(400, "invalid-json", f"the body is not JSON: {error}") from None
+    if not (isinstance(data, dict) and "inspections" in data):
+        return [("", data)]
+    rows = data["inspections"]
+    unknown = [name for name in data if name != "inspections"]
+    if unknown:
+        remedy = "a batch holds `inspections` and nothing else"
+        raise invalid([fault(unknown[0], data[unknown[0]], "is not known", remedy)])
+    if not isinstance(rows, list) or not rows:
+        raise invalid(
+            [fault("inspections", rows, "is not a list of readings", "give at least one")]
+        )
+    return [(f"inspections[{i}].", row) for i, row in enumerate(rows)]
+
+
+COLUMNS = (
+    *("id", "blade", "quantity", "time_h", "value", "node", "unit", "sigma", "instrument"),
+    *("campaign", "observed_at", "replaces"),
+)
+
+
+def _csv_rows(body: bytes) -> list[tuple[str, Any]]:
+    try:
+        reader = csv.DictReader(io.StringIO(body.decode("utf-8-sig"), newline=""), strict=True)
+        header = list(reader.fieldnames or [])
+        lines = [(reader.line_num, row) for row in reader]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RequestError(400, "invalid-csv", f"the body is not CSV in UTF-8: {error}") from None
+    known = f"the columns are {', '.join(COLUMNS)}"
+    faults = [fault(name, name, "is no column", known) for name in header if name not in COLUMNS]
+    faults += [
+        fault(name, None, "is missing", known)
+        for name in ("id", "blade", "quantity", "time_h", "value")
+        if name not in header
+    ]
+    if len(set(header)) < len(header):
+        faults.append(fault("header", ", ".join(header), "names a column twice", known))
+    if not lines and not faults:
+        faults.append(fault("body", "", "holds no row", "give at least one reading"))
+    rows = []
+    for number, row in lines:
+        if None in row or None in row.values():
+            problem, remedy = "has another number of cells than the header", "give every cell"
+            faults.append(fault(f"line {number}", shown_row(row), problem, remedy))
+        rows.append((f"line {number}.", {k: _cell(k, v) for k, v in row.items() if v}))
+    if faults:
+        raise invalid(faults)
+    for _, row in rows:
+        if "node" in row:
+            row["nodes"] = [row.pop("node")]
+    return rows
+
+
+def shown_row(row: dict[Any, Any]) -> str:
+    return ",".join(str(value) for value in row.values())
+
+
+def _cell(column: str, text: Any) -> Any:
+    if column in ("time_h", "value", "sigma") and NUMBER.fullmatch(text):
+        return float(text)
+    if column == "node" and WHOLE.fullmatch(text):
+        return int(text)
+    return text

@@ -1,0 +1,102 @@
+"""What every route gets: store, science, settings; and the helpers that routes share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from hashlib import sha256
+from typing import Annotated, Any
+
+from fastapi import Depends, Path, Query, Request
+from fastapi.responses import JSONResponse, Response
+
+from service.api.problems import RequestError, fault
+from service.api.schemas import ID_PATTERN
+from service.api.waiting import Changes
+from service.handlers.reads import Basis
+from service.ports import Appended, Science, Store
+from service.settings import Settings
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """The wired parts of one API process."""
+
+    store: Store
+    science: Science
+    settings: Settings
+    changes: Changes
+
+
+def services_of(request: Request) -> Services:
+    found: Services = request.app.state.services
+    return found
+
+
+Wired = Annotated[Services, Depends(services_of)]
+Name = Annotated[str, Path(max_length=100, pattern=ID_PATTERN)]
+Limit = Annotated[int | None, Query(ge=1, le=2**31)]
+Cursor = Annotated[str | None, Query(max_length=100, pattern=ID_PATTERN)]
+Version = Annotated[int | None, Query(ge=1, lt=2**62)]
+
+
+def page_size(services: Services, limit: int | None) -> int:
+    """The number of items of a page; above the maximum is refused, not cut."""
+    most = services.settings.page_limit
+    if limit is not None and limit > most:
+        faults = [
+            fault("limit", limit, f"is above {most}", f"ask for 1 … {most}, and follow `next`")
+        ]
+        raise RequestError(422, "invalid-input", f"limit = {limit} is above {most}", faults)
+    return min(50, most) if limit is None else limit
+
+
+def page(items: Sequence[Any], size: int, key: str) -> dict[str, Any]:
+    """A page of items and the cursor of the next one; `items` holds one more than the page."""
+    shown = list(items[:size])
+    return {"items": shown, "next": str(shown[-1][key]) if len(items) > size else None}
+
+
+def moment(seconds: float | None) -> str | None:
+    """Seconds since 1970 as ISO 8601.
+
+    >>> moment(86400.25)
+    '1970-01-02T00:00:00.250Z'
+    """
+    if seconds is None:
+        return None
+    text = datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+    return text.replace("+00:00", "Z")
+
+
+def accepted(answers: Sequence[Appended]) -> JSONResponse:
+    """The answer to entries of the log; the same entries again get the same answer."""
+    items = [
+        {"id": a.event_id.rpartition("/")[2], "seq": a.seq, "status": "accepted"} for a in answers
+    ]
+    body = {"items": items, "head_seq": max(a.seq for a in answers)}
+    replayed = all(not a.new for a in answers)
+    return JSONResponse(body, 202, headers={"Idempotent-Replayed": "true"} if replayed else {})
+
+
+def tag_of(request: Request, *parts: object) -> str:
+    """The ETag of an answer that depends on `parts` and the question alone."""
+    text = "\x1f".join([request.url.path, request.url.query, *map(str, parts)])
+    return f'"{sha256(text.encode()).hexdigest()[:32]}"'
+
+
+def tag_of_basis(request: Request, found: Basis) -> str:
+    return tag_of(request, found.state.version, found.state.digest, found.card.digest)
+
+
+def unchanged(request: Request, tag: str) -> Response | None:
+    """304 where the caller has this answer already."""
+    given = [one.strip() for one in request.headers.get("if-none-match", "").split(",")]
+    if "*" in given or tag in given or f"W/{tag}" in given:
+        return Response(status_code=304, headers={"ETag": tag, "Cache-Control": "no-cache"})
+    return None
+
+
+def tagged(body: object, tag: str) -> JSONResponse:
+    return JSONResponse(body, headers={"ETag": tag, "Cache-Control": "no-cache"})

@@ -1,0 +1,135 @@
+"""The one place that wires settings, store, science, workers and the API."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from types import FrameType
+
+import uvicorn
+from fastapi import FastAPI
+
+from core.errors import BladetwinError
+from service.api.app import create_app
+from service.api.services import Services
+from service.api.waiting import Changes
+from service.fake import FakeScience
+from service.handlers.models import register_builtins
+from service.ports import Science
+from service.settings import Settings
+from service.store.engine import is_sqlite, open_engine
+from service.store.migrate import current, migrate, newest
+from service.store.unit_of_work import SqlStore
+from service.telemetry import configure_logs
+from service.worker.loop import Worker, end_with_parent, owner_name, run_worker
+from service.worker.supervise import Supervisor
+from service.worker.wake import open_wake
+
+
+class SchemaError(BladetwinError):
+    """A database whose schema is not that of this release."""
+
+
+def make_science(settings: Settings) -> Science:
+    """The science that the settings name; imported only here and only when asked for."""
+    if settings.science == "fake":
+        return FakeScience()
+    from service.science import CoreScience
+
+    return CoreScience()
+
+
+def make_store(settings: Settings) -> SqlStore:
+    return SqlStore(open_engine(settings.database_url), settings.cache_mb)
+
+
+def prepare(store: SqlStore, settings: Settings) -> None:
+    """Migrate where the settings say so; SchemaError where the schema is not this release's."""
+    wanted = settings.migrate == "always" or (
+        settings.migrate == "auto" and is_sqlite(store.engine)
+    )
+    if wanted:
+        migrate(store.engine)
+        return
+    found, needed = current(store.engine), newest()
+    if found != needed:
+        raise SchemaError(
+            f"the database has schema {found}, this release needs {needed}. "
+            "To mend it: run `bladetwin migrate`."
+        )
+
+
+def make_app(store: SqlStore, science: Science, settings: Settings) -> FastAPI:
+    """The API over an open, migrated store."""
+    changes = Changes(lambda: open_wake(store.engine, "bladetwin_applied", settings.poll_ms))
+    needed = newest()
+    return create_app(
+        Services(store, science, settings, changes), lambda: (current(store.engine), needed)
+    )
+
+
+def make_worker(
+    store: SqlStore, science: Science, settings: Settings, owner: str | None = None
+) -> Worker:
+    return Worker(store, science, settings, owner or owner_name())
+
+
+def worker_command(owner: str) -> list[str]:
+    """The command line of a worker that ends with its parent."""
+    return [sys.executable, "-m", "service.cli", "worker", "--owner", owner, "--end-with-parent"]
+
+
+class _Server(uvicorn.Server):
+    """Lets long polls go as soon as a signal asks to stop."""
+
+    changes: Changes | None = None
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        if self.changes is not None:
+            self.changes.begin_close()
+        super().handle_exit(sig, frame)
+
+
+def serve(settings: Settings) -> None:
+    """API and workers until SIGTERM or SIGINT; returns when all have ended."""
+    configure_logs(settings.log_level)
+    store = make_store(settings)
+    science = make_science(settings)
+    prepare(store, settings)
+    register_builtins(store, science)
+    app = make_app(store, science, settings)
+    config = uvicorn.Config(
+        app,
+        host=settings.host,
+        port=settings.port,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=5,
+    )
+    server = _Server(config)
+    server.changes = app.state.services.changes
+    # uvicorn raises the signal again when it has ended; the workers are still to be stopped.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda signum, frame: None)
+    supervisor = Supervisor(store.engine, settings.workers, worker_command, settings.environ())
+    supervisor.start()
+    try:
+        server.run()
+    finally:
+        supervisor.stop()
+        store.close()
+
+
+def work(settings: Settings, *, owner: str | None, with_parent: bool) -> None:
+    """One worker in this process until it is stopped."""
+    if with_parent:
+        end_with_parent()
+    configure_logs(settings.log_level)
+    store = make_store(settings)
+    try:
+        if not with_parent:
+            prepare(store, settings)
+        run_worker(make_worker(store, make_science(settings), settings, owner))
+    finally:
+        store.close()

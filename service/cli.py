@@ -1,0 +1,109 @@
+"""The command ``bladetwin``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from core.errors import BladetwinError
+from service.settings import Settings, table
+
+app = typer.Typer(
+    name="bladetwin",
+    help="Online digital twin of turbine rotor blades.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+models = typer.Typer(help="Models.", no_args_is_help=True)
+app.add_typer(models, name="model")
+
+SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
+    f"{name} [{default}]: {meaning}" for name, default, meaning in table()
+)
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def say(data: dict[str, Any], text: str, *, as_json: bool) -> None:
+    """One line for people, or one object for programs."""
+    typer.echo(json.dumps(data) if as_json else text)
+
+
+@app.command(epilog=SETTINGS_HELP)
+def serve(
+    host: Annotated[str | None, typer.Option(help="Overrides BLADETWIN_HOST.")] = None,
+    port: Annotated[int | None, typer.Option(help="Overrides BLADETWIN_PORT.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Overrides BLADETWIN_WORKERS.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Serve the API and run the workers, until SIGTERM or Ctrl-C."""
+    from service.bootstrap import serve as run
+
+    settings = Settings.load(host=host, port=port, workers=workers)
+    facts = {"url": f"http://{settings.host}:{settings.port}", "workers": settings.workers}
+    say(facts, f"bladetwin at {facts['url']}, {settings.workers} worker(s)", as_json=as_json)
+    sys.stdout.flush()
+    run(settings)
+
+
+@app.command()
+def worker(
+    owner: Annotated[str | None, typer.Option(hidden=True)] = None,
+    end_with_parent: Annotated[bool, typer.Option("--end-with-parent", hidden=True)] = False,
+) -> None:
+    """Run one worker, here or on another machine, against BLADETWIN_DATABASE_URL."""
+    from service.bootstrap import work
+
+    work(Settings.load(), owner=owner, with_parent=end_with_parent)
+
+
+@app.command()
+def migrate(as_json: Json = False) -> None:
+    """Bring the database to this release's schema."""
+    from service.bootstrap import make_store
+    from service.store.migrate import migrate as upgrade
+
+    store = make_store(Settings.load())
+    try:
+        revision = upgrade(store.engine)
+    finally:
+        store.close()
+    say({"revision": revision}, f"schema is at revision {revision}", as_json=as_json)
+
+
+@models.command("build")
+def build(
+    name: Annotated[str, typer.Argument(help="The built-in model: rotor-blade.")],
+    out: Annotated[Path, typer.Option(help="Folder of the model.")] = Path("bladetwin-data"),
+    mesh: Annotated[str, typer.Option(help="Mesh: default, coarse or fine.")] = "default",
+    seed: Annotated[int | None, typer.Option(help="Seed of the design.")] = None,
+    workers: Annotated[int, typer.Option(help="Processes that compute runs.")] = 2,
+    as_json: Json = False,
+) -> None:
+    """Compute the finite-element runs and train the model again; resumes where it stopped."""
+    if name != "rotor-blade":
+        raise typer.BadParameter(f"{name!r} is no built-in model; use rotor-blade")
+    from core.builtin import rotor_blade
+
+    chosen = rotor_blade.SEED if seed is None else seed
+    surrogate = rotor_blade.build(out, mesh=mesh, seed=chosen, workers=workers)
+    facts = {"model": name, "digest": surrogate.digest, "folder": str(out)}
+    say(facts, f"{name}: digest {surrogate.digest[:12]}… in {out}", as_json=as_json)
+
+
+def main() -> None:
+    """Entry point: an error of bladetwin is one line and exit status 1."""
+    try:
+        app()
+    except BladetwinError as error:
+        typer.echo(f"bladetwin: {error}", err=True)
+        raise SystemExit(1) from None
+
+
+if __name__ == "__main__":
+    main()

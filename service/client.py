@@ -1,0 +1,198 @@
+"""A small typed client of the REST service, for users' programs and for the demonstration.
+
+>>> with Client("http://127.0.0.1:8000") as twin:                              # doctest: +SKIP
+...     twin.create_rotor("r1", blades=["B01", "B02"])
+...     seq = twin.post_inspections("r1", [{"id": "i1", "blade": "B01", "quantity": "elongation",
+...                                         "time_h": 8000.0, "value": 0.11, "unit": "mm"}])
+...     twin.wait_for("r1", seq)
+...     bands = twin.prediction("r1", "B01", "elongation", times=[24000, 50000])
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import quote
+
+import httpx
+
+Json = dict[str, Any]
+Blade = str | Mapping[str, Any]
+
+
+class ProblemError(Exception):
+    """The service refused: `status`, `problem` (RFC 9457) and its `faults` say why."""
+
+    def __init__(self, response: httpx.Response) -> None:
+        self.status = response.status_code
+        try:
+            self.problem: Json = response.json()
+        except ValueError:
+            self.problem = {"detail": response.text[:500]}
+        self.faults: list[Json] = self.problem.get("faults", [])
+        detail = self.problem.get("detail", "")
+        request = response.request
+        super().__init__(f"{request.method} {request.url.path}: {self.status}: {detail}")
+
+
+class BlockedError(Exception):
+    """The rotor is blocked; `rotor` is its answer with the error and the event named."""
+
+    def __init__(self, rotor: Json) -> None:
+        self.rotor = rotor
+        super().__init__(f"rotor {rotor['id']} is blocked: {rotor['last_error']}")
+
+
+def _path(*parts: str) -> str:
+    return "/v1/" + "/".join(quote(part, safe="") for part in parts)
+
+
+class Client:
+    """Talks to one service. `http` may be given, e.g. the test client of an application."""
+
+    def __init__(
+        self,
+        base_url: str = "http://127.0.0.1:8000",
+        *,
+        timeout: float = 90.0,
+        http: httpx.Client | None = None,
+    ) -> None:
+        self._http = http or httpx.Client(base_url=base_url, timeout=timeout)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._http.close()
+
+    def _call(self, method: str, path: str, **kw: Any) -> Json:
+        response = self._http.request(method, path, **kw)
+        if response.is_error:
+            raise ProblemError(response)
+        answer: Json = response.json()
+        return answer
+
+    def ready(self, patience_s: float = 30.0) -> None:
+        """Return as soon as the service is ready; TimeoutError when it does not become so."""
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            try:
+                if self._http.get("/readyz").status_code == 200:
+                    return
+            except httpx.TransportError:
+                pass
+            time.sleep(0.05)
+        raise TimeoutError(f"{self._http.base_url} was not ready within {patience_s:g} s")
+
+    def models(self) -> list[Json]:
+        items: list[Json] = self._call("GET", "/v1/models")["items"]
+        return items
+
+    def model(self, name: str) -> Json:
+        return self._call("GET", _path("models", name))
+
+    def create_rotor(
+        self,
+        rotor: str,
+        *,
+        blades: Sequence[Blade],
+        model: str = "rotor-blade",
+        particles: int | None = None,
+        seed: int | None = None,
+    ) -> Json:
+        """Create a rotor; a blade is an id or ``{"id", "slot"?, "lot"?, …}``."""
+        listed = [{"id": b} if isinstance(b, str) else dict(b) for b in blades]
+        body: Json = {"id": rotor, "model": model, "blades": listed}
+        body |= {} if particles is None else {"particles": particles}
+        body |= {} if seed is None else {"seed": seed}
+        return self._call("POST", "/v1/rotors", json=body)
+
+    def rotor(self, rotor: str) -> Json:
+        return self._call("GET", _path("rotors", rotor))
+
+    def add_blade(self, rotor: str, blade: Blade) -> int:
+        """Add a blade; the sequence number to wait for."""
+        body = {"id": blade} if isinstance(blade, str) else dict(blade)
+        return int(self._call("POST", _path("rotors", rotor, "blades"), json=body)["head_seq"])
+
+    def retire_blade(self, rotor: str, blade: str) -> int:
+        path = _path("rotors", rotor, "blades", blade, "retirement")
+        return int(self._call("POST", path)["head_seq"])
+
+    def post_inspections(self, rotor: str, inspections: Sequence[Mapping[str, Any]]) -> int:
+        """Post readings, all or nothing; the sequence number to wait for."""
+        body = {"inspections": [dict(one) for one in inspections]}
+        return int(self._call("POST", _path("rotors", rotor, "inspections"), json=body)["head_seq"])
+
+    def retract(self, rotor: str, inspection: str) -> int:
+        path = _path("rotors", rotor, "inspections", inspection, "retraction")
+        return int(self._call("POST", path)["head_seq"])
+
+    def wait_for(self, rotor: str, seq: int, patience_s: float = 120.0) -> Json:
+        """The rotor once everything up to `seq` counts; BlockedError, TimeoutError."""
+        end = time.monotonic() + patience_s
+        while (left := end - time.monotonic()) > 0:
+            answer = self._call(
+                "GET",
+                _path("rotors", rotor),
+                params={"wait_for": seq, "timeout": min(20.0, left)},
+            )
+            if answer["status"] == "blocked":
+                raise BlockedError(answer)
+            if answer["version"] > 0 and answer["applied_seq"] >= seq:
+                return answer
+        raise TimeoutError(f"rotor {rotor}: {seq} was not applied within {patience_s:g} s")
+
+    def wait_sealed(self, rotor: str, patience_s: float = 120.0) -> Json:
+        """The rotor once its newest posterior is sealed."""
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            answer = self.wait_for(rotor, 0, max(0.001, end - time.monotonic()))
+            if answer["posterior"]["sealed"] and answer["status"] == "current":
+                return answer
+            time.sleep(0.05)
+        raise TimeoutError(f"rotor {rotor} was not sealed within {patience_s:g} s")
+
+    def posterior(
+        self, rotor: str, blade: str | None = None, *, version: int | None = None
+    ) -> Json:
+        """The shared parameters' posterior, or one blade's."""
+        parts = ("rotors", rotor) + (() if blade is None else ("blades", blade)) + ("posterior",)
+        params = {} if version is None else {"version": version}
+        return self._call("GET", _path(*parts), params=params)
+
+    def prediction(
+        self,
+        rotor: str,
+        blade: str,
+        quantity: str = "elongation",
+        *,
+        times: Sequence[float] | None = None,
+        node: int | str | None = None,
+        probability: float = 0.95,
+        version: int | None = None,
+    ) -> Json:
+        """Bands of a quantity by source."""
+        params: dict[str, str] = {"quantity": quantity, "probability": repr(probability)}
+        if times is not None:
+            params["times"] = ",".join(repr(float(t)) for t in times)
+        if node is not None:
+            params["node"] = str(node)
+        if version is not None:
+            params["version"] = str(version)
+        return self._call(
+            "GET", _path("rotors", rotor, "blades", blade, "prediction"), params=params
+        )
+
+    def retry(self, rotor: str) -> Json:
+        return self._call("POST", _path("rotors", rotor, "retry"))

@@ -1,0 +1,7 @@
+"""The use cases. Each is one function and one writing transaction; none knows HTTP or SQL.
+
+models.py       registration of a model, jobs
+rotors.py       rotors, their blades, retry
+inspections.py  readings, corrections, retractions, the list of what counts
+reads.py        posterior and prediction, with what they rest on
+"""

@@ -1,0 +1,135 @@
+"""Readings: posted, corrected, retracted, listed.
+
+A batch is all or nothing: every fault of every item is reported, and nothing is stored unless
+there is none. Checking happens before the writing transaction, so that a large batch does not
+keep other writers waiting; blades are only ever added, so a check that passed stays true.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from core.errors import InputError
+from core.observation import Inspection, check
+from service.errors import FaultsError, NotFoundError
+from service.handlers.rotors import digest_of_json
+from service.ports import Appended, Event, Json, NewEvent, Store
+
+SHOWN = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A reading and the name of its place in the request, e.g. ``inspections[3].``."""
+
+    where: str
+    reading: Inspection
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A reading of the log; status ``counts``, ``replaced`` or ``retracted``."""
+
+    seq: int
+    received_at: float
+    status: str
+    body: Json
+
+
+def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list[Appended]:
+    """Append readings to the log; FaultsError lists every fault of every item."""
+    with store.read() as tx:
+        rotor = tx.records.rotor(rotor_id)
+        card = tx.records.model(rotor.model_id, rotor.model_version)
+        blades = {blade.id for blade in tx.records.blades(rotor_id)}
+    faults: list[InputError] = []
+    for item in items:
+        where, reading = item.where, item.reading
+        if reading.blade not in blades:
+            known = ", ".join(sorted(blades)[:SHOWN]) + ("…" if len(blades) > SHOWN else "")
+            faults.append(
+                InputError(
+                    f"{where}blade",
+                    reading.blade,
+                    f"is no blade of rotor {rotor_id}",
+                    f"use one of {known or 'none yet'}, or POST /v1/rotors/{rotor_id}/blades",
+                )
+            )
+        if reading.replaces == reading.id:
+            faults.append(
+                InputError(f"{where}replaces", reading.id, "is the reading itself", "give a new id")
+            )
+        try:
+            check(reading, card.network, card, where)
+        except InputError as error:
+            prefixed = error.what if error.what.startswith(where) else f"{where}{error.what}"
+            faults.append(type(error)(prefixed, error.value, error.problem, error.remedy))
+    if faults:
+        raise FaultsError(faults)
+    events = [_event(item.reading) for item in items]
+    with store.write() as tx:
+        return tx.log.append(rotor_id, events)
+
+
+def _event(reading: Inspection) -> NewEvent:
+    return NewEvent(
+        event_id=reading.id,
+        kind="inspection",
+        body=json.dumps(reading.to_json(), separators=(",", ":")),
+        digest=reading.digest(),
+        replaces=reading.replaces,
+        blade=reading.blade,
+        time_h=float(reading.time_h),
+    )
+
+
+def retract(store: Store, rotor_id: str, inspection_id: str) -> Appended:
+    """As if the reading had never come; frees a rotor that it had blocked."""
+    body, digest = digest_of_json({})
+    event = NewEvent(
+        f"retraction/{inspection_id}", "retraction", body, digest, replaces=inspection_id
+    )
+    with store.write() as tx:
+        tx.log.lock(rotor_id)
+        _find(tx.log.find(rotor_id, inspection_id), rotor_id, inspection_id)
+        answer = tx.log.append(rotor_id, [event])[0]
+        if answer.new:
+            tx.log.free(rotor_id)
+    return answer
+
+
+def _find(event: Event | None, rotor_id: str, inspection_id: str) -> Event:
+    if event is None or event.kind != "inspection":
+        remedy = f"GET /v1/rotors/{rotor_id}/inspections lists those that exist"
+        raise NotFoundError("inspection", inspection_id, remedy)
+    return event
+
+
+def find_inspection(store: Store, rotor_id: str, inspection_id: str) -> Listed:
+    """One reading with all its values."""
+    with store.read() as tx:
+        tx.records.rotor(rotor_id)
+        event = _find(tx.log.find(rotor_id, inspection_id), rotor_id, inspection_id)
+        overruling = tx.log.overruled(rotor_id, [inspection_id])
+    return _listed([event], overruling)[0]
+
+
+def list_inspections(store: Store, rotor_id: str, after: int, limit: int) -> list[Listed]:
+    """Readings in the order of their arrival, after a sequence number."""
+    with store.read() as tx:
+        tx.records.rotor(rotor_id)
+        events = tx.log.page(rotor_id, "inspection", after, limit)
+        overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
+    return _listed(events, overruling)
+
+
+def _listed(events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed]:
+    gone = {e.replaces for e in overruling if e.kind == "retraction"}
+    replaced = {e.replaces for e in overruling if e.kind == "inspection" and e.event_id not in gone}
+
+    def status(event_id: str) -> str:
+        return "retracted" if event_id in gone else "replaced" if event_id in replaced else "counts"
+
+    return [Listed(e.seq, e.received_at, status(e.event_id), json.loads(e.body)) for e in events]

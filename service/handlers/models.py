@@ -1,0 +1,50 @@
+"""Models and jobs."""
+
+from __future__ import annotations
+
+import os
+
+from core.errors import InputError
+from service.errors import NotFoundError
+from service.ports import JobRecord, ModelCard, Science, Store
+
+
+def request_builtin(store: Store, science: Science, name: str) -> JobRecord:
+    """A job that registers a built-in model."""
+    if name not in science.builtins:
+        known = " or ".join(science.builtins)
+        raise InputError("builtin", name, "is no built-in model", f"use {known}")
+    with store.write() as tx:
+        return tx.records.put_job(os.urandom(8).hex(), "register-model", {"builtin": name})
+
+
+def register_builtins(store: Store, science: Science) -> None:
+    """Make every built-in model known; what is known already stays as it is."""
+    for name in science.builtins:
+        card = science.builtin(name)
+        with store.read() as tx:
+            try:
+                known = tx.records.model(card.id, card.version).version == card.version
+            except NotFoundError:
+                known = False
+        if not known:
+            with store.write() as tx:
+                tx.records.put_model(card, {"builtin": name})
+
+
+def find_job(store: Store, job_id: str) -> JobRecord:
+    """The job and how far it is."""
+    with store.read() as tx:
+        return tx.records.job(job_id)
+
+
+def find_model(store: Store, model_id: str) -> ModelCard:
+    """The newest version of a model."""
+    with store.read() as tx:
+        return tx.records.model(model_id)
+
+
+def list_models(store: Store, after: str, limit: int) -> list[ModelCard]:
+    """Models in the order of their names, after one name."""
+    with store.read() as tx:
+        return tx.records.models(after, limit)

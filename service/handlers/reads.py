@@ -1,0 +1,190 @@
+"""Posterior and prediction, each with everything that it rests on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from core.errors import InputError, RangeError
+from service.errors import FaultsError, NotFoundError
+from service.ports import Draws, Json, ModelCard, Prediction, Science, StateRecord, Store
+
+LEVELS = (0.025, 0.05, 0.16, 0.5, 0.84, 0.95, 0.975)
+MOST_TIMES = 2000
+DEFAULT_NODE = {"field": "critical", "vector": "tip"}
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """A version of a rotor's posterior and the model that it rests on."""
+
+    state: StateRecord
+    card: ModelCard
+
+    def to_json(self) -> Json:
+        state = self.state
+        return {
+            "rotor": state.rotor_id,
+            "version": state.version,
+            "through_seq": state.through_seq,
+            "events_digest": state.events_digest,
+            "state_digest": state.digest,
+            "sealed": state.sealed,
+            "model": self.card.id,
+            "model_version": self.card.version,
+            "model_digest": self.card.digest,
+            "algorithm_version": state.algorithm_version,
+        }
+
+
+def basis(store: Store, rotor_id: str, version: int | None, blade: str | None = None) -> Basis:
+    """The newest version, or the one asked for; the blade, if named, must exist."""
+    with store.read() as tx:
+        rotor = tx.records.rotor(rotor_id)
+        if blade is not None and all(b.id != blade for b in tx.records.blades(rotor_id)):
+            raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
+        state = tx.states.get(rotor_id, version)
+        return Basis(state, tx.records.model(rotor.model_id, state.model_version))
+
+
+def posterior(store: Store, science: Science, found: Basis, blade: str | None) -> Json:
+    """Mean, sd, quantiles, correlations and ESS of the shared or of one blade's parameters."""
+    state = found.state
+    get = store.arrays(state.rotor_id, state.version)
+    if blade is None:
+        draws = science.shared_draws(state.meta, get)
+    else:
+        draws = science.blade_draws(state.meta, get, blade)
+    return summary(draws) | {"health": state.meta["health"]}
+
+
+def summary(draws: Draws) -> Json:
+    """Weighted moments and quantiles of draws.
+
+    >>> import numpy as np
+    >>> two = Draws(("a",), np.array([[1.0], [3.0]]), np.log([0.75, 0.25]))
+    >>> summary(two)["parameters"]["a"]["mean"], round(summary(two)["ess"], 3)
+    (1.5, 1.6)
+    """
+    w = np.exp(draws.log_w - draws.log_w.max())
+    w /= w.sum()
+    mean = w @ draws.values
+    centred = draws.values - mean
+    covariance = (centred * w[:, None]).T @ centred
+    sd = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.nan_to_num(covariance / np.outer(sd, sd))
+    np.fill_diagonal(correlation, 1.0)
+    parameters: dict[str, Any] = {}
+    for i, name in enumerate(draws.names):
+        order = np.argsort(draws.values[:, i], kind="stable")
+        reached = np.cumsum(w[order])
+        at = np.minimum(np.searchsorted(reached, LEVELS), len(order) - 1)
+        values = draws.values[order[at], i]
+        parameters[name] = {
+            "mean": float(mean[i]),
+            "sd": float(sd[i]),
+            "quantiles": {str(p): float(v) for p, v in zip(LEVELS, values, strict=True)},
+        }
+    return {
+        "parameters": parameters,
+        "names": list(draws.names),
+        "correlation": correlation.tolist(),
+        "ess": float(1.0 / (w @ w)),
+        "draws": len(w),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a prediction is asked for, checked against the model."""
+
+    quantity: str
+    times: tuple[float, ...]
+    node: int | None
+    probability: float
+
+
+def question(
+    card: ModelCard,
+    quantity: str,
+    times: Sequence[float] | None,
+    node: str | None,
+    probability: float,
+) -> Question:
+    """Check a question; FaultsError names each parameter, its value and the remedy."""
+    faults: list[InputError] = []
+    output = card.outputs.get(quantity)
+    if output is None:
+        known = ", ".join(sorted(card.outputs))
+        raise FaultsError(
+            [InputError("quantity", quantity, "is not predicted by the model", f"use {known}")]
+        )
+    asked = card.time_h if times is None else tuple(times)
+    if not 1 <= len(asked) <= MOST_TIMES:
+        remedy = f"ask for 1 … {MOST_TIMES} times at once"
+        faults.append(RangeError("times", len(asked), "is not a number of times", remedy))
+    outside = [t for t in asked if not (math.isfinite(t) and 0 <= t <= card.horizon_h)]
+    if outside:
+        problem = f"lies outside 0 … {card.horizon_h:g} h, which the model covers"
+        faults.append(RangeError("times", outside[0], problem, "ask for hours inside"))
+    if not 0 < probability < 1:
+        remedy = "give a fraction between 0 and 1, e.g. 0.95"
+        faults.append(RangeError("probability", probability, "is no probability", remedy))
+    number = None
+    try:
+        number = _node(card, output.kind, node)
+    except InputError as error:
+        faults.append(error)
+    if faults:
+        raise FaultsError(faults)
+    return Question(quantity, asked, number, probability)
+
+
+def _node(card: ModelCard, kind: str, node: str | None) -> int | None:
+    if kind == "scalar":
+        if node is not None:
+            raise InputError("node", node, "belongs to no scalar quantity", "leave it out")
+        return None
+    name = DEFAULT_NODE[kind] if node is None else node
+    named = ", ".join(sorted(card.nodes))
+    remedy = f"use 0 … {card.node_count - 1}, or one of {named}"
+    if name in card.nodes:
+        return card.nodes[name]
+    digits = name.isascii() and name.isdigit() and len(name) <= 9
+    if not digits or int(name) >= card.node_count:
+        raise RangeError("node", name, "does not exist in the model's mesh", remedy)
+    return int(name)
+
+
+def predict(store: Store, science: Science, found: Basis, blade: str, asked: Question) -> Json:
+    """Bands by source, as plain lists."""
+    state = found.state
+    get = store.arrays(state.rotor_id, state.version)
+    bands: Prediction = science.predict(
+        found.card,
+        state.meta,
+        get,
+        blade,
+        asked.quantity,
+        asked.times,
+        asked.node,
+        asked.probability,
+    )
+    return {
+        "blade": blade,
+        "quantity": asked.quantity,
+        "unit": found.card.outputs[asked.quantity].unit,
+        "node": asked.node,
+        "probability": asked.probability,
+        "time_h": np.asarray(bands.time_h).tolist(),
+        "mean": np.asarray(bands.mean).tolist(),
+        "sd": {name: np.asarray(part).tolist() for name, part in bands.sd.items()},
+        "lower": np.asarray(bands.lower).tolist(),
+        "upper": np.asarray(bands.upper).tolist(),
+        "quantiles": {str(p): np.asarray(q).tolist() for p, q in bands.quantiles.items()},
+    }

@@ -1,0 +1,136 @@
+"""Rotors and their blades."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+
+from core.errors import InputError
+from service.errors import ConflictError, FaultsError, NotFoundError
+from service.ports import (
+    Appended,
+    BladeRecord,
+    ModelCard,
+    NewEvent,
+    RotorRecord,
+    StateRecord,
+    Store,
+    Transaction,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RotorView:
+    """A rotor as it stands: place in the log, blades and the newest posterior's record."""
+
+    rotor: RotorRecord
+    blades: tuple[BladeRecord, ...]
+    state: StateRecord | None
+
+    def has_applied(self, seq: int) -> bool:
+        """Every entry up to `seq` counts in the newest posterior."""
+        return self.rotor.version > 0 and self.rotor.applied_seq >= seq
+
+
+def digest_of_json(data: object) -> tuple[str, str]:
+    """A body as canonical JSON, and its SHA-256."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
+    return text, sha256(text.encode()).hexdigest()
+
+
+def create_rotor(
+    store: Store,
+    rotor_id: str,
+    model_id: str,
+    blades: Sequence[BladeRecord],
+    particles: int,
+    seed: int,
+) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool]:
+    """A new rotor, or the one that is there with the same content; whether it is new."""
+    names = [blade.id for blade in blades]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        fault = InputError("blades", twice, "are named twice", "give each blade its own id")
+        raise FaultsError([fault])
+    ordered = tuple(sorted(blades, key=lambda blade: blade.id))
+    body = [rotor_id, model_id, [asdict(b) for b in ordered], particles, seed]
+    digest = digest_of_json(body)[1]
+    with store.write() as tx:
+        try:
+            card: ModelCard = tx.records.model(model_id)
+        except NotFoundError as error:
+            fault = InputError("model", model_id, "is not registered", error.remedy)
+            raise FaultsError([fault]) from None
+        rotor = RotorRecord(
+            rotor_id,
+            model_id,
+            card.version,
+            particles,
+            seed,
+            head_seq=0,
+            digest=digest,
+            created_at=0.0,
+        )
+        new = tx.records.put_rotor(rotor, ordered)
+        stored = tx.records.rotor(rotor_id)
+    if not new and stored.digest != digest:
+        raise ConflictError("rotor", rotor_id, "choose a new id")
+    return stored, ordered, new
+
+
+def view_rotor(store: Store, rotor_id: str) -> RotorView:
+    """The rotor as it stands."""
+    with store.read() as tx:
+        rotor = tx.records.rotor(rotor_id)
+        blades = tuple(tx.records.blades(rotor_id))
+        state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
+    return RotorView(rotor, blades, state)
+
+
+def list_rotors(store: Store, after: str, limit: int) -> list[RotorRecord]:
+    """Rotors in the order of their names, after one name."""
+    with store.read() as tx:
+        return tx.records.rotors(after, limit)
+
+
+def retry(store: Store, rotor_id: str) -> RotorRecord:
+    """Let a blocked rotor be tried again."""
+    with store.write() as tx:
+        tx.log.free(rotor_id)
+        return tx.records.rotor(rotor_id)
+
+
+def _blade(tx: Transaction, rotor_id: str, blade_id: str) -> BladeRecord | None:
+    return next((b for b in tx.records.blades(rotor_id) if b.id == blade_id), None)
+
+
+def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
+    """A blade joins the rotor; its prior is what the rotor knows."""
+    body, digest = digest_of_json(asdict(blade))
+    event = NewEvent(f"blade/{blade.id}", "blade", body, digest, blade=blade.id)
+    with store.write() as tx:
+        tx.log.lock(rotor_id)
+        there = _blade(tx, rotor_id, blade.id)
+        if there is not None and there.added_seq == 0:
+            if replace(there, retired_seq=None) != blade:
+                raise ConflictError("blade", blade.id, "choose a new id for the new blade")
+            return Appended(event.event_id, 0, False)
+        answer = tx.log.append(rotor_id, [event])[0]
+        if answer.new:
+            tx.records.put_blade(rotor_id, replace(blade, added_seq=answer.seq))
+    return answer
+
+
+def retire_blade(store: Store, rotor_id: str, blade_id: str) -> Appended:
+    """A blade leaves the rotor; what it told of the rotor stays."""
+    event = NewEvent(f"retirement/{blade_id}", "retirement", *digest_of_json({}), blade=blade_id)
+    with store.write() as tx:
+        tx.log.lock(rotor_id)
+        if _blade(tx, rotor_id, blade_id) is None:
+            raise NotFoundError("blade", blade_id, f"GET /v1/rotors/{rotor_id} lists the blades")
+        answer = tx.log.append(rotor_id, [event])[0]
+        if answer.new:
+            tx.records.retire_blade(rotor_id, blade_id, answer.seq)
+    return answer

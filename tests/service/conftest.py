@@ -1,0 +1,140 @@
+"""A wired service over either database, with the exact twin as its science."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+import uvicorn
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from core.observation import Inspection
+from service.bootstrap import make_app, make_worker
+from service.fake import FakeScience
+from service.handlers.inspections import Item, post_inspections
+from service.handlers.models import register_builtins
+from service.handlers.rotors import create_rotor
+from service.ports import BladeRecord
+from service.settings import Settings
+from service.store.engine import open_engine
+from service.store.unit_of_work import SqlStore
+from service.worker.loop import Worker
+
+
+@pytest.fixture
+def settings(database_url: str) -> Settings:
+    return Settings(database_url=database_url, science="fake", lease_s=30.0, retry_base_s=0.0)
+
+
+@pytest.fixture
+def science() -> FakeScience:
+    return FakeScience()
+
+
+@pytest.fixture
+def store(settings: Settings, science: FakeScience) -> Iterator[SqlStore]:
+    opened = SqlStore(open_engine(settings.database_url))
+    register_builtins(opened, science)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def worker(store: SqlStore, science: FakeScience, settings: Settings) -> Worker:
+    return make_worker(store, science, settings, "worker-1")
+
+
+class Switch:
+    """One HTTP server for all tests; `app` is the application of the present test."""
+
+    app: ASGIApp
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await self.app(scope, receive, send)
+
+
+class RunningServer:
+    """uvicorn on a free port of the loopback, in a thread of its own."""
+
+    def __init__(self) -> None:
+        self.switch = Switch()
+        config = uvicorn.Config(
+            self.switch, host="127.0.0.1", port=0, lifespan="off", log_config=None
+        )
+        self.server = uvicorn.Server(config)
+        self.loop = asyncio.new_event_loop()
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+        while not self.server.started:
+            time.sleep(0.005)
+        self.port = self.server.servers[0].sockets[0].getsockname()[1]
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self.loop)
+        self.loop.run_until_complete(self.server.serve())
+        self.loop.close()
+
+    def do(self, coroutine: Any) -> Any:
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result()
+
+    def stop(self) -> None:
+        self.server.should_exit = True
+        self.thread.join()
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[RunningServer]:
+    running = RunningServer()
+    yield running
+    running.stop()
+
+
+@pytest.fixture
+def api(
+    store: SqlStore, science: FakeScience, settings: Settings, server: RunningServer
+) -> Iterator[httpx.Client]:
+    """A client of the whole application, over a real connection."""
+    app = make_app(store, science, settings)
+    lifespan = app.router.lifespan_context(app)
+    server.switch.app = app
+    server.do(lifespan.__aenter__())
+    with httpx.Client(base_url=f"http://127.0.0.1:{server.port}", timeout=60) as client:
+        yield client
+    server.do(lifespan.__aexit__(None, None, None))
+
+
+@pytest.fixture
+def rotor(store: SqlStore) -> str:
+    """A rotor with three blades."""
+    blades = [BladeRecord(name) for name in ("B1", "B2", "B3")]
+    create_rotor(store, "r1", "rotor-blade", blades, 64, 7)
+    return "r1"
+
+
+@pytest.fixture
+def reading() -> Callable[..., Inspection]:
+    """A reading of elongation; what is given replaces the default."""
+
+    def make(name: str, **given: Any) -> Inspection:
+        value = given.pop("value", 0.11)
+        fields = {"blade": "B1", "quantity": "elongation", "time_h": 8000.0} | given
+        return Inspection(id=name, values=np.array([value]), **fields)
+
+    return make
+
+
+@pytest.fixture
+def post(store: SqlStore) -> Callable[..., int]:
+    """Append readings to a rotor's log; the last sequence number."""
+
+    def append(rotor_id: str, *readings: Inspection) -> int:
+        answers = post_inspections(store, rotor_id, [Item("", one) for one in readings])
+        return max(answer.seq for answer in answers)
+
+    return append
