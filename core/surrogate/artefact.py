@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from core.archive import Input, Quantity
 from core.errors import ModelError
 from core.surrogate.kernel import Hyper, SharedGP
-from core.surrogate.model import Part, Surrogate
+from core.surrogate.model import Surrogate
+from core.surrogate.part import Part
 from core.surrogate.tucker import Factors
 
 SCHEMA = 1

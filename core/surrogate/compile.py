@@ -4,22 +4,31 @@ Every row of every part is linear in the coefficients c(z), so it is enough to f
 total degree p to those once: P (J, M) by least squares at points with the density of Chebyshev
 nodes in [-1, 1]^d (Sobol numbers u, z = -cos(pi u)), which keeps the error even up to the edge
 of the box. A row then costs one small product, D P. Points, not randomness: nothing is seeded.
+`Compiled` puts rows together in the three forms of `core.response.Response`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import qmc
 
-from core.response import monomials, multi_indices
+from core.response import Response, monomials, multi_indices
 from core.surrogate.kernel import SharedGP
+from core.surrogate.part import Part, Rows
+from core.surrogate.targets import DEFORMATION, ELASTIC, MEAN_CEEQ, invert
+
+if TYPE_CHECKING:
+    from core.surrogate.model import Surrogate
 
 Array = NDArray[np.float64]
 OVERSAMPLING = 12
+ONE = np.zeros(1, dtype=np.int64)
+TINY_H = 1e-30  # stands for t = 0 in a logarithm
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,3 +78,77 @@ class Compiler:
         out = np.asarray(forms.T @ self.polynomials[columns])
         out[:, 0] += offset
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class Compiled:
+    """Responses of a surrogate at times (T,)."""
+
+    model: Surrogate
+    compiler: Compiler
+    time: Array
+
+    def _scale(self, part: Part, rows: Rows, time: Array | None = None) -> Array:
+        return part.scale(self.time if time is None else time, rows, self.model.v_typical)
+
+    def _response(self, a: Array, b: Array, ka: Array, kb: Array) -> Response:
+        model, made = self.model, self.compiler
+        names = tuple(item.name for item in model.inputs)
+        return Response(names, model.low, model.high, made.degree, a, b, ka, kb, made.log_v)
+
+    def direct(self, part: Part, rows: Rows) -> Response:
+        """A part that is the quantity itself or its logarithm."""
+        g0, d = part.forms(self.time, rows)
+        k = self._scale(part, rows).ravel()
+        if part.form == "log rate":
+            g0 = g0 + np.log(np.maximum(self.time, TINY_H))[:, None]
+        g = self.compiler.linear(g0.ravel(), d.reshape(len(d), -1), part.columns)
+        none = np.zeros_like(k)
+        if part.form == "raw":
+            return self._response(g, np.zeros_like(g), k, none)
+        return self._response(self.compiler.constant(np.ones(len(g))), g, none, k)
+
+    def per_ceeq(self, part: Part, rows: Rows) -> Response:
+        """A part times mean CEEQ."""
+        g0, d = part.forms(self.time, rows)
+        a = self.compiler.linear(g0.ravel(), d.reshape(len(d), -1), part.columns)
+        return self._times_ceeq(a, self._scale(part, rows).ravel())
+
+    def _times_ceeq(self, a: Array, ka: Array) -> Response:
+        part, width = self.model.parts[MEAN_CEEQ], len(a) // len(self.time)
+        g0, d = part.forms(self.time, ONE)
+        logs = g0[:, 0] + np.log(np.maximum(self.time, TINY_H))
+        b = self.compiler.linear(logs, d[:, :, 0], part.columns)
+        kb = self._scale(part, ONE)[:, 0]
+        return self._response(a, np.repeat(b, width, axis=0), ka, np.repeat(kb, width))
+
+    def modes(self, mixing: Array) -> Response:
+        """Mixtures T (Q, B) of the deformation's modes times mean CEEQ, at one time."""
+        part = self.model.parts[DEFORMATION]
+        rows = part.factors.modes(self.time)[:, 0] @ mixing.T
+        a = self.compiler.linear(rows[0], rows[1:], part.columns)
+        covariance = part.mode_covariance(self.time)[0]
+        ka = np.sqrt(np.einsum("qb,bc,qc->q", mixing, covariance, mixing))
+        return self._times_ceeq(a, ka)
+
+    def hot(self, rows: Rows) -> Response:
+        """Displacement u0 + E g as a exp(b), b = log(E0 + E); E0 is a middle E at the horizon.
+
+        E spans decades over the box, 1/E and so u0/E would not be polynomials; u0/(E0 + E) is.
+        """
+        model, made, time, start = self.model, self.compiler, self.time, self.time[:1]
+        elastic, part, scale = (model.parts[n] for n in (ELASTIC, DEFORMATION, MEAN_CEEQ))
+        clock = np.append(time, model.horizon_h)
+        logs = scale.factors.decode(made.samples[:, scale.columns], clock, ONE)
+        every = invert(scale.form, logs, clock)
+        ceeq, middle = every[:, :-1], float(np.exp(np.mean(np.log(every[:, -1]))))
+        g = part.factors.decode(made.samples[:, part.columns], time, rows)
+        u0 = elastic.factors.decode(made.samples[:, elastic.columns], start, rows)
+        a = made.fit(((u0 + ceeq * g) / (middle + ceeq)).reshape(len(g), -1))
+        b = np.repeat(made.fit(np.log(middle + ceeq[:, :, 0])), len(rows), axis=0)
+        share = np.mean(ceeq / (middle + ceeq), axis=0)
+        ka = self._scale(part, rows) * share
+        k0 = self._scale(elastic, rows, start) * np.mean(1 / (middle + ceeq), axis=0)
+        kb = self._scale(scale, ONE) * np.abs(share * np.mean(g, axis=0))
+        ka = np.sqrt(ka**2 + k0**2 + kb**2).ravel()
+        return self._response(a, b, ka, np.zeros_like(ka))

