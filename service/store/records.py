@@ -27,7 +27,7 @@ def insert_new(connection: Connection, table: Any, values: Json) -> bool:
     """Insert a row unless its key is there; whether it was inserted."""
     dialect = sqlite if connection.dialect.name == "sqlite" else postgresql
     statement = dialect.insert(table).values(values).on_conflict_do_nothing()
-    return connection.execute(statement).rowcount == 1
+    return connection.execute(statement.returning(table.c.id)).first() is not None
 
 
 class SqlRecords:

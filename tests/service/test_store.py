@@ -1,0 +1,172 @@
+"""The log, versions of states and their encoding, on both databases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sqlalchemy import func, select, text
+
+from core.errors import InputError, ModelError
+from core.observation import Inspection
+from service.errors import ConflictError, GoneError, NotFoundError, NotYetError
+from service.handlers.inspections import list_inspections, retract
+from service.ports import StateRecord
+from service.store import tables as t
+from service.store.encoding import DamagedArrayError, decode, encode
+from service.store.engine import open_engine, transaction
+from service.store.states import ArrayCache, digests, thin, write_state
+from service.store.unit_of_work import SqlStore
+
+Make = Callable[..., Inspection]
+Post = Callable[..., int]
+
+
+@pytest.mark.parametrize("shape", [(), (0,), (5,), (4, 3), (2, 3, 4)])
+@pytest.mark.parametrize("dtype", ["<f8", "<f4", "<i8", "|b1"])
+def test_an_array_comes_back_bit_for_bit_and_read_only(shape: tuple[int, ...], dtype: str) -> None:
+    array = (np.arange(np.prod(shape, dtype=int)) % 2 + 0.3).astype(dtype).reshape(shape)
+    back = decode("a", encode(array))
+    assert back.dtype == array.dtype
+    assert back.shape == array.shape
+    assert back.tobytes() == array.tobytes()
+    assert not back.flags.writeable
+
+
+def test_a_flipped_bit_is_noticed_and_the_array_named() -> None:
+    stored = encode(np.array([1.5, 2.5]))
+    damaged = replace(stored, data=stored.data[:-1] + bytes([stored.data[-1] ^ 1]))
+    with pytest.raises(DamagedArrayError, match="column/B1"):
+        decode("column/B1", damaged)
+
+
+def test_an_array_of_another_shape_than_declared_is_refused() -> None:
+    with pytest.raises(DamagedArrayError, match="3"):
+        decode("a", replace(encode(np.zeros(3)), shape="4"))
+
+
+def test_objects_are_never_stored() -> None:
+    with pytest.raises(ModelError, match="object"):
+        encode(np.array([{"a": 1}], dtype=object))
+
+
+@pytest.mark.parametrize("url", ["mysql://h/x", "sqlite://", "sqlite:///:memory:", "nonsense"])
+def test_a_database_of_another_kind_is_refused(url: str) -> None:
+    with pytest.raises(InputError, match="BLADETWIN_DATABASE_URL"):
+        open_engine(url)
+
+
+def test_sequence_numbers_start_at_one_and_have_no_gap(
+    store: SqlStore, rotor: str, reading: Make, post: Post
+) -> None:
+    assert post(rotor, reading("a"), reading("b")) == 2
+    assert post(rotor, reading("c")) == 3
+    with store.read() as tx:
+        assert [e.seq for e in tx.log.page(rotor, "inspection", 0, 10)] == [1, 2, 3]
+        assert tx.records.rotor(rotor).head_seq == 3
+
+
+def test_the_same_reading_keeps_its_first_place(rotor: str, reading: Make, post: Post) -> None:
+    post(rotor, reading("a"), reading("b"))
+    assert post(rotor, reading("a")) == 1
+    assert post(rotor, reading("c"), reading("b")) == 3
+
+
+def test_another_reading_of_the_same_id_stores_nothing_of_its_batch(
+    store: SqlStore, rotor: str, reading: Make, post: Post
+) -> None:
+    post(rotor, reading("a", value=0.11))
+    with pytest.raises(ConflictError) as caught:
+        post(rotor, reading("new"), reading("a", value=0.12))
+    assert caught.value.name == "a"
+    with store.read() as tx:
+        assert tx.records.rotor(rotor).head_seq == 1
+        assert tx.log.find(rotor, "new") is None
+
+
+def test_the_list_says_which_readings_count(
+    store: SqlStore, rotor: str, reading: Make, post: Post
+) -> None:
+    post(rotor, reading("a"), reading("b", replaces="a", value=0.12), reading("c"))
+    post(rotor, reading("d", replaces="c"))
+    retract(store, rotor, "d")
+    status = {one.body["id"]: one.status for one in list_inspections(store, rotor, 0, 10)}
+    assert status == {"a": "replaced", "b": "counts", "c": "counts", "d": "retracted"}
+
+
+def _write(store: SqlStore, version: int, **arrays: float | None) -> None:
+    changed = {
+        name: None if value is None else encode(np.array([value])) for name, value in arrays.items()
+    }
+    record = StateRecord(
+        "r1", version, version, "rotor-blade", "1", "a-1", True, "d", "e", {"v": version}, 0.0
+    )
+    with store.write() as tx:
+        write_state(tx.connection, record, changed)
+        tx.connection.execute(t.cursor.update().values(version=version))
+
+
+def test_a_version_is_read_with_the_arrays_that_it_had(store: SqlStore, rotor: str) -> None:
+    _write(store, 1, a=1.5, b=10.5)
+    _write(store, 2, a=2.5)
+    _write(store, 3, b=None)
+    assert [float(store.arrays(rotor, v)("a")[0]) for v in (1, 2, 3)] == [1.5, 2.5, 2.5]
+    assert float(store.arrays(rotor, 2)("b")[0]) == 10.5
+    with pytest.raises(ModelError, match="no array 'b'"):
+        store.arrays(rotor, 3)("b")
+    with store.read() as tx:
+        assert set(digests(tx.connection, rotor)) == {"a"}
+        assert tx.states.get(rotor).meta == {"v": 3}
+        assert tx.states.get(rotor, 1).version == 1
+
+
+def test_thinning_keeps_new_versions_checkpoints_and_all_that_they_need(
+    store: SqlStore, rotor: str
+) -> None:
+    for version in range(1, 13):
+        changed = {"always": float(version)} | ({"once": 7.5} if version == 2 else {})
+        _write(store, version, **changed)
+    with store.write() as tx:
+        thin(tx.connection, rotor, newest=12, keep=3, every=4)
+        kept = tx.connection.execute(select(t.state.c.version).order_by(t.state.c.version))
+        assert list(kept.scalars()) == [4, 8, 10, 11, 12]
+        rows = (
+            select(func.count()).select_from(t.state_array).where(t.state_array.c.name == "always")
+        )
+        assert tx.connection.execute(rows).scalar() == 5
+    fresh = SqlStore(store.engine)
+    for version in (4, 8, 10, 11, 12):
+        assert float(fresh.arrays(rotor, version)("always")[0]) == version
+        assert float(fresh.arrays(rotor, version)("once")[0]) == 7.5
+    with store.read() as tx, pytest.raises(GoneError):
+        tx.states.get(rotor, 5)
+    with store.read() as tx, pytest.raises(NotFoundError):
+        tx.states.get(rotor, 13)
+
+
+def test_a_rotor_without_posterior_says_what_to_wait_for(store: SqlStore, rotor: str) -> None:
+    with store.read() as tx, pytest.raises(NotYetError, match="wait_for=0"):
+        tx.states.get(rotor)
+
+
+def test_a_damaged_row_is_named_and_not_used(store: SqlStore, rotor: str) -> None:
+    _write(store, 1, a=1.5)
+    with transaction(store.engine, write=True) as connection:
+        connection.execute(text("UPDATE state_array SET sha256 = 'other'"))
+    with pytest.raises(DamagedArrayError, match="array a"):
+        store.arrays(rotor, 1)("a")
+
+
+def test_the_cache_holds_no_more_than_its_limit_and_drops_the_oldest() -> None:
+    cache = ArrayCache(limit_mb=2 * 80 / 2**20)
+    arrays = [np.full(10, float(i)) for i in range(3)]
+    for i, array in enumerate(arrays):
+        cache.put(("r", 1, str(i)), array)
+        cache.get(("r", 1, "0"))
+    assert cache.get(("r", 1, "0")) is arrays[0]
+    assert cache.get(("r", 1, "1")) is None
+    assert cache.get(("r", 1, "2")) is arrays[2]
+    cache.put(("r", 1, "big"), np.zeros(1000))
+    assert cache.get(("r", 1, "big")) is None

@@ -1,0 +1,278 @@
+"""Updates: exact posteriors, any order of arrival, provisional states, blocked rotors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from sqlalchemy import select
+
+from core.errors import CalibrationError
+from core.observation import Inspection
+from service.bootstrap import make_worker
+from service.errors import FaultsError
+from service.fake import FakeScience, FakeState
+from service.handlers.inspections import retract
+from service.handlers.rotors import add_blade, create_rotor, retire_blade, retry, view_rotor
+from service.ports import BladeRecord, ModelCard, RotorSpec
+from service.settings import Settings
+from service.store import tables as t
+from service.store.unit_of_work import SqlStore
+from service.worker.loop import Worker
+
+Make = Callable[..., Inspection]
+Post = Callable[..., int]
+
+
+def test_the_posterior_is_the_conjugate_one(
+    store: SqlStore, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    post(rotor, reading("a", time_h=25_000.0, value=0.45, sigma=0.05))
+    worker.drain()
+    view = view_rotor(store, rotor)
+    assert view.state is not None
+    get = store.arrays(rotor, view.rotor.version)
+    # One reading y = r h at h = 1/2: r has variance (0.05/h)², and m adds the scatter 0.2².
+    other = 0.1**2 + 0.2**2 + 0.1**2
+    mean = 0.5 + 0.1**2 / other * (0.9 - 0.5)
+    assert get("shared/moments") == pytest.approx([mean, 0.1**2 * (1 - 0.1**2 / other)], rel=1e-12)
+    assert (view.rotor.applied_seq, view.state.through_seq, view.state.sealed) == (1, 1, True)
+
+
+def test_a_rotor_without_reading_gets_its_prior(
+    store: SqlStore, worker: Worker, rotor: str
+) -> None:
+    worker.drain()
+    assert view_rotor(store, rotor).has_applied(0)
+    assert store.arrays(rotor, 1)("shared/moments") == pytest.approx([0.5, 0.01], rel=1e-12)
+
+
+def test_every_order_of_arrival_with_corrections_and_retractions_gives_the_same_state(
+    store: SqlStore, science: FakeScience, settings: Settings, reading: Make, post: Post
+) -> None:
+    blades = [BladeRecord(name) for name in ("B1", "B2")]
+    readings = [
+        reading("a", time_h=8000.0, value=0.13),
+        reading("b", time_h=16000.0, value=0.21, blade="B2"),
+        reading("c", time_h=4000.0, value=0.07),
+        reading("d", time_h=16000.0, value=0.25, blade="B2", replaces="b"),
+        reading("wrong", time_h=2000.0, value=3.0),
+    ]
+    digests = set()
+    for order in ([0, 1, 2, 3, 4], [4, 3, 2, 1, 0], [3, 0, 4, 1, 2]):
+        name = "r" + "".join(map(str, order))
+        create_rotor(store, name, "rotor-blade", blades, 64, 7)
+        one_by_one = make_worker(store, science, settings, name)
+        for i in order:
+            post(name, readings[i])
+            one_by_one.drain()
+        retract(store, name, "wrong")
+        one_by_one.drain()
+        state = view_rotor(store, name).state
+        assert state is not None
+        digests.add((state.digest, state.events_digest))
+    assert len(digests) == 1
+    create_rotor(store, "without", "rotor-blade", blades, 64, 7)
+    post("without", readings[0], readings[2], readings[3])
+    make_worker(store, science, settings).drain()
+    state = view_rotor(store, "without").state
+    assert state is not None
+    assert {(state.digest, state.events_digest)} == digests
+
+
+def test_all_pending_entries_become_one_version(
+    store: SqlStore, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    worker.drain()
+    for i in range(30):
+        post(rotor, reading(f"i{i}", time_h=1000.0 + i))
+    worker.drain()
+    view = view_rotor(store, rotor)
+    assert (view.rotor.version, view.rotor.applied_seq) == (2, 30)
+
+
+def test_only_arrays_that_changed_are_written(
+    store: SqlStore, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    worker.drain()
+    post(rotor, reading("a", blade="B2"))
+    worker.drain()
+    query = select(t.state_array.c.name).where(t.state_array.c.version == 2)
+    with store.read() as tx:
+        written = set(tx.connection.execute(query).scalars())
+    assert written == {"column/B2", "shared/moments"}
+    again = make_worker(store, FakeScience(), worker.settings, "restarted")
+    post(rotor, reading("b", blade="B3"))
+    again.drain()
+    query = select(t.state_array.c.name).where(t.state_array.c.version == 3)
+    with store.read() as tx:
+        written = set(tx.connection.execute(query).scalars())
+    assert written == {"column/B3", "shared/moments"}
+
+
+def test_a_provisional_state_is_shown_as_such_and_then_sealed(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    worker = make_worker(store, FakeScience(provisional=True), settings)
+    post(rotor, reading("a"))
+    seen = []
+    while worker.updater.run_once():
+        view = view_rotor(store, rotor)
+        assert view.state is not None
+        seen.append((view.rotor.version, view.state.sealed, view.rotor.applied_seq))
+    assert seen == [(1, False, 1), (2, True, 1)]
+
+
+def test_a_new_blade_is_in_the_next_posterior_and_a_retired_one_stays(
+    store: SqlStore, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    post(rotor, reading("a", blade="B1", value=0.2))
+    with pytest.raises(FaultsError, match="B4"):
+        post(rotor, reading("b", blade="B4"))
+    assert add_blade(store, rotor, BladeRecord("B4", lot="L2")).seq == 2
+    assert retire_blade(store, rotor, "B1").seq == 3
+    post(rotor, reading("b", blade="B4"))
+    worker.drain()
+    view = view_rotor(store, rotor)
+    assert view.state is not None
+    assert view.state.meta["blades"] == ["B1", "B2", "B3", "B4"]
+    assert store.arrays(rotor, view.rotor.version)("column/B1")[0] > 0
+    assert [b.retired_seq for b in view.blades] == [3, None, None, None]
+
+
+def test_a_worker_forgets_what_another_worker_has_overtaken(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    science = FakeScience()
+    first, second = (make_worker(store, science, settings, name) for name in ("w1", "w2"))
+    post(rotor, reading("a"))
+    first.drain()
+    post(rotor, reading("b", blade="B2", value=0.15))
+    second.drain()
+    post(rotor, reading("c", blade="B3", value=0.05))
+    first.drain()
+    view = view_rotor(store, rotor)
+    assert view.state is not None
+    assert view.state.meta["readings"] == 3
+    for blade in ("B1", "B2", "B3"):
+        assert store.arrays(rotor, view.rotor.version)(f"column/{blade}")[0] > 0
+
+
+class Choosy(FakeScience):
+    """Refuses readings of campaign ``bad``; names them only where `names` is set."""
+
+    names = False
+
+    def update(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        readings: Sequence[Inspection],
+        previous: Any,
+        *,
+        quick: bool,
+    ) -> FakeState:
+        for one in readings:
+            if one.campaign == "bad":
+                message = "no particle explains it"
+                raise CalibrationError(message, event=one.id if self.names else None)
+        return super().update(card, rotor, readings, previous, quick=quick)
+
+
+class Naming(Choosy):
+    names = True
+
+
+@pytest.mark.parametrize("science_type", [Choosy, Naming])
+def test_after_its_attempts_a_rotor_is_blocked_with_the_reading_named_and_others_go_on(
+    store: SqlStore,
+    settings: Settings,
+    rotor: str,
+    reading: Make,
+    post: Post,
+    science_type: type[Choosy],
+) -> None:
+    worker = make_worker(store, science_type(), settings)
+    create_rotor(store, "other", "rotor-blade", [BladeRecord("B1")], 64, 7)
+    post(rotor, *[reading(f"good{i}") for i in range(5)])
+    post(rotor, reading("culprit", campaign="bad"), reading("later"))
+    post("other", reading("fine"))
+    worker.drain()
+    blocked = view_rotor(store, rotor).rotor
+    assert (blocked.blocked, blocked.last_error_event) == (True, "culprit")
+    assert blocked.attempts == settings.max_attempts
+    assert "no particle explains it" in str(blocked.last_error)
+    assert view_rotor(store, "other").has_applied(1)
+    assert blocked.applied_seq == 0
+
+    retry(store, rotor)
+    worker.drain()
+    assert view_rotor(store, rotor).rotor.blocked, "nothing changed, so it blocks again"
+
+    retract(store, rotor, "culprit")
+    worker.drain()
+    freed = view_rotor(store, rotor)
+    assert freed.has_applied(8)
+    assert (freed.rotor.blocked, freed.rotor.last_error) == (False, None)
+
+
+def test_a_failed_update_pauses_before_it_is_tried_again(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    patient = settings.model_copy(update={"retry_base_s": 3600.0, "retry_max_s": 3600.0})
+    worker = make_worker(store, Choosy(), patient)
+    post(rotor, reading("culprit", campaign="bad"))
+    worker.drain()
+    view = view_rotor(store, rotor).rotor
+    assert (view.attempts, view.blocked) == (1, False)
+    assert not worker.updater.run_once()
+    retry(store, rotor)
+    assert worker.updater.run_once()
+
+
+def test_an_entry_that_kills_every_worker_blocks_its_rotor(
+    store: SqlStore, settings: Settings, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    from service.worker import lease
+
+    post(rotor, reading("a"))
+    for i in range(settings.max_attempts):
+        assert lease.claim(store.engine, f"dead{i}", 60.0) is not None
+        assert lease.release(store.engine, f"dead{i}") == 1
+    worker.drain()
+    view = view_rotor(store, rotor).rotor
+    assert view.blocked
+    assert "workers died" in str(view.last_error)
+    retry(store, rotor)
+    worker.drain()
+    assert view_rotor(store, rotor).has_applied(1)
+
+
+def test_a_field_of_a_whole_mesh_is_applied(
+    store: SqlStore, worker: Worker, rotor: str, post: Post
+) -> None:
+    nodes = np.arange(6448)
+    values = np.zeros((6448, 3))
+    values[:, 2] = 0.3 * (nodes + 1) / 6448
+    post(rotor, Inspection("scan", "B1", "deformation", 25_000.0, values, nodes))
+    worker.drain()
+    n, s = store.arrays(rotor, 1)("column/B1")
+    assert s / n == pytest.approx(0.6, rel=1e-12)
+
+
+def test_a_job_registers_a_model_once_and_a_broken_one_fails_with_its_reason(
+    store: SqlStore, worker: Worker
+) -> None:
+    with store.write() as tx:
+        tx.records.put_job("j1", "register-model", {"builtin": "rotor-blade"})
+        tx.records.put_job("j2", "register-model", {"builtin": "other"})
+    worker.drain()
+    with store.read() as tx:
+        done, failed = tx.records.job("j1"), tx.records.job("j2")
+        assert len(tx.records.models("", 10)) == 1
+    assert (done.status, failed.status) == ("done", "failed")
+    assert done.result is not None
+    assert done.result["model"] == "rotor-blade"
+    assert "other" in str(failed.error)
