@@ -1,0 +1,537 @@
+"""The routes over a real connection, on both databases."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+
+from service.bootstrap import make_worker
+from service.client import BlockedError, Client, ProblemError
+from service.fake import FakeScience
+from service.settings import Settings
+from service.store.unit_of_work import SqlStore
+from service.worker.loop import Worker
+
+Json = dict[str, Any]
+ROTOR = {"id": "r1", "model": "rotor-blade", "blades": [{"id": "B1", "slot": "1"}, {"id": "B2"}]}
+
+
+def one(name: str = "i1", **given: Any) -> Json:
+    body = {"id": name, "blade": "B1", "quantity": "elongation", "time_h": 8000.0, "value": 0.11}
+    body |= {"unit": "mm"} | given
+    return {key: value for key, value in body.items() if value is not None}
+
+
+@pytest.fixture
+def created(api: httpx.Client) -> httpx.Client:
+    assert api.post("/v1/rotors", json=ROTOR).status_code == 201
+    return api
+
+
+def head(api: httpx.Client) -> int:
+    return int(api.get("/v1/rotors/r1").json()["head_seq"])
+
+
+def refuse(answer: httpx.Response, status: int, field: str | None = None) -> Json:
+    """The answer is a problem of one shape, and the field is named with value and remedy."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    body: Json = answer.json()
+    assert set(body) == {"type", "title", "status", "detail", "instance", "faults"}
+    assert body["status"] == status
+    assert body["type"].startswith("urn:bladetwin:problem:")
+    assert body["instance"] == answer.request.url.path
+    assert body["detail"]
+    for fault in body["faults"]:
+        assert set(fault) == {"field", "value", "problem", "remedy"}
+        assert fault["remedy"]
+    if field is not None:
+        assert field in [fault["field"] for fault in body["faults"]]
+    return body
+
+
+def test_a_posted_reading_is_applied_and_named_by_what_is_read(
+    created: httpx.Client, worker: Worker
+) -> None:
+    answer = created.post("/v1/rotors/r1/inspections", json=one())
+    assert answer.status_code == 202
+    assert answer.json() == {
+        "items": [{"id": "i1", "seq": 1, "status": "accepted"}],
+        "head_seq": 1,
+    }
+    worker.drain()
+    view = created.get("/v1/rotors/r1").json()
+    assert (view["head_seq"], view["applied_seq"], view["version"]) == (1, 1, 1)
+    assert view["status"] == "current"
+    rests = created.get("/v1/rotors/r1/posterior").json()["rests_on"]
+    assert (rests["version"], rests["through_seq"], rests["sealed"]) == (1, 1, True)
+    assert rests["model_version"] == view["model_version"]
+    assert rests["events_digest"] == view["posterior"]["events_digest"]
+
+
+def test_a_prediction_is_the_exact_one(created: httpx.Client, worker: Worker) -> None:
+    worker.drain()
+    url = "/v1/rotors/r1/blades/B1/prediction"
+    body = created.get(url, params={"times": "25000,50000", "probability": "0.5"}).json()
+    # Prior of the rate: 0.5 with variance 0.1² + 0.2²; noise 0.02.
+    assert body["mean"] == pytest.approx([0.25, 0.5])
+    assert body["sd"]["parameters"] == pytest.approx([0.05**0.5 / 2, 0.05**0.5])
+    assert body["sd"]["total"][1] == pytest.approx((0.05 + 0.02**2) ** 0.5)
+    half = 0.6744897501960817 * (0.05 + 0.02**2) ** 0.5
+    assert body["upper"][1] == pytest.approx(0.5 + half)
+    assert body["lower"][1] == pytest.approx(0.5 - half)
+    assert body["quantiles"]["0.5"] == body["mean"]
+    vector = created.get(url, params={"quantity": "deformation", "times": "50000"}).json()
+    assert vector["node"] == 6447
+    assert vector["mean"] == [pytest.approx([0.0, 0.0, 0.5])]
+    field = created.get(url, params={"quantity": "ceeq", "node": "critical", "times": "1"})
+    assert field.json()["node"] == 3
+    assert len(created.get(url).json()["time_h"]) == 6, "the model's own times by default"
+
+
+QUESTIONS: list[tuple[dict[str, str], str]] = [
+    ({"quantity": "colour"}, "quantity"),
+    ({"times": "8000,soon"}, "times"),
+    ({"times": "nan"}, "times"),
+    ({"times": "1e999"}, "times"),
+    ({"times": "-1"}, "times"),
+    ({"times": "50001"}, "times"),
+    ({"times": ""}, "times"),
+    ({"node": "5"}, "node"),
+    ({"quantity": "deformation", "node": "6448"}, "node"),
+    ({"quantity": "deformation", "node": "9" * 5000}, "node"),
+    ({"quantity": "deformation", "node": "root"}, "node"),
+    ({"probability": "1.0"}, "probability"),
+    ({"probability": "nan"}, "probability"),
+    ({"probability": "often"}, "probability"),
+    ({"version": "0"}, "version"),
+]
+
+
+def test_a_question_that_has_no_answer_is_refused_by_name(
+    created: httpx.Client, worker: Worker
+) -> None:
+    worker.drain()
+    for params, field in QUESTIONS:
+        answer = created.get("/v1/rotors/r1/blades/B1/prediction", params=params)
+        refuse(answer, 422, field)
+
+
+def test_the_same_reading_again_gets_the_same_answer(created: httpx.Client) -> None:
+    batch = {"inspections": [one("a"), one("b", time_h=9000.0)]}
+    first = created.post("/v1/rotors/r1/inspections", json=batch)
+    created.post("/v1/rotors/r1/inspections", json=one("c"))
+    again = created.post("/v1/rotors/r1/inspections", json=batch)
+    assert again.json() == first.json()
+    assert "idempotent-replayed" not in first.headers
+    assert again.headers["idempotent-replayed"] == "true"
+    spelled = one("a", value=None, values=[0.11])
+    assert created.post("/v1/rotors/r1/inspections", json=spelled).json()["head_seq"] == 1
+    assert head(created) == 3
+
+
+def test_another_reading_of_the_same_id_is_a_conflict(created: httpx.Client) -> None:
+    created.post("/v1/rotors/r1/inspections", json=one("a"))
+    batch = {"inspections": [one("new"), one("a", value=0.12)]}
+    body = refuse(created.post("/v1/rotors/r1/inspections", json=batch), 409, "inspection.id")
+    assert [fault["value"] for fault in body["faults"]] == ["a"]
+    twice = {"inspections": [one("z"), one("z", value=0.12)]}
+    refuse(created.post("/v1/rotors/r1/inspections", json=twice), 409)
+    assert head(created) == 1
+
+
+BAD: list[tuple[Json, str]] = [
+    (one(blade="B9"), "blade"),
+    (one(quantity="colour"), "quantity"),
+    (one(unit="m"), "unit"),
+    (one(colour="red"), "colour"),
+    (one(time_h=-1.0), "time_h"),
+    (one(time_h=50_001.0), "time_h"),
+    (one(time_h="8000"), "time_h"),
+    (one(time_h=True), "time_h"),
+    (one(time_h=None), "time_h"),
+    (one(value="0.1"), "value"),
+    (one(value=1234.0), "values"),
+    (one(value=None), "body"),
+    (one(values=[0.1]), "body"),
+    (one(sigma=0.0), "sigma"),
+    (one(sigma=-0.1), "sigma"),
+    (one(nodes=[3]), "nodes"),
+    (one(id="a b"), "id"),
+    (one(id="a/b"), "id"),
+    (one(id="x" * 101), "id"),
+    (one(replaces="i1"), "replaces"),
+    (one(observed_at="yesterday"), "observed_at"),
+    (one(observed_at="2031-05-04T10:00:00"), "observed_at"),
+    (one(campaign="a\x00b"), "campaign"),
+    (one(quantity="deformation", value=None, values=[[0.1, 0.1, 0.1]]), "nodes"),
+    (one(quantity="deformation", value=None, values=[[0.1, 0.1, 0.1]], nodes=[6448]), "nodes"),
+    (one(quantity="deformation", value=None, values=[[0.1, 0.1, 0.1]], nodes=[-1]), "nodes[0]"),
+    (one(quantity="deformation", value=None, values=[[0.1, 0.1, 0.1]], nodes=[10**30]), "nodes[0]"),
+    (one(quantity="deformation", value=None, values=[[0.1, 0.1]], nodes=[1]), "values"),
+    (one(quantity="deformation", value=None, values=[[0.1], [0.1, 0.2]], nodes=[1, 2]), "body"),
+    (one(quantity="deformation", value=None, values=[[0.1, "x", 0.1]], nodes=[1]), "values[0][1]"),
+    (one(quantity="ceeq", unit="1", value=0.01, nodes=[7000]), "nodes"),
+]
+
+
+def test_a_reading_that_cannot_be_used_is_refused_by_name_and_not_stored(
+    created: httpx.Client,
+) -> None:
+    for body, field in BAD:
+        refuse(created.post("/v1/rotors/r1/inspections", json=body), 422, field)
+        many = {"inspections": [one("good"), body]}
+        if field != "body":
+            sent = created.post("/v1/rotors/r1/inspections", json=many)
+            refuse(sent, 422, f"inspections[1].{field}")
+    assert head(created) == 0
+
+
+RAW: list[tuple[str, int, str | None]] = [
+    ('{"id":"a","blade":"B1","quantity":"elongation","time_h":NaN,"value":0.1}', 422, "time_h"),
+    ('{"id":"a","blade":"B1","quantity":"elongation","time_h":1,"value":Infinity}', 422, "value"),
+    ('{"id":"a","blade":"B1","quantity":"elongation","time_h":1,"value":-Infinity}', 422, "value"),
+    ('{"id":"a","blade":"B1","quantity":"elongation","time_h":1,"value":1e999}', 422, "value"),
+    ('{"id":"a","blade":"B1","quantity":"elongation","time_h":1,"values":[NaN]}', 422, "values[0]"),
+    ('{"id":"a","blade":"B1"', 400, None),
+    ("", 400, None),
+    ("[" * 100_000, 400, None),
+    ("null", 422, "body"),
+    ("[]", 422, "body"),
+    ('"text"', 422, "body"),
+    ('{"inspections": []}', 422, "inspections"),
+    ('{"inspections": {}}', 422, "inspections"),
+    ('{"inspections": [1]}', 422, "inspections[0].body"),
+    ('{"inspections": [], "colour": "red"}', 422, "colour"),
+    ('{"id": "\ud800"}', 400, None),
+]
+
+
+def test_a_body_that_is_no_reading_is_refused(created: httpx.Client) -> None:
+    headers = {"content-type": "application/json"}
+    for text, status, field in RAW:
+        content = text.encode("utf-8", "surrogatepass")
+        sent = created.post("/v1/rotors/r1/inspections", content=content, headers=headers)
+        refuse(sent, status, field)
+    assert head(created) == 0
+
+
+def test_every_fault_of_a_batch_is_listed_by_its_index(created: httpx.Client) -> None:
+    batch = {"inspections": [one("a", blade="B9", unit="m"), one("b"), one("c", time_h=-2.0)]}
+    body = refuse(created.post("/v1/rotors/r1/inspections", json=batch), 422)
+    named = [fault["field"] for fault in body["faults"]]
+    assert named == ["inspections[0].blade", "inspections[0].unit", "inspections[2].time_h"]
+    assert body["faults"][2]["value"] == -2.0
+
+
+def test_csv_is_read_row_by_row(created: httpx.Client, worker: Worker) -> None:
+    text = (
+        "id,blade,quantity,time_h,value,node,unit,campaign\r\n"
+        "a,B1,elongation,8000,0.11,,mm,outage 1\r\n"
+        'b,B2,ceeq,8e3,0.0012,17,1,"outage, 1"\r\n'
+    )
+    headers = {"content-type": "text/csv; charset=utf-8"}
+    answer = created.post("/v1/rotors/r1/inspections", content=text.encode(), headers=headers)
+    assert [item["seq"] for item in answer.json()["items"]] == [1, 2]
+    stored = created.get("/v1/rotors/r1/inspections/b").json()
+    assert (stored["values"], stored["nodes"], stored["campaign"]) == ([0.0012], [17], "outage, 1")
+
+
+CSV: list[tuple[str, int, str | None]] = [
+    ("id,blade,quantity,time_h\na,B1,elongation,1\n", 422, "value"),
+    ("id,blade,quantity,time_h,value,colour\na,B1,elongation,1,0.1,red\n", 422, "colour"),
+    ("id,blade,quantity,time_h,value\na,B1,elongation,1,nan\n", 422, "line 2.value"),
+    ("id,blade,quantity,time_h,value\na,B1,elongation,1_0,0.1\n", 422, "line 2.time_h"),
+    ("id,blade,quantity,time_h,value\na,B1,elongation,1\n", 422, "line 2"),
+    ("id,blade,quantity,time_h,value\na,B1,elongation,1,0.1,9\n", 422, "line 2"),
+    ("id,blade,quantity,time_h,value\n", 422, "body"),
+    ("id,id,blade,quantity,time_h,value\na,a,B1,elongation,1,0.1\n", 422, "header"),
+    ("", 422, "id"),
+    ("id\xff", 400, None),
+]
+
+
+def test_csv_that_cannot_be_used_is_refused_by_line(created: httpx.Client) -> None:
+    headers = {"content-type": "text/csv"}
+    for text, status, field in CSV:
+        content = text.encode("latin-1")
+        sent = created.post("/v1/rotors/r1/inspections", content=content, headers=headers)
+        refuse(sent, status, field)
+    assert head(created) == 0
+
+
+def test_another_media_type_is_refused(created: httpx.Client) -> None:
+    headers = {"content-type": "application/xml"}
+    refuse(created.post("/v1/rotors/r1/inspections", content=b"<a/>", headers=headers), 415)
+
+
+def test_a_scan_of_the_whole_mesh_is_accepted_and_listed_short(created: httpx.Client) -> None:
+    scan = one(
+        "scan",
+        quantity="deformation",
+        value=None,
+        nodes=list(range(6448)),
+        values=[[0.001 * i, -0.2, 0.3333333333333333] for i in range(6448)],
+    )
+    assert created.post("/v1/rotors/r1/inspections", json=scan).status_code == 202
+    listed = created.get("/v1/rotors/r1/inspections").json()["items"][0]
+    assert (listed["count"], listed["values"], listed["nodes"]) == (6448, None, None)
+    assert created.get("/v1/rotors/r1/inspections/scan").json()["values"] == scan["values"]
+
+
+def chunks(total: int) -> Iterator[bytes]:
+    yield b'{"id": "'
+    for _ in range(total // 2**20):
+        yield b"x" * 2**20
+
+
+@pytest.mark.parametrize("chunked", [False, True])
+def test_a_body_above_the_limit_is_refused_with_413(created: httpx.Client, chunked: bool) -> None:
+    size = 100 * 2**20
+    content = chunks(size) if chunked else b"x" * size
+    headers = {"content-type": "application/json"}
+    refuse(created.post("/v1/rotors/r1/inspections", content=content, headers=headers), 413, "body")
+    assert head(created) == 0
+
+
+def test_a_correction_and_a_retraction_are_entries_of_their_own(
+    created: httpx.Client, worker: Worker
+) -> None:
+    created.post("/v1/rotors/r1/inspections", json=one("a"))
+    created.post("/v1/rotors/r1/inspections", json=one("b", value=0.12, replaces="a"))
+    url = "/v1/rotors/r1/inspections/b/retraction"
+    answer = created.post(url)
+    assert answer.status_code == 202
+    assert answer.json() == {"items": [{"id": "b", "seq": 3, "status": "accepted"}], "head_seq": 3}
+    assert created.post(url).json() == answer.json()
+    status = [i["status"] for i in created.get("/v1/rotors/r1/inspections").json()["items"]]
+    assert status == ["counts", "retracted"]
+    refuse(created.post("/v1/rotors/r1/inspections/zz/retraction"), 404, "inspection")
+    refuse(created.post(url, json={"reason": "why"}), 422, "reason")
+
+
+def test_a_list_is_paged_to_its_end_and_its_maximum_enforced(created: httpx.Client) -> None:
+    batch = {"inspections": [one(f"i{i}", time_h=1000.0 + i) for i in range(7)]}
+    created.post("/v1/rotors/r1/inspections", json=batch)
+    seen: list[str] = []
+    params = {"limit": "3"}
+    while True:
+        page = created.get("/v1/rotors/r1/inspections", params=params).json()
+        seen += [item["id"] for item in page["items"]]
+        if page["next"] is None:
+            break
+        params["cursor"] = page["next"]
+    assert seen == [f"i{i}" for i in range(7)]
+    refuse(created.get("/v1/rotors/r1/inspections?limit=201"), 422, "limit")
+    refuse(created.get("/v1/rotors/r1/inspections?limit=0"), 422, "limit")
+    refuse(created.get("/v1/rotors/r1/inspections?cursor=zz"), 422, "cursor")
+    for i in range(4):
+        created.post("/v1/rotors", json=ROTOR | {"id": f"s{i}"})
+    page = created.get("/v1/rotors?limit=3").json()
+    assert [item["id"] for item in page["items"]] == ["r1", "s0", "s1"]
+    rest = created.get("/v1/rotors", params={"limit": 3, "cursor": page["next"]}).json()
+    assert [item["id"] for item in rest["items"]] == ["s2", "s3"]
+    assert rest["next"] is None
+
+
+def test_a_rotor_is_created_once(created: httpx.Client) -> None:
+    first = created.get("/v1/rotors/r1").json()
+    again = created.post("/v1/rotors", json=ROTOR)
+    assert (again.status_code, again.headers["idempotent-replayed"]) == (201, "true")
+    assert again.headers["location"] == "/v1/rotors/r1"
+    refuse(created.post("/v1/rotors", json=ROTOR | {"seed": 2}), 409, "rotor.id")
+    refuse(created.post("/v1/rotors", json=ROTOR | {"id": "x", "model": "none"}), 422, "model")
+    refuse(created.post("/v1/rotors", json=ROTOR | {"id": "x", "seed": 2**63}), 422, "seed")
+    refuse(created.post("/v1/rotors", json=ROTOR | {"id": "x", "colour": 1}), 422, "colour")
+    twice = ROTOR | {"id": "x", "blades": [{"id": "B1"}, {"id": "B1"}]}
+    refuse(created.post("/v1/rotors", json=twice), 422, "blades")
+    assert created.get("/v1/rotors/r1").json() == first
+
+
+def test_a_blade_joins_and_leaves(created: httpx.Client, worker: Worker) -> None:
+    refuse(created.post("/v1/rotors/r1/inspections", json=one(blade="B3")), 422, "blade")
+    joined = created.post("/v1/rotors/r1/blades", json={"id": "B3", "lot": "L7", "time_h0": 12.5})
+    assert joined.json() == {"items": [{"id": "B3", "seq": 1, "status": "accepted"}], "head_seq": 1}
+    again = created.post("/v1/rotors/r1/blades", json={"id": "B3", "lot": "L7", "time_h0": 12.5})
+    assert again.json() == joined.json()
+    refuse(created.post("/v1/rotors/r1/blades", json={"id": "B3"}), 409, "blade.id")
+    refuse(created.post("/v1/rotors/r1/blades", json={"id": "B1", "slot": "2"}), 409, "blade.id")
+    assert created.post("/v1/rotors/r1/inspections", json=one(blade="B3")).status_code == 202
+    assert created.post("/v1/rotors/r1/blades/B1/retirement").status_code == 202
+    refuse(created.post("/v1/rotors/r1/blades/B9/retirement"), 404, "blade")
+    worker.drain()
+    view = created.get("/v1/rotors/r1").json()
+    assert [(b["id"], b["lot"], b["retired"]) for b in view["blades"]] == [
+        ("B1", None, True),
+        ("B2", None, False),
+        ("B3", "L7", False),
+    ]
+    assert created.get("/v1/rotors/r1/blades/B3/posterior").json()["names"] == ["rate", "offset"]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/v1/rotors/r1/posterior",
+        "/v1/rotors/r1/blades/B1/posterior",
+        "/v1/rotors/r1/blades/B1/prediction?times=8000",
+        "/v1/rotors/r1",
+    ],
+)
+def test_an_etag_holds_until_the_state_changes(
+    created: httpx.Client, worker: Worker, path: str
+) -> None:
+    worker.drain()
+    tag = created.get(path).headers["etag"]
+    same = created.get(path, headers={"if-none-match": f'"other", W/{tag}'})
+    assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", tag)
+    created.post("/v1/rotors/r1/inspections", json=one())
+    worker.drain()
+    fresh = created.get(path, headers={"if-none-match": tag})
+    assert fresh.status_code == 200
+    assert fresh.headers["etag"] != tag
+
+
+def test_an_older_version_can_be_read_and_an_unknown_one_is_refused(
+    created: httpx.Client, worker: Worker
+) -> None:
+    path = "/v1/rotors/r1/blades/B1/prediction?times=50000"
+    refuse(created.get(path), 409, "version")
+    worker.drain()
+    prior = created.get(path).json()
+    created.post("/v1/rotors/r1/inspections", json=one())
+    worker.drain()
+    assert created.get(path).json()["mean"] != prior["mean"]
+    assert created.get(path + "&version=1").json() == prior
+    refuse(created.get(path + "&version=3"), 404, "version")
+    refuse(created.get("/v1/rotors/r1/blades/B9/prediction"), 404, "blade")
+
+
+def test_a_posterior_is_summarised(created: httpx.Client, worker: Worker) -> None:
+    worker.drain()
+    body = created.get("/v1/rotors/r1/blades/B1/posterior").json()
+    rate = body["parameters"]["rate"]
+    assert rate["mean"] == pytest.approx(0.5, abs=4 * 0.1 / 1000**0.5)
+    assert rate["sd"] == pytest.approx(0.1, rel=0.1)
+    assert list(rate["quantiles"]) == ["0.025", "0.05", "0.16", "0.5", "0.84", "0.95", "0.975"]
+    assert [row[i] for i, row in enumerate(body["correlation"])] == [1.0, 1.0]
+    assert body["ess"] == pytest.approx(1000.0)
+
+
+def test_who_waits_is_answered_when_the_entry_is_applied(
+    created: httpx.Client, worker: Worker
+) -> None:
+    worker.drain()
+    seq = created.post("/v1/rotors/r1/inspections", json=one()).json()["head_seq"]
+    answers: list[Json] = []
+
+    def wait() -> None:
+        url = f"/v1/rotors/r1?wait_for={seq}&timeout=50"
+        with httpx.Client(base_url=created.base_url, timeout=60) as client:
+            answers.append(client.get(url).json())
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    time.sleep(0.3)
+    assert answers == []
+    worker.drain()
+    waiting.join(30)
+    assert answers[0]["applied_seq"] == seq
+    late = created.get(f"/v1/rotors/r1?wait_for={seq + 1}&timeout=0.05").json()
+    assert late["applied_seq"] == seq
+    refuse(created.get("/v1/rotors/r1?wait_for=1&timeout=61"), 422, "timeout")
+    refuse(created.get("/v1/rotors/r1?wait_for=-1"), 422, "wait_for")
+
+
+def test_models_and_jobs_are_told(created: httpx.Client, worker: Worker) -> None:
+    listed = created.get("/v1/models").json()["items"]
+    assert [m["id"] for m in listed] == ["rotor-blade"], "registered at the first start"
+    model = created.get("/v1/models/rotor-blade").json()
+    assert model["network"]["name"] == "fake"
+    assert model["outputs"]["elongation"] == {"unit": "mm", "kind": "scalar"}
+    answer = created.post("/v1/models", json={"builtin": "rotor-blade"})
+    assert answer.status_code == 202
+    location = answer.headers["location"]
+    assert created.get(location).json()["status"] == "queued"
+    worker.drain()
+    done = created.get(location).json()
+    assert (done["status"], done["result"]["model"]) == ("done", "rotor-blade")
+    refuse(created.post("/v1/models", json={"builtin": "other"}), 422, "builtin")
+    refuse(created.get("/v1/jobs/none"), 404, "job")
+    refuse(created.get("/v1/models/none"), 404, "model")
+
+
+def test_health_and_readiness(api: httpx.Client) -> None:
+    assert api.get("/healthz").json() == {"status": "alive"}
+    assert api.get("/readyz").json()["ready"] is True
+
+
+def test_every_route_answers_an_unknown_thing_and_a_wrong_method_with_a_problem(
+    api: httpx.Client,
+) -> None:
+    routes = api.get("/openapi.json").json()["paths"]
+    assert len(routes) == 16
+    for path, methods in routes.items():
+        url = path.replace("{r}", "zz").replace("{b}", "zz").replace("{i}", "zz")
+        url = url.replace("{m}", "zz").replace("{id}", "zz")
+        refuse(api.request("PATCH", url), 405)
+        for method in methods:
+            if "{" in path:
+                body = {"json": one()} if url.endswith("inspections") else {}
+                body = {"json": {"id": "B1"}} if url.endswith("blades") else body
+                refuse(api.request(method, url, **body), 404)
+        spaced = path.replace("{r}", "a%20b").replace("{m}", "a%00b").replace("{id}", "a%00")
+        spaced = spaced.replace("{b}", "x").replace("{i}", "x")
+        if spaced != path and "get" in methods:
+            refuse(api.get(spaced), 422)
+    refuse(api.get("/nowhere"), 404)
+    refuse(api.get("/v1/rotors/"), 404)
+
+
+def test_the_client_goes_the_whole_way(api: httpx.Client, worker: Worker) -> None:
+    twin = Client(http=api)
+    twin.ready()
+    twin.create_rotor("r1", blades=["B1", {"id": "B2", "lot": "L1"}], seed=3)
+    seq = twin.post_inspections("r1", [one("a"), one("b", blade="B2")])
+    worker.drain()
+    assert twin.wait_for("r1", seq)["applied_seq"] == 2
+    assert twin.wait_sealed("r1")["posterior"]["sealed"] is True
+    assert twin.prediction("r1", "B1", times=[0.0, 50_000.0])["mean"][0] == 0.0
+    assert set(twin.posterior("r1")["parameters"]) == {"rate"}
+    assert twin.retract("r1", "b") == 3
+    assert twin.add_blade("r1", "B3") == 4
+    assert twin.retire_blade("r1", "B3") == 5
+    assert twin.retry("r1")["id"] == "r1"
+    assert [m["id"] for m in twin.models()] == ["rotor-blade"]
+    with pytest.raises(ProblemError) as caught:
+        twin.post_inspections("r1", [one("x", blade="B9")])
+    assert caught.value.faults[0]["field"] == "inspections[0].blade"
+
+
+def test_the_client_says_that_a_rotor_is_blocked(
+    created: httpx.Client, store: SqlStore, settings: Settings
+) -> None:
+    class Broken(FakeScience):
+        def update(self, *args: Any, **kw: Any) -> Any:
+            raise RuntimeError("no luck")
+
+    created.post("/v1/rotors/r1/inspections", json=one("a"))
+    make_worker(store, Broken(), settings).drain()
+    with pytest.raises(BlockedError, match="no luck"):
+        Client(http=created).wait_for("r1", 1)
+    view = created.get("/v1/rotors/r1").json()
+    assert (view["status"], view["last_error"]["event"]) == ("blocked", "a")
+    assert created.post("/v1/rotors/r1/retry").json()["status"] == "pending"
+
+
+def test_no_number_of_an_answer_is_lost_or_not_json(created: httpx.Client, worker: Worker) -> None:
+    value = 0.1234567890123456
+    created.post("/v1/rotors/r1/inspections", json=one("a", value=value, time_h=8000))
+    text = created.get("/v1/rotors/r1/inspections/a").text
+    assert json.loads(text, parse_constant=pytest.fail)["values"] == [value]

@@ -1,0 +1,253 @@
+"""Real processes: workers killed in the middle of their work, a server that dies, clean ends."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import pytest
+
+from core.observation import Inspection
+from service.client import Client
+from service.fake import FakeScience
+from service.handlers.inspections import retract
+from service.handlers.rotors import create_rotor, view_rotor
+from service.ports import BladeRecord, ModelCard, RotorSpec
+from service.settings import Settings
+from service.store.unit_of_work import SqlStore
+from service.worker.supervise import Supervisor
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 120.0
+Make = Callable[..., Inspection]
+Post = Callable[..., int]
+
+
+def until(what: str, true: Callable[[], bool]) -> None:
+    """Wait for something that must come; the limit only ends a test that hangs."""
+    end = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < end, f"{what} did not come"
+        time.sleep(0.02)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs (a zombie does not)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_no_entry_is_lost_or_applied_twice_while_workers_are_killed(
+    store: SqlStore, settings: Settings, reading: Make, post: Post
+) -> None:
+    chosen = random.Random(20310504)
+    rotors = ["k1", "k2", "k3"]
+    blades = [BladeRecord(f"B{i}") for i in range(4)]
+    for name in rotors:
+        create_rotor(store, name, "rotor-blade", blades, 64, 7)
+    patient = settings.model_copy(update={"max_attempts": 100})
+    script = str(Path(__file__).with_name("slow_worker.py"))
+    environ = patient.environ() | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    supervisor = Supervisor(
+        store.engine, 2, lambda owner: [sys.executable, script, owner, "0.02"], environ
+    )
+    supervisor.start()
+    killed: set[int] = set()
+    try:
+        for i in range(90):
+            post(
+                chosen.choice(rotors),
+                reading(
+                    f"i{i}",
+                    blade=f"B{chosen.randrange(4)}",
+                    time_h=float(chosen.randrange(1000, 50_000)),
+                    value=round(chosen.uniform(0.01, 0.6), 3),
+                ),
+            )
+            if i % 15 == 14:
+                before = {name: view_rotor(store, name).rotor.version for name in rotors}
+                until(
+                    "a commit",
+                    lambda before=before: any(
+                        view_rotor(store, name).rotor.version > before[name] for name in rotors
+                    ),
+                )
+                time.sleep(chosen.uniform(0.0, 0.04))
+                pid = chosen.choice(supervisor.pids() or [0])
+                if pid:
+                    os.kill(pid, signal.SIGKILL)
+                    killed.add(pid)
+                post(rotors[0], reading(f"wrong{i}", value=2.0))
+                retract(store, rotors[0], f"wrong{i}")
+        heads = {name: view_rotor(store, name).rotor.head_seq for name in rotors}
+        for name in rotors:
+            until(f"the end of {name}", lambda name=name: settled(store, name, heads[name]))
+    finally:
+        supervisor.stop()
+    assert len(killed) >= 4
+    for name in rotors:
+        check_undisturbed(store, name)
+
+
+def settled(store: SqlStore, rotor: str, head: int) -> bool:
+    view = view_rotor(store, rotor)
+    return view.has_applied(head) and view.state is not None and view.state.sealed
+
+
+def check_undisturbed(store: SqlStore, rotor: str) -> None:
+    """The end is what one update of the same readings gives, and the way there has no gap."""
+    from sqlalchemy import select
+
+    from core.observation import effective
+    from service.store import tables as t
+    from service.store.log import read_entries
+    from service.worker.update import entry_of
+
+    view = view_rotor(store, rotor)
+    with store.read() as tx:
+        card: ModelCard = tx.records.model("rotor-blade")
+        events = read_entries(tx.connection, rotor, 0, view.rotor.head_seq)
+        versions = tx.connection.execute(
+            select(t.state.c.version, t.state.c.through_seq)
+            .where(t.state.c.rotor_id == rotor)
+            .order_by(t.state.c.version)
+        ).all()
+        notes = select(t.outbox.c.id).where(
+            t.outbox.c.rotor_id == rotor, t.outbox.c.kind == "applied"
+        )
+        told = len(tx.connection.execute(notes).all())
+    assert [e.seq for e in events] == list(range(1, view.rotor.head_seq + 1))
+    spec = RotorSpec(rotor, tuple(b.id for b in view.blades), 64, 7)
+    readings = effective([entry_of(e) for e in events])
+    alone = FakeScience(provisional=True).update(card, spec, readings, None, quick=False)
+    assert view.state is not None
+    assert view.state.digest == alone.digest
+    kept = [row.version for row in versions][-50:]
+    assert kept == list(range(view.rotor.version - len(kept) + 1, view.rotor.version + 1))
+    through = [row.through_seq for row in versions]
+    assert through == sorted(through)
+    assert told == view.rotor.version
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def serving(settings: Settings) -> Iterator[tuple[subprocess.Popen[bytes], Client]]:
+    """A `bladetwin serve` of its own."""
+    port = free_port()
+    environ = settings.model_copy(update={"port": port, "migrate": "always"}).environ()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service.cli", "serve"],
+        env={**os.environ, **environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.DEVNULL,
+    )
+    client = Client(http=httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0))
+    try:
+        client.ready(PATIENCE_S)
+        yield process, client
+    finally:
+        client.close()
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def children(pid: int) -> list[int]:
+    """Processes that `pid` started."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(stat.read_text().rpartition(")")[2].split()[1])
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if parent == pid:
+            found.append(int(stat.parent.name))
+    return found
+
+
+def body(name: str) -> dict[str, object]:
+    return {"id": name, "blade": "B1", "quantity": "elongation", "time_h": 8000.0, "value": 0.11}
+
+
+def test_serve_applies_readings_replaces_a_dead_worker_and_ends_cleanly(
+    bare_url: str,
+) -> None:
+    with serving(Settings(database_url=bare_url, science="fake")) as (process, client):
+        client.create_rotor("r1", blades=["B1"])
+        client.wait_for("r1", client.post_inspections("r1", [body("a")]), PATIENCE_S)
+        (worker,) = children(process.pid)
+        os.kill(worker, signal.SIGKILL)
+        client.wait_for("r1", client.post_inspections("r1", [body("b")]), PATIENCE_S)
+        (successor,) = children(process.pid)
+        assert successor != worker
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE_S) == 0
+        assert not alive(successor)
+
+
+def test_no_worker_outlives_a_server_that_was_killed(bare_url: str) -> None:
+    settings = Settings(database_url=bare_url, science="fake", workers=2)
+    with serving(settings) as (process, client):
+        client.create_rotor("r1", blades=["B1"])
+        client.wait_for("r1", 0, PATIENCE_S)
+        workers = children(process.pid)
+        assert len(workers) == 2
+        process.kill()
+        process.wait()
+        until("the end of the workers", lambda: not any(alive(pid) for pid in workers))
+
+
+def test_a_server_that_is_told_to_stop_lets_those_who_wait_go(bare_url: str) -> None:
+    settings = Settings(database_url=bare_url, science="fake", workers=0)
+    with serving(settings) as (process, client):
+        client.create_rotor("r1", blades=["B1"])
+        probe = (
+            "import httpx, sys; r = httpx.get(sys.argv[1], timeout=100);"
+            "sys.exit(0 if r.status_code == 200 and r.json()['applied_seq'] == 0 else 1)"
+        )
+        url = f"{client._http.base_url}/v1/rotors/r1?wait_for=9&timeout=55"
+        waiting = subprocess.Popen([sys.executable, "-c", probe, url])
+        time.sleep(1.5)
+        process.send_signal(signal.SIGINT)
+        assert waiting.wait(PATIENCE_S) == 0
+        assert process.wait(PATIENCE_S) == 0
+
+
+def test_serve_refuses_a_database_that_is_not_migrated(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'empty.db'}"
+    environ = Settings(database_url=url, migrate="never", science="fake").environ()
+    done = subprocess.run(
+        [sys.executable, "-m", "service.cli", "serve"],
+        env={**os.environ, **environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 1
+    assert "bladetwin migrate" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("module", ["service.bootstrap", "service.cli"])
+def test_the_api_process_starts_without_the_heavy_packages(module: str) -> None:
+    heavy = "{'numba', 'matplotlib', 'skfem', 'sklearn', 'xarray', 'pandas', 'meshio'}"
+    code = f"import sys, {module}; print(sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,57 @@
+"""Settings: from the environment, checked, handed on, and shown by the help."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+
+import pytest
+from typer.testing import CliRunner
+
+from core.errors import InputError
+from service.cli import app
+from service.settings import Settings, names
+from service.telemetry import JsonLines
+
+
+def test_a_setting_comes_from_the_environment_and_an_argument_overrides_it() -> None:
+    environ = {"BLADETWIN_PORT": "8123", "BLADETWIN_LEASE_S": "2.5", "HOME": "/"}
+    settings = Settings.load(environ, port=9001, host=None)
+    assert (settings.port, settings.lease_s, settings.host) == (9001, 2.5, "127.0.0.1")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("BLADETWIN_PROT", "1"), ("BLADETWIN_PORT", "http"), ("BLADETWIN_LEASE_S", "0")],
+)
+def test_a_setting_that_does_not_fit_is_refused_by_name(name: str, value: str) -> None:
+    with pytest.raises(InputError, match=name):
+        Settings.load({name: value})
+
+
+def test_a_child_process_gets_the_same_settings() -> None:
+    settings = Settings(database_url="postgresql://u:secret@h/d", workers=3, cache_mb=1.5)
+    assert Settings.load(settings.environ()) == settings
+
+
+def test_the_help_of_serve_lists_every_setting() -> None:
+    shown = CliRunner().invoke(app, ["serve", "--help"]).output
+    assert [name for name in names() if name not in shown] == []
+    assert len(names()) == 20
+
+
+def test_no_password_is_shown() -> None:
+    assert "secret" not in repr(Settings(database_url="postgresql://u:secret@h/d"))
+
+
+def test_a_log_line_is_one_json_object() -> None:
+    out = io.StringIO()
+    handler = logging.StreamHandler(out)
+    handler.setFormatter(JsonLines())
+    logger = logging.Logger("bladetwin.test")
+    logger.addHandler(handler)
+    logger.warning("two\nlines of %s", "rotor r1")
+    line = json.loads(out.getvalue())
+    assert (line["level"], line["message"]) == ("warning", "two\nlines of rotor r1")
+    assert out.getvalue().count("\n") == 1
