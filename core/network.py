@@ -52,7 +52,9 @@ class Prior:
                 "prior bounds", (self.low, self.high), "are not an interval", "give low < high"
             )
         if self.kind == "log_uniform" and self.low <= 0:
-            raise InputError("prior low", self.low, "is not positive", "a log_uniform needs low > 0")
+            raise InputError(
+                "prior low", self.low, "is not positive", "a log_uniform needs low > 0"
+            )
         if self.kind == "normal" and not self.sd > 0:
             raise InputError("prior sd", self.sd, "is not positive", "give sd > 0")
         if self.kind not in ("uniform", "log_uniform", "normal"):
@@ -72,7 +74,9 @@ class Prior:
     @property
     def box(self) -> tuple[float, float]:
         """Bounds on the working scale u: log x for a log-uniform prior, else x."""
-        return (math.log(self.low), math.log(self.high)) if self.log_scale else (self.low, self.high)
+        return (
+            (math.log(self.low), math.log(self.high)) if self.log_scale else (self.low, self.high)
+        )
 
     def to_u(self, x: Array) -> Array:
         return np.log(x) if self.log_scale else np.asarray(x, float)
@@ -196,7 +200,10 @@ class Network:
             if q.name == name:
                 return q
         raise InputError(
-            "quantity", name, "is not measured here", f"use one of {[q.name for q in self.quantities]}"
+            "quantity",
+            name,
+            "is not measured here",
+            f"use one of {[q.name for q in self.quantities]}",
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -225,7 +232,9 @@ class Network:
                 **body,
             )
         except (TypeError, KeyError) as error:
-            raise InputError("network", str(error), "does not fit the schema", "see Network") from error
+            raise InputError(
+                "network", str(error), "does not fit the schema", "see Network"
+            ) from error
 
 
 def rotor_blade_network() -> Network:

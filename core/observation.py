@@ -57,14 +57,20 @@ class Inspection:
     def to_json(self) -> dict[str, Any]:
         """A plain dictionary; absent fields are left out, floats are exact."""
         out: dict[str, Any] = {
-            "id": self.id,
-            "blade": self.blade,
-            "quantity": self.quantity,
-            "time_h": float(self.time_h),
+            **self._head(),
             "values": self.values.tolist(),
         }
         if self.nodes is not None:
             out["nodes"] = self.nodes.tolist()
+        return out
+
+    def _head(self) -> dict[str, Any]:
+        out: dict[str, Any] = {
+            "id": self.id,
+            "blade": self.blade,
+            "quantity": self.quantity,
+            "time_h": float(self.time_h),
+        }
         for name in ("unit", "sigma", "instrument", "campaign", "observed_at", "replaces"):
             if (value := getattr(self, name)) is not None:
                 out[name] = value
@@ -76,8 +82,11 @@ class Inspection:
 
     def digest(self) -> str:
         """128 bits over everything the reading says, as hex; equal exactly for equal readings."""
-        text = json.dumps(self.to_json(), sort_keys=True, separators=(",", ":"))
-        return blake2b(text.encode(), digest_size=16).hexdigest()
+        made = blake2b(json.dumps(self._head(), sort_keys=True).encode(), digest_size=16)
+        made.update(repr(self.values.shape).encode() + self.values.astype("<f8").tobytes())
+        if self.nodes is not None:
+            made.update(self.nodes.astype("<i8").tobytes())
+        return made.hexdigest()
 
 
 class Covers(Protocol):

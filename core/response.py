@@ -118,6 +118,33 @@ class Response:
         v = np.exp(basis @ self.log_v.T)
         return a * e, e * np.sqrt(v * (self.ka**2 + (a * self.kb) ** 2))
 
+    def reboxed(self, low: Array, high: Array) -> Response:
+        """The same rows as polynomials of inputs scaled to another box.
+
+        >>> x = np.linspace(0, 2, 9)[:, None]
+        >>> r = Response.fit(["l"], np.array([0.0]), np.array([2.0]), 2, x, a=3 + x**2)
+        >>> r.reboxed(np.array([1.0]), np.array([1.5])).evaluate(np.array([[1.5]]))[0].round(9).tolist()
+        [[5.25]]
+        """
+        if np.array_equal(low, self.low) and np.array_equal(high, self.high):
+            return self
+        m = len(multi_indices(len(self.names), self.degree))
+        t = np.random.default_rng(0).uniform(-1, 1, (4 * m, len(self.names)))
+        there = monomials(t, self.degree)
+        here = monomials(self.scale(low + (t + 1) / 2 * (high - low)), self.degree)
+        turn = np.linalg.lstsq(there, here, rcond=None)[0].T
+        return Response(
+            self.names,
+            low,
+            high,
+            self.degree,
+            self.a @ turn,
+            self.b @ turn,
+            self.ka,
+            self.kb,
+            self.log_v @ turn,
+        )
+
     @staticmethod
     def stack(parts: Sequence[Response]) -> Response:
         """The rows of several responses over the same inputs and of one degree as one."""

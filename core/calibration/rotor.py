@@ -1,0 +1,157 @@
+"""The rotor weighs what its blades say.
+
+    log p(s, D) = log p(s) + Σ_b log m_b(s)
+
+The shared nodes are placed in two steps. A descent on rough messages finds where the posterior is
+(`core.smc.placement`); then the exact messages, interpolated per blade on the box that holds the
+nodes or computed at each node, give the weights, and the nodes move once or twice more until the
+weights are even. Everything is a function of the set of readings; the columns are kept, so that
+a new reading costs one blade's columns as long as the boxes stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.message import BladeMessage
+from core.calibration.target import SharedSpace
+from core.smc.particles import ess, normalised
+from core.smc.placement import Proposal, descend, moments, rounded, sobol
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Columns:
+    """Messages already computed: (blade's digest, nodes' key) → column. Bounded, oldest out."""
+
+    kept: dict[tuple[str, bytes], Array] = field(default_factory=dict)
+    limit: int = 20_000
+    computed: int = 0
+
+    def of(self, message: BladeMessage, key: bytes, unit: Array, how: str) -> Array:
+        place = (message.rows.digest + repr(sorted(message.fixed.items())), how.encode() + key)
+        if place not in self.kept:
+            if len(self.kept) >= self.limit:
+                for old in list(self.kept)[: self.limit // 2]:
+                    del self.kept[old]
+            self.computed += 1
+            self.kept[place] = self._compute(message, unit, how)
+        return self.kept[place]
+
+    @staticmethod
+    def _compute(message: BladeMessage, unit: Array, how: str) -> Array:
+        if how == "rough":
+            return message.column(unit, rough=True)
+        if len(unit) > 24:
+            low, high = unit.min(axis=0), unit.max(axis=0)
+            found = message.interpolant(low, high, spend=len(unit))
+            if found is not None:
+                return found(unit)
+        return message.column(unit)
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """Shared nodes on the unit box with their weights.
+
+    unit (K, d), log_q (K,), columns {blade: (K,)}, log_prior (K,); levels of the descent.
+    """
+
+    unit: Array
+    log_q: Array
+    log_prior: Array
+    columns: Mapping[str, Array]
+    key: bytes
+    levels: int
+
+    @property
+    def log_p(self) -> Array:
+        total = self.log_prior.copy()
+        for blade in sorted(self.columns):
+            total = total + self.columns[blade]
+        return total
+
+    @property
+    def log_w(self) -> Array:
+        return self.log_p - self.log_q
+
+    @property
+    def ess_ratio(self) -> float:
+        return ess(self.log_w) / len(self.log_w)
+
+
+def node_count(dim: int) -> int:
+    """Shared nodes for `dim` shared parameters."""
+    return 64 if dim <= 2 else 128
+
+
+def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Proposal:
+    """Where the descent begins: the whole box, but a scan's remainder already names its noise."""
+    mean, spread = np.full(space.dim, 0.5), np.full(space.dim, 1.0)
+    for j, name in enumerate(space.names):
+        dense = [
+            d for m in messages.values() for d in m.rows.dense if d.sigma == name and d.dof > 50
+        ]
+        if dense:
+            dof = sum(d.dof for d in dense)
+            low, high = space.priors[j].box
+            guess = 0.5 * np.log(max(sum(d.rss for d in dense), 1e-300) / dof)
+            mean[j] = np.clip((guess - low) / (high - low), 0.0, 1.0)
+            spread[j] = min(1.0, 6.0 / np.sqrt(2 * dof) / (high - low))
+    return Proposal(mean, np.diag(spread))
+
+
+def weigh(
+    space: SharedSpace,
+    messages: Mapping[str, BladeMessage],
+    columns: Columns,
+    seed: int,
+    *,
+    rounds: int = 8,
+    enough: float = 0.4,
+) -> Weighed:
+    """Place and weight the shared nodes for these messages."""
+    d = space.dim
+    blades = sorted(messages)
+
+    def total(unit: Array, key: bytes, how: str) -> Array:
+        out = space.log_prior(unit)
+        for blade in blades:
+            out = out + columns.of(messages[blade], key, unit, how)
+        return out
+
+    scouts = 32 if d <= 2 else 64
+    proposal, levels = descend(
+        lambda unit, key: total(unit, key, "rough"), start_of(space, messages), scouts, seed
+    )
+    assert proposal.chol is not None
+    wide = Proposal(proposal.mean, proposal.chol * 1.5)
+    n = node_count(d)
+    base = sobol(n, d, seed + 1)
+    for step in range(rounds):
+        unit, log_q = wide.nodes(base)
+        log_p = total(unit, wide.key, "exact")
+        log_w = log_p - log_q
+        ratio = ess(log_w) / n
+        if step > 0 and ratio >= enough:
+            break
+        if ratio * n >= 1.5 * (d + 1):
+            wide = rounded(*moments(unit, normalised(log_w)))
+        else:
+            wide, more = descend(
+                lambda unit, key: total(unit, key, "exact"), wide, scouts, seed, max_levels=3
+            )
+            levels += more
+    return Weighed(
+        unit,
+        log_q,
+        space.log_prior(unit),
+        {b: columns.of(messages[b], wide.key, unit, "exact") for b in blades},
+        wide.key,
+        levels + step,
+    )

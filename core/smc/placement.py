@@ -1,0 +1,163 @@
+"""Where the shared level's particles stand: placement as a function of the target alone.
+
+The shared parameters u (on the unit box) have a posterior that shrinks by orders of magnitude as
+readings arrive. Its particles are nodes drawn from a proposal q and weighted exactly,
+
+    w_k ∝ p(u_k | D) / q(u_k),      evidence = mean of p(u_k, D) / q(u_k),
+
+so q decides only how evenly the weights fall, never what is right. q is found by a descent that
+starts from the whole box and looks at nothing but the target itself: on each level the target is
+known at a few nodes; where their weights collapse, it is tempered until enough nodes count, a
+quadratic through them gives the next centre and spread, and the level repeats there. Centres and
+spreads are rounded to a coarse lattice, so that one more reading mostly leaves the nodes where they
+are and the work done at them stays valid. Two event sets that are equal give bit-identical nodes,
+whatever the order of arrival; no earlier state is looked at.
+
+q is a product of normal distributions, each conditional on the coordinates before it and cut at
+the box (so that a posterior leaning on a bound is proposed exactly there).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
+
+from core.smc.particles import ess, normalised, tempering_exponent
+
+Array = NDArray[np.float64]
+WIDEN = 1.3  # proposals are a little wider than what they propose for
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """Normal on the unit box: u = mean + chol z, cut coordinate by coordinate.
+
+    mean (d,), chol (d, d) lower triangular. A `chol` of None stands for the uniform box.
+    """
+
+    mean: Array
+    chol: Array | None
+
+    def nodes(self, base: Array) -> tuple[Array, Array]:
+        """Nodes (n, d) from points of the unit cube (n, d), and log q at each."""
+        n, d = base.shape
+        if self.chol is None:
+            return base.copy(), np.zeros(n)
+        u, z, log_q = np.empty((n, d)), np.empty((n, d)), np.zeros(n)
+        for i in range(d):
+            sd = self.chol[i, i]
+            centre = self.mean[i] + z[:, :i] @ self.chol[i, :i]
+            f0, f1 = ndtr((0.0 - centre) / sd), ndtr((1.0 - centre) / sd)
+            mass = np.maximum(f1 - f0, 1e-300)
+            z[:, i] = np.clip(ndtri(f0 + base[:, i] * mass), -9.0, 9.0)
+            u[:, i] = np.clip(centre + sd * z[:, i], 0.0, 1.0)
+            z[:, i] = (u[:, i] - centre) / sd
+            log_q += -0.5 * z[:, i] ** 2 - np.log(sd * np.sqrt(2 * np.pi) * mass)
+        return u, log_q
+
+    @property
+    def key(self) -> bytes:
+        return self.mean.tobytes() + (b"" if self.chol is None else self.chol.tobytes())
+
+
+def rounded(mean: Array, covariance: Array) -> Proposal:
+    """The proposal for these moments on the coarse lattice.
+
+    Spreads are rounded up to powers of sqrt 2, correlations to quarters, centres to half a spread.
+    """
+    d = len(mean)
+    covariance = covariance + 1e-14 * np.eye(d)
+    chol = np.linalg.cholesky(covariance)
+    out = np.zeros((d, d))
+    for i in range(d):
+        spread = 2.0 ** (np.ceil(2 * np.log2(WIDEN * chol[i, i])) / 2)
+        out[i, i] = min(spread, 1.0)
+        for j in range(i):
+            out[i, j] = np.round(4 * chol[i, j] / chol[i, i]) / 4 * out[i, i]
+    total = np.sqrt(np.sum(out**2, axis=1))
+    step = 2.0 ** np.floor(np.log2(total)) / 2
+    return Proposal(np.clip(np.round(mean / step) * step, 0.0, 1.0), out)
+
+
+def sobol(n: int, d: int, seed: int) -> Array:
+    """Scrambled Sobol points, strictly inside the unit cube; n a power of two."""
+    points = qmc.Sobol(d, scramble=True, rng=np.random.default_rng(seed)).random(n)
+    return np.clip(points, 1e-9, 1 - 1e-9)
+
+
+def moments(u: Array, w: Array) -> tuple[Array, Array]:
+    """Weighted mean (d,) and covariance (d, d) of nodes u (n, d)."""
+    mean = w @ u
+    d = u - mean
+    return mean, (d * w[:, None]).T @ d
+
+
+def _quadratic(
+    u: Array, log_p: Array, w: Array, mean: Array, cov: Array
+) -> tuple[Array, Array] | None:
+    """Centre and covariance of the quadratic through log_p, weighted by w; None where it has no top."""
+    d = u.shape[1]
+    scale = np.sqrt(np.diag(cov))
+    z = (u - mean) / scale
+    pairs = [(i, j) for i in range(d) for j in range(i, d)]
+    basis = np.column_stack([np.ones(len(z)), z, *[z[:, i] * z[:, j] for i, j in pairs]])
+    root = np.sqrt(w)
+    coefficients = np.linalg.lstsq(
+        basis * root[:, None], (log_p - log_p.max()) * root, rcond=1e-10
+    )[0]
+    slope, bend = coefficients[1 : d + 1], np.zeros((d, d))
+    for c, (i, j) in zip(coefficients[d + 1 :], pairs, strict=True):
+        bend[i, j] -= c
+        bend[j, i] -= c
+    values, vectors = np.linalg.eigh(bend)
+    if values[0] <= 0.3:  # flatter than the nodes' own spread: nothing learnt along it
+        return None
+    centre = vectors @ ((vectors.T @ slope) / values)
+    missed = (log_p - log_p.max()) - basis @ coefficients
+    doubt = 1.0 + 2.0 * float(np.sqrt(w @ missed**2))  # nats the quadratic cannot tell apart
+    inside = np.clip(centre, z.min(axis=0), z.max(axis=0))
+    if np.any(np.abs(centre - inside) > 1e-12):  # the top lies outside: move, do not shrink
+        return mean + scale * inside, 2.0 * cov
+    values = np.clip(values / doubt, 1.0, 60.0)
+    spread = (vectors / values) @ vectors.T
+    return mean + scale * centre, spread * np.outer(scale, scale)
+
+
+def descend(
+    target: Callable[[Array, bytes], Array],
+    start: Proposal,
+    scouts: int,
+    seed: int,
+    *,
+    max_levels: int = 12,
+    enough: float = 0.3,
+) -> tuple[Proposal, int]:
+    """Find a proposal that fits `target`; returns it and the number of levels.
+
+    target   log p(u, D) at nodes u (n, d); its second argument names the nodes, so that a caller
+             can keep what it computed there
+    start    where the descent begins
+    scouts   nodes of each level (a power of two)
+    """
+    d = len(start.mean)
+    base = sobol(scouts, d, seed)
+    coefficients = (d + 1) * (d + 2) // 2
+    proposal = start
+    for level in range(max_levels):
+        u, log_q = proposal.nodes(base)
+        log_p = np.maximum(target(u, proposal.key), -1e300)
+        log_w = log_p - log_q
+        if ess(log_w) >= enough * scouts:
+            return rounded(*moments(u, normalised(log_w))), level + 1
+        beta = tempering_exponent(log_w, min(1.6 * coefficients, 0.5 * scouts))
+        w = normalised(beta * log_w)
+        mean, cov = moments(u, w)
+        cov = cov + 1e-12 * np.eye(d)
+        fit = _quadratic(u, log_p, w, mean, cov)
+        proposal = rounded(*fit) if fit is not None else rounded(mean, cov)
+    return proposal, max_levels
