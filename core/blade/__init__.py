@@ -4,7 +4,7 @@
     >>> point = {"tbc_thickness": 1.0, "t1t_rate": 0.9, "creep_transient": 0.0, "creep_steady": 0.0}
     >>> run = simulate(point, "coarse", time_h=[0.0, 10.0])
     >>> run.displacement.shape
-    (2, 1464, 3)
+    (2, 1536, 3)
 
 The theory is in the modules: :mod:`~core.blade.properties` (every number), then
 :mod:`~core.blade.geometry`, :mod:`~core.blade.thermal`, :mod:`~core.blade.creep`,

@@ -111,9 +111,7 @@ def run_campaign(
                 finished = len(completed) + len(failures)
                 if progress is not None:
                     left = total - begun - finished
-                    progress(
-                        begun + finished, total, (time.monotonic() - start) / finished * left
-                    )
+                    progress(begun + finished, total, (time.monotonic() - start) / finished * left)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise

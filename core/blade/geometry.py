@@ -28,16 +28,16 @@ from core.blade.properties import Geometry
 from core.errors import InputError, RangeError
 
 MESHES: dict[str, tuple[int, int, int]] = {
-    "coarse": (24, 1, 8),  # 1,464 nodes
-    "default": (48, 1, 16),  # 5,616 nodes
-    "fine": (56, 2, 18),  # 11,536 nodes
+    "coarse": (16, 2, 8),  # 1,536 nodes
+    "default": (40, 2, 12),  # 5,600 nodes
+    "fine": (48, 3, 16),  # 12,048 nodes
     "full": (76, 2, 32),  # 27,360 nodes
 }
 """Elements around the section, through the wall and along the span, by name."""
 
 NAMED_POINTS: dict[str, tuple[float, float, float]] = {
     "tip": (0.5, 0.0, 1.0),
-    "critical": (0.25, 0.0, 0.5),
+    "critical": (0.625, 0.0, 0.5),
 }
 
 
@@ -186,7 +186,7 @@ def build_mesh(
 
     >>> mesh = build_mesh("coarse")
     >>> len(mesh.points), sorted(mesh.named)
-    (1464, ['critical', 'tip'])
+    (1536, ['critical', 'tip'])
     """
     return _build(mesh, geometry or Geometry())
 
@@ -273,7 +273,5 @@ def _centroid(s: float, geometry: Geometry) -> Array:
         p = _skin(c, np.full_like(c, s), geometry, inner)
         q = np.roll(p, -1, axis=0)
         cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
-        moments += sign * np.array(
-            [cross.sum() / 2, *((p + q) * cross[:, None]).sum(axis=0) / 6]
-        )
-    return moments[1:] / moments[0]
+        moments += sign * np.array([cross.sum() / 2, *((p + q) * cross[:, None]).sum(axis=0) / 6])
+    return np.asarray(moments[1:] / moments[0])

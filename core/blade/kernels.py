@@ -8,13 +8,13 @@ stresses (xx, yy, zz, yz, xz, xy). Measured on the default mesh, one thread: the
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from core.blade.compiled import compiled
 from core.blade.creep import _rates
 from core.blade.element import Array, Index
 
 
-@njit(cache=True)
+@compiled
 def point_stress(
     cells: Index,
     gradient: Array,
@@ -55,7 +55,7 @@ def point_stress(
             out[g, 5] = mu * (xy - state[g, 5])
 
 
-@njit(cache=True)
+@compiled
 def creep_load(
     cells: Index,
     gradient: Array,
@@ -87,7 +87,7 @@ def creep_load(
                 out[3 * cells[e, n] + a] += local[n, a]
 
 
-@njit(cache=True)
+@compiled
 def all_rates(
     law: Array, stress: Array, temperature: Array, shear: Array, state: Array, out: Array
 ) -> float:

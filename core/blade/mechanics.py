@@ -136,7 +136,7 @@ class Structure:
         return out.ravel()
 
     def _stiffness(self) -> sparse.csr_matrix:
-        """∫ Bᵀ D B from K_iajb = ∫ lame dN_i,a dN_j,b + shear (dN_i,b dN_j,a + delta_ab dN_i·dN_j)."""
+        """K_iajb = ∫ lame N_i,a N_j,b + shear (N_i,b N_j,a + delta_ab N_i,c N_j,c)."""
         n = len(self.cells)
         flat = self.gradient.reshape(n, -1, 60)
         scale = (self.shear * self.volume).reshape(n, -1, 1)

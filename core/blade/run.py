@@ -43,9 +43,7 @@ def output_times() -> Array:
     >>> len(t), t[0], t[1], t[15], t[53]
     (54, np.float64(0.0), np.float64(1.0), np.float64(1000.0), np.float64(50000.0))
     """
-    times = np.concatenate(
-        [[0.0], np.logspace(0, 3, 15), np.linspace(1000.0, 50000.0, 39)[1:]]
-    )
+    times = np.concatenate([[0.0], np.logspace(0, 3, 15), np.linspace(1000.0, 50000.0, 39)[1:]])
     times[15] = 1000.0
     return times
 
@@ -158,9 +156,7 @@ def simulate(
     times = check_times(output_times() if time_h is None else time_h)
     properties = properties or Properties()
     grid = build_mesh(mesh, properties.geometry) if isinstance(mesh, str) else mesh
-    temperature = metal_temperature(
-        grid, checked["tbc_thickness"], checked["t1t_rate"], properties
-    )
+    temperature = metal_temperature(grid, checked["tbc_thickness"], checked["t1t_rate"], properties)
     structure = Structure(grid, temperature, properties, solver=solver)
     law = coefficients(properties.creep, checked["creep_transient"], checked["creep_steady"])
     project = Projection(grid, structure.volume, structure.order)
@@ -168,15 +164,21 @@ def simulate(
     out = {name: np.empty((len(times), n), dtype=dtype) for name in FIELDS[:3]}
     displacement = np.empty((len(times), n, 3), dtype=dtype)
     tip_z = np.empty(len(times))
+    u = np.empty(0)
+
+    def rates(state: Array) -> tuple[Array, float]:
+        nonlocal u
+        u = structure.displacement(state)
+        return structure.rates(u, state, law)
+
     states = advance(
-        lambda y: structure.rates(structure.displacement(y), y, law),
+        rates,
         np.zeros((structure.points, STATE)),
         times,
         tolerance or Tolerance(),
         work,
     )
-    for i, state in enumerate(states):
-        u = structure.displacement(state)
+    for i, state in enumerate(states):  # the last rates taken are those of this state: so is u
         strain = np.stack([state[:, EPS_P] + state[:, EPS_S], state[:, DAMAGE]], axis=1)
         out["ceeq"][i], out["creep_damage"][i] = project.positive(strain).T
         out["mises"][i] = von_mises(project.consistent(structure.stress(u, state)))

@@ -90,7 +90,9 @@ def assemble_film(mesh: BladeMesh, film: Film) -> FilmTerms:
     load = np.einsum("ep,pi->ei", h * film.ambient(at), value)
     return FilmTerms(
         scatter(mesh.cells[elements], np.einsum("ep,pi,pj->eij", h, value, value), mesh),
-        np.bincount(mesh.cells[elements].ravel(), load.ravel(), len(mesh.points)),
+        np.asarray(
+            np.bincount(mesh.cells[elements].ravel(), load.ravel(), len(mesh.points)), np.float64
+        ),
     )
 
 
