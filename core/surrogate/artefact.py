@@ -104,7 +104,8 @@ def load(directory: str | Path) -> Surrogate:
     if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
         raise ModelError(f"{directory}: the artefact's schema is not {SCHEMA}: train it again")
     try:
-        with np.load(directory / ARRAYS, allow_pickle=False) as stored:
+        with open(directory / ARRAYS, "rb") as handle:
+            stored = np.load(handle, allow_pickle=False)
             arrays = {name: stored[name] for name in stored.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ModelError(f"{directory} holds no readable {ARRAYS}: {error}") from error

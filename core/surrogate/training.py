@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 Runs = NDArray[np.int64]
 Progress = Callable[[str], None]
 FOLDS = 10
+TRENDS = (0, 1, 2)
 SAMPLED_ROWS = 240
 MINIMUM_RUNS = 3  # times (number of inputs + 1)
 RANKS = {
@@ -143,9 +144,9 @@ def _reduce(target: Target, seed: int) -> _Fitted:
         ranks = replace(ranks, tolerance=ranks.tolerance * float(np.std(target.values)))
     factors, c = factorise(target.values, target.time_h, ranks, seed)
     square = np.zeros(target.values.shape[1:])
+    decode = factors.decoder(target.time_h, np.arange(rows))
     for i in range(len(c)):
-        decoded = factors.decode(c[i : i + 1], target.time_h, np.arange(rows))
-        square += (target.values[i] - decoded[0]) ** 2 / len(c)
+        square += (target.values[i] - decode(c[i : i + 1])[0]) ** 2 / len(c)
     total = max(float(np.mean(square)), np.finfo(float).tiny)
     sampled = np.sort(
         stream(seed, "sampled-rows", target.name).permutation(rows)[: min(rows, SAMPLED_ROWS)]
@@ -168,7 +169,7 @@ def _columns(fitted: Mapping[str, _Fitted]) -> tuple[dict[str, slice], Array]:
     return columns, np.hstack([one.c for one in fitted.values()])
 
 
-def _hyper(z: Array, fitted: Mapping[str, _Fitted]) -> Hyper:
+def _hyper(z: Array, fitted: Mapping[str, _Fitted], trends: Sequence[int] = TRENDS) -> Hyper:
     """Hyperparameters of each trend; the trend of the smallest leave-one-out error.
 
     That error is the mean over the parts of sum_j e_j^2 / sum_j var(c_j).
@@ -178,7 +179,7 @@ def _hyper(z: Array, fitted: Mapping[str, _Fitted]) -> Hyper:
     share = np.concatenate([v / v.sum() for v in variances]) / len(fitted)
     scale = np.concatenate([np.full(len(v), v.sum() * len(fitted)) for v in variances])
     best, smallest = None, np.inf
-    for trend in (0, 1, 2):
+    for trend in trends:
         if len(z) < 2 * len(multi_indices(z.shape[1], trend)):
             break
         hyper = fit_hyper(z, joined, share, trend)
@@ -234,7 +235,7 @@ def _form_error(z: Array, target: Target, seed: int) -> float:
     rows = target.values.shape[2]
     sampled = stream(seed, "form", target.name).permutation(rows)[: min(rows, SAMPLED_ROWS)]
     small = replace(target, values=target.values[:, :, sampled])
-    hyper = _hyper(z, {target.name: _reduce(small, seed)})
+    hyper = _hyper(z, {target.name: _reduce(small, seed)}, trends=(1,))
     error = []
     for kept, left in _folds(len(z), 5, seed):
         fold = _reduce(replace(small, values=small.values[kept]), seed)

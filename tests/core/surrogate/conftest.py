@@ -7,13 +7,15 @@ by integrating the strain along the span. The constants are those of no real bla
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from core.archive import Archive, Input, Mesh, Run
 from core.design import maximin_lhs
+from core.surrogate import Surrogate, train
 
 Array = NDArray[np.float64]
 INPUTS = (
@@ -75,14 +77,30 @@ def simulate(x: Array, time_h: Array = TIME_H) -> Run:
     return Run(dict(zip(NAMES, map(float, x), strict=True)), values)
 
 
-def archive(path: Path, train: int = TRAIN, test: int = TEST, seed: int = 11) -> Archive:
-    """An archive of `train` + `test` runs of the stand-in."""
+@pytest.fixture(scope="session")
+def stand_in() -> Callable[..., Run]:
+    """simulate(x, time_h): the truth."""
+    return simulate
+
+
+@pytest.fixture(scope="session")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Archive:
+    """66 training and 34 test runs of the stand-in."""
     made = Archive.create(
-        path, inputs=INPUTS, time_h=TIME_H, mesh=mesh(), seed=seed, command="stand-in"
+        tmp_path_factory.mktemp("stand-in") / "archive",
+        inputs=INPUTS,
+        time_h=TIME_H,
+        mesh=mesh(),
+        seed=11,
+        command="stand-in",
     )
-    parts = [maximin_lhs(train, LOW, HIGH, seed)]
-    if test:
-        parts.append(maximin_lhs(test, LOW, HIGH, seed + 1))
-    for index, x in enumerate(np.vstack(parts)):
+    points = np.vstack([maximin_lhs(TRAIN, LOW, HIGH, 11), maximin_lhs(TEST, LOW, HIGH, 12)])
+    for index, x in enumerate(points):
         made.write(index, simulate(x))
     return made
+
+
+@pytest.fixture(scope="session")
+def model(archive: Archive) -> Surrogate:
+    """The surrogate of the 66 training runs."""
+    return train(archive, range(TRAIN), seed=1)

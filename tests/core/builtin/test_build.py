@@ -1,0 +1,142 @@
+"""Building the rotor blade with a formula in place of the finite elements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import core.builtin.rotor_blade as built
+from core.archive import Archive
+from core.blade import BOUNDS, build_mesh, output_times
+from core.errors import ModelError
+from core.surrogate import load
+
+Array = NDArray[np.float64]
+Campaign = Callable[..., SimpleNamespace]
+
+
+class Cut(Exception):
+    """The machine was switched off."""
+
+
+def formula(inputs: Mapping[str, float]) -> SimpleNamespace:
+    """Creep by t^0.6 with a rate exponential in the inputs, on the coarse mesh."""
+    time, span = output_times(), build_mesh("coarse").parametric[:, 2]
+    tbc, rate, alpha, gamma = inputs.values()
+    speed = np.exp(9 * (rate - 0.9) - tbc + 0.2 * alpha + 0.3 * gamma)
+    ceeq = 1e-5 * np.outer(time**0.6, speed * (1.1 - span))
+    displacement = np.zeros((len(time), len(span), 3))
+    displacement[:, :, 2] = 0.4 * span * rate + 90 * ceeq.mean(axis=1)[:, None] * span**2
+    tip = build_mesh("coarse").named["tip"]
+    return SimpleNamespace(
+        inputs=dict(inputs),
+        ceeq=ceeq,
+        creep_damage=0.01 * ceeq,
+        mises=np.full_like(ceeq, 150.0) * (1 + 0.1 * alpha - 20 * ceeq),
+        displacement=displacement,
+        elongation=displacement[:, tip, 2] - displacement[0, tip, 2],
+    )
+
+
+def campaign(
+    calls: list[int], cut_after: int | None = None, failing: int | None = None
+) -> Campaign:
+    """A stand-in for `run_campaign` that notes the indices it computes."""
+
+    def run(
+        inputs: Sequence[Mapping[str, float]],
+        sink: Callable[[int, Any], None],
+        *,
+        done: frozenset[int],
+        progress: Callable[[int, int, float], None] | None,
+        **options: Any,
+    ) -> SimpleNamespace:
+        failures = []
+        for index, point in enumerate(inputs):
+            if index in done:
+                continue
+            if len(calls) == cut_after:
+                raise Cut
+            calls.append(index)
+            if index == failing:
+                failures.append(SimpleNamespace(index=index, inputs=point, reason="exploded"))
+                continue
+            sink(index, formula(point))
+            if progress is not None:
+                progress(index + 1, len(inputs), 0.0)
+        return SimpleNamespace(failures=tuple(failures))
+
+    return run
+
+
+def test_the_design_is_two_hypercubes_inside_the_bounds() -> None:
+    low, high = np.array(list(BOUNDS.values())).T
+    points = (built.design() - low) / (high - low)
+    for part in (points[:66], points[66:]):
+        cells = part * len(part) - 0.5
+        np.testing.assert_allclose(np.sort(cells, axis=0)[:, 0], np.arange(len(part)), atol=1e-9)
+        np.testing.assert_allclose(np.sort(cells, axis=0)[:, 3], np.arange(len(part)), atol=1e-9)
+    nearest = np.linalg.norm(points[:66, None] - points[None, 66:], axis=2).min()
+    assert nearest > 0.02
+
+
+def test_a_build_that_was_cut_goes_on_where_it_was_and_ends_with_a_measured_artefact(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    calls: list[int] = []
+    build = partial(built.build, tmp_path, "coarse", 5, training=24, test=4, commit="abc")
+    monkeypatch.setattr(built, "run_campaign", campaign(calls, cut_after=9))
+    with pytest.raises(Cut):
+        build()
+    assert Archive.open(tmp_path / "archive").done() == tuple(range(9))
+    seen: list[tuple[str, int, int]] = []
+    monkeypatch.setattr(built, "run_campaign", campaign(calls))
+    model = build(progress=lambda *report: seen.append(report[:3]))
+    assert calls == list(range(28))
+    assert seen[0] == ("runs", 10, 28)
+    manifest = load(tmp_path).manifest
+    assert manifest["digest"] == model.digest
+    assert manifest["command"] == "bladetwin model build rotor-blade"
+    nodes = len(build_mesh("coarse").points)
+    assert (manifest["seed"], manifest["mesh"], manifest["nodes"]) == (5, "coarse", nodes)
+    assert manifest["runs"] == {"training": 24, "test": 4}
+    assert manifest["finite_elements"]["commit"] == "abc"
+    assert manifest["errors"]["elongation"]["from_1000_h"]["median_percent"] < 0.5
+    assert manifest["polynomials"]["elongation"]["p95_percent"] < 0.1
+    x = np.array([[0.9, 0.93, 1.0, -0.5]])
+    exact = formula(dict(zip(BOUNDS, x[0], strict=True))).elongation[-1]
+    assert model.predict(x, "elongation", [50_000.0])[0][0, 0] == pytest.approx(exact, rel=0.01)
+
+
+def test_a_failed_run_stops_the_build_and_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(built, "run_campaign", campaign([], failing=3))
+    with pytest.raises(ModelError, match=r"1 of 24 runs failed; run 3 at .*: exploded"):
+        built.build(tmp_path, mesh="coarse", training=20, test=4)
+
+
+def test_an_archive_of_another_seed_is_not_mixed_in(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    built.open_archive(tmp_path, "coarse", seed=1)
+    monkeypatch.setattr(built, "run_campaign", campaign([]))
+    with pytest.raises(ModelError, match="another archive"):
+        built.build(tmp_path / "x", mesh="coarse", seed=2, archive_dir=tmp_path)
+
+
+def test_the_code_digest_changes_with_the_code(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "__init__.py").write_text("a = 1\n")
+    monkeypatch.setattr("core.blade.__file__", str(tmp_path / "__init__.py"))
+    first = built.blade_digest()
+    (tmp_path / "__init__.py").write_text("a = 2\n")
+    assert built.blade_digest() != first

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.errors import ModelError
+from core.surrogate import Surrogate, load, save
+
+X = np.array([[0.81, 0.93, 1.3, -0.7]])
+
+
+@pytest.fixture
+def saved(model: Surrogate, tmp_path: Path) -> Path:
+    save(replace(model, manifest={"name": "stand-in", "seed": 11}), tmp_path)
+    return tmp_path
+
+
+def test_what_is_loaded_predicts_bit_for_bit_what_was_saved(model: Surrogate, saved: Path) -> None:
+    back = load(saved)
+    for quantity in model.quantities:
+        for a, b in zip(
+            model.predict(X, quantity, [0.5, 777.0, 50_000.0]),
+            back.predict(X, quantity, [0.5, 777.0, 50_000.0]),
+            strict=True,
+        ):
+            np.testing.assert_array_equal(a, b)
+    assert back.inputs == model.inputs
+    assert back.quantities == model.quantities
+    assert back.named == model.named
+    assert back.horizon_h == 50_000.0
+    np.testing.assert_array_equal(back.points, model.points)
+
+
+def test_the_manifest_keeps_its_notes_and_names_schema_and_digest(saved: Path) -> None:
+    manifest = load(saved).manifest
+    assert manifest["name"] == "stand-in"
+    assert manifest["seed"] == 11
+    assert manifest["schema"] == 1
+    assert manifest["digest"] == load(saved).digest
+    assert len(manifest["digest"]) == 64
+
+
+def test_the_digest_is_of_the_content_and_not_of_the_notes(
+    model: Surrogate, saved: Path, tmp_path: Path
+) -> None:
+    first = load(saved).digest
+    assert save(replace(model, manifest={"other": 1}), tmp_path / "b").digest == first
+    changed = save(replace(model, v_typical=model.v_typical * 1.5), tmp_path / "c")
+    assert changed.digest != first
+
+
+def test_loaded_arrays_cannot_be_written(saved: Path) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        load(saved).points[0, 0] = 1.0
+
+
+def rewrite(path: Path, change: dict[str, np.ndarray], *, pickled: bool = False) -> None:
+    with np.load(path / "arrays.npz") as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    with open(path / "arrays.npz", "wb") as handle:
+        np.savez(handle, allow_pickle=pickled, **(arrays | change))
+
+
+def test_one_changed_number_is_found(saved: Path) -> None:
+    with np.load(saved / "arrays.npz") as stored:
+        weights = stored["process/weights"]
+    weights[3, 2] = np.nextafter(weights[3, 2], np.inf)
+    rewrite(saved, {"process/weights": weights})
+    with pytest.raises(ModelError, match="is damaged"):
+        load(saved)
+
+
+def test_a_manifest_that_tells_another_structure_is_found(saved: Path) -> None:
+    manifest = json.loads((saved / "manifest.json").read_text())
+    manifest["structure"]["inputs"][1]["high"] = 1.1
+    (saved / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(ModelError, match="is damaged"):
+        load(saved)
+
+
+def test_objects_are_never_unpickled(saved: Path) -> None:
+    rewrite(saved, {"time_h": np.array([{"a": 1}], dtype=object)}, pickled=True)
+    with pytest.raises(ModelError, match="allow_pickle"):
+        load(saved)
+
+
+def test_another_schema_a_cut_file_and_an_empty_folder_are_refused(
+    saved: Path, tmp_path: Path
+) -> None:
+    whole = (saved / "arrays.npz").read_bytes()
+    (saved / "arrays.npz").write_bytes(whole[:-500])
+    with pytest.raises(ModelError, match="no readable arrays"):
+        load(saved)
+    manifest = json.loads((saved / "manifest.json").read_text())
+    (saved / "manifest.json").write_text(json.dumps(manifest | {"schema": 2}))
+    with pytest.raises(ModelError, match="schema is not 1"):
+        load(saved)
+    with pytest.raises(ModelError, match="no readable manifest"):
+        load(tmp_path / "nothing")
+
+
+def test_a_second_save_writes_the_same_bytes(model: Surrogate, saved: Path, tmp_path: Path) -> None:
+    save(replace(model, manifest={"name": "stand-in", "seed": 11}), tmp_path / "b")
+    for name in ("arrays.npz", "manifest.json"):
+        assert (saved / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert zipfile.is_zipfile(saved / "arrays.npz")

@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+
+from core.errors import ModelError
+from core.response import monomials
+from core.surrogate.kernel import Hyper, SharedGP, correlation, fit_hyper, log_likelihood
+
+Array = NDArray[np.float64]
+HYPER = Hyper((0.9, 2.3), 1e-4, 1)
+
+
+def points(n: int, seed: int = 3) -> Array:
+    return np.random.default_rng(seed).uniform(-1, 1, (n, 2))
+
+
+def targets(z: Array) -> Array:
+    first = np.sin(2 * z[:, 0]) + 0.3 * z[:, 1]
+    return np.column_stack([first, np.exp(z[:, 1]) * z[:, 0]])
+
+
+def textbook(z: Array, c: Array, new: Array, hyper: Hyper) -> tuple[Array, Array]:
+    """Universal kriging as one linear system with Lagrange multipliers."""
+    lengths = np.array(hyper.lengths)
+    h = monomials(z, hyper.trend)
+    n, p = h.shape
+    system = np.zeros((n + p, n + p))
+    system[:n, :n] = correlation(z, z, lengths) + hyper.nugget * np.eye(n)
+    system[:n, n:], system[n:, :n] = h, h.T
+    right = np.vstack([correlation(z, new, lengths), monomials(new, hyper.trend).T])
+    solved = np.linalg.solve(system, right)
+    v = 1 + hyper.nugget - np.sum(solved * right, axis=0)
+    return solved[:n].T @ c, v
+
+
+@pytest.mark.parametrize("trend", [0, 1, 2])
+def test_mean_and_variance_are_those_of_universal_kriging(trend: int) -> None:
+    z, new = points(25), points(6, seed=8)
+    hyper = Hyper(HYPER.lengths, HYPER.nugget, trend)
+    (mean,), v = SharedGP.condition(z, targets(z), hyper).mean_and_variance(new)
+    expected_mean, expected_v = textbook(z, targets(z), new, hyper)
+    np.testing.assert_allclose(mean, expected_mean, rtol=1e-8)
+    np.testing.assert_allclose(v, expected_v, rtol=1e-6)
+
+
+def test_leave_one_out_equals_conditioning_without_that_run() -> None:
+    z = points(22)
+    c = targets(z)
+    e, v = SharedGP.condition(z, c, HYPER).left_out()
+    for i in (0, 7, 21):
+        kept = np.delete(np.arange(22), i)
+        without = SharedGP.condition(z[kept], c[kept], HYPER)
+        (mean,), alone = without.mean_and_variance(z[i : i + 1])
+        np.testing.assert_allclose(c[i] - mean[0], e[i], rtol=1e-7)
+        np.testing.assert_allclose(alone[0], v[i], rtol=1e-7)
+
+
+def test_the_restricted_likelihood_is_that_of_the_contrasts() -> None:
+    """Contrasts N^T c, N^T H = 0, have no trend: an ordinary likelihood, up to |H^T H|."""
+    z = points(18)
+    c, share = targets(z), np.array([0.7, 0.3])
+    h = monomials(z, HYPER.trend)
+    basis = null_space(h.T)
+    r = correlation(z, z, np.array(HYPER.lengths)) + HYPER.nugget * np.eye(18)
+    small = basis.T @ r @ basis
+    contrast = basis.T @ c
+    variance = np.sum(contrast * np.linalg.solve(small, contrast), axis=0) / len(small)
+    expected = -0.5 * (len(small) * share @ np.log(variance) + np.linalg.slogdet(small)[1])
+    expected -= 0.5 * np.linalg.slogdet(h.T @ h)[1]
+    assert log_likelihood(z, c, share, HYPER) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_variance_is_the_nugget_at_a_run_and_large_far_away() -> None:
+    z = points(20)
+    process = SharedGP.condition(z, targets(z), Hyper((0.4, 0.4), 1e-6, 0))
+    _, v = process.mean_and_variance(np.vstack([z[:3], [[9.0, 9.0]]]))
+    assert np.all(v[:3] < 3e-6)
+    assert v[3] > 0.9
+
+
+def test_a_linear_function_is_continued_by_a_linear_trend_and_not_by_a_constant() -> None:
+    z = points(15)
+    c = (2.0 + 3.0 * z[:, :1] - z[:, 1:]).copy()
+    far = np.array([[6.0, -4.0]])
+    (linear,), _ = SharedGP.condition(z, c, HYPER).mean_and_variance(far)
+    (constant,), _ = SharedGP.condition(z, c, Hyper(HYPER.lengths, 1e-4, 0)).mean_and_variance(far)
+    assert linear[0, 0] == pytest.approx(24.0, rel=1e-9)
+    assert abs(constant[0, 0] - 24.0) > 4
+
+
+def test_columns_asked_for_are_those_of_the_whole() -> None:
+    z = points(15)
+    process = SharedGP.condition(z, targets(z), HYPER)
+    (both,), _ = process.mean_and_variance(z[:4])
+    (second, first), _ = process.mean_and_variance(z[:4], [slice(1, 2), slice(0, 1)])
+    np.testing.assert_allclose(np.hstack([first, second]), both, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("function", "shorter"),
+    [
+        (lambda z: np.sin(6 * z[:, :1]) + 0.2 * z[:, 1:], 0),
+        (lambda z: 0.2 * z[:, :1] + np.sin(6 * z[:, 1:]), 1),
+    ],
+)
+def test_the_wigglier_input_gets_the_shorter_length(
+    function: Callable[[Array], Array], shorter: int
+) -> None:
+    z = points(40)
+    hyper = fit_hyper(z, function(z), np.ones(1), trend=0)
+    assert hyper.lengths[shorter] < 0.4 * hyper.lengths[1 - shorter]
+    assert hyper == fit_hyper(z, function(z), np.ones(1), trend=0)
+
+
+def test_noise_goes_to_the_nugget() -> None:
+    z = points(60)
+    noise = 0.1 * np.random.default_rng(5).standard_normal((60, 1))
+    clean = fit_hyper(z, z[:, :1] ** 2, np.ones(1), trend=0)
+    noisy = fit_hyper(z, z[:, :1] ** 2 + noise, np.ones(1), trend=0)
+    assert clean.nugget < 1e-7
+    assert noisy.nugget > 1e-4
+
+
+def test_a_trend_that_the_runs_cannot_carry_is_refused() -> None:
+    z = points(7)
+    with pytest.raises(ModelError, match="7 runs do not carry a trend of 6 terms"):
+        SharedGP.condition(z, targets(z), Hyper((1.0, 1.0), 1e-6, 2))
