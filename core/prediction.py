@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from core.calibration.state import Posterior
-from core.calibration.target import locals_of, nominal
+from core.calibration.target import nominal
 from core.errors import InputError, RangeError
 from core.model import Model
 

@@ -1,8 +1,8 @@
 """Weighted draws of a blade's local parameters at one value of the shared ones.
 
-The filter's move: particles are not pushed around but drawn anew from the panels that the message
-was integrated on, with exact weights. A particle's outer parameter falls into a cell of the outer
-points with the cell's probability and is uniform inside; the two inner ones come from the bell at
+The filter's move: particles are not pushed around but drawn anew from the tube that the message
+was integrated over, with exact weights. A particle's outer parameter falls into a station's cell with the
+cell's rough probability and is uniform inside; the two inner ones come from the bell at
 that place, or cell by cell from the nested points. With q the density of that draw, the weight is
 L / q; the average of the weights is the message again, which tests hold the two against each other
 by.
@@ -26,9 +26,9 @@ from core.calibration.planes import (
     plane_sum,
     plane_value,
 )
-from core.calibration.volumes import MAX_NODES, station, volume_nodes
+from core.calibration.volumes import STATIONS, log_sum, station, volume_glance
 
-SHARE = 8
+SHARE = 12
 SLICES = 24
 
 
@@ -132,14 +132,12 @@ def draw(a, b, v, y, s2, ka2, kb2, dim, u, z, out, log_w):  # type: ignore[no-un
         draw_plane(pa, pb, pv, y, s2, ka2, kb2, start, slopes, top, u, z, m, 0, out, log_w)
         return
     qa, qb, qv = np.empty((rows, p, p)), np.empty((rows, p, p)), np.empty((rows, p, p))
-    nodes = np.empty((MAX_NODES, 4))
-    count = volume_nodes(a, b, v, y, s2, ka2, kb2, nodes)
-    peak = -1e300
+    nodes, count = np.empty((STATIONS, 4)), STATIONS
+    total = volume_glance(a, b, v, y, s2, ka2, kb2, nodes)
+    floor = total - 9.0  # a thin floor under the rough values: no place is proposed never
     for j in range(count):
-        peak = max(peak, nodes[j, 2])
-    total = 0.0
-    for j in range(count):
-        total += nodes[j, 1] * math.exp(nodes[j, 2] - peak)
+        nodes[j, 2] = max(nodes[j, 2], floor)
+    total = log_sum(nodes, count)
     for first in range(0, m, SHARE):
         many = min(SHARE, m - first)
         j = pick(nodes, count, u[first, 0])
@@ -148,7 +146,7 @@ def draw(a, b, v, y, s2, ka2, kb2, dim, u, z, out, log_w):  # type: ignore[no-un
         top, _ = station(a, b, v, y, s2, ka2, kb2, x, start, slopes, qa, qb, qv)
         for i in range(first, first + many):
             out[i, 0] = x
-            log_w[i] = -(nodes[j, 2] - peak - math.log(total))
+            log_w[i] = total - nodes[j, 2]
         draw_plane(qa, qb, qv, y, s2, ka2, kb2, start, slopes, top, u, z, many, first, out, log_w)
 
 

@@ -16,7 +16,7 @@ from numba import njit
 
 from core.calibration.lines import line_mode, line_sum
 from core.calibration.planes import plane_mode, plane_sum
-from core.calibration.volumes import MAX_NODES, log_sum, volume_glance, volume_nodes
+from core.calibration.volumes import MAX_NODES, STATIONS, log_sum, volume_glance, volume_nodes
 
 
 @njit(cache=True, nogil=True)
@@ -38,7 +38,7 @@ def message(a, b, v, y, s2, ka2, kb2, dim, rough):  # type: ignore[no-untyped-de
     """
     rows = a.shape[0]
     if dim == 3 and rough:
-        value = volume_glance(a, b, v, y, s2, ka2, kb2)
+        value = volume_glance(a, b, v, y, s2, ka2, kb2, np.empty((STATIONS, 4)))
     elif dim == 3:
         points = np.empty((MAX_NODES, 4))
         count = volume_nodes(a, b, v, y, s2, ka2, kb2, points)

@@ -172,20 +172,25 @@ class BladeMessage:
                 return None
             level[worst] += 1
 
-    def draws(self, unit: Array, per_node: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    def draws(
+        self, unit: Array, per_node: int, rng: np.random.Generator, column: Array
+    ) -> tuple[Array, Array]:
         """Weighted local parameters at each node.
 
-        Returns values (K, per_node, L) and log weights (K, per_node) that sum to one per node.
+        Returns values (K, per_node, L) and log weights (K, per_node). A weight is L / q divided by
+        the exact message `column` (K,), so that a node's weights sum to one on average; dividing by
+        their own sum instead would bias every mean by the order of 1 / per_node.
         """
         x = self.space.to_x(unit)
         factors = _factors(self.model, self.rows, self.space, x, self.fixed)
-        s2, _ = _noise(self.rows, self.space, x)
+        s2, rest = _noise(self.rows, self.space, x)
         k, p = len(x), self.packed
         u, z = rng.random((k, per_node, 6)), rng.standard_normal((k, per_node, 2))
         share = drawing.SHARE if p.dim == 3 else 1
-        groups = -(-per_node // share)
+        groups = per_node // share
+        assert groups * share == per_node, "particles per node must be whole groups"
         strata = (np.arange(groups) + rng.random((k, groups))) / groups
-        u[:, :, 0] = np.repeat(strata, share, axis=1)[:, :per_node]
+        u[:, :, 0] = np.repeat(strata, share, axis=1)
         out, log_w = np.empty((k, per_node, 3)), np.empty((k, per_node))
 
         def work(part: slice) -> None:
@@ -207,7 +212,9 @@ class BladeMessage:
             )
 
         list(_POOL.map(work, _split(k)))
-        return _natural(self.model, out[:, :, 3 - p.dim :]), _per_node(log_w)
+        constant = p.offset - 0.5 * len(p.y) * math.log(2 * math.pi) - p.dim * math.log(2.0)
+        log_w += constant - math.log(per_node) + (rest - column)[:, None]
+        return _natural(self.model, out[:, :, 3 - p.dim :]), log_w
 
 
 def prior_draws(
@@ -230,11 +237,6 @@ def _natural(model: Model, scaled: Array) -> Array:
     low = np.array([p.prior.low for p in locals_of(model)])
     high = np.array([p.prior.high for p in locals_of(model)])
     return np.asarray(low + 0.5 * (scaled + 1) * (high - low))
-
-
-def _per_node(log_w: Array) -> Array:
-    top = log_w.max(axis=1, keepdims=True)
-    return np.asarray(log_w - top - np.log(np.exp(log_w - top).sum(axis=1, keepdims=True)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.draws import SHARE
 from core.calibration.message import BladeMessage, prior_draws
 from core.calibration.rotor import Columns, Weighed, node_count, weigh
 from core.calibration.state import ALGORITHM, RotorSpec, RotorState, health
@@ -134,7 +135,9 @@ def _state(
     sealed: bool,
 ) -> RotorState:
     k = len(weighed.unit)
-    per_node = max(1, rotor.particles // k)
+    per_node = SHARE * -(
+        -rotor.particles // (k * SHARE)
+    )  # whole groups: every stratum counts alike
     log_w = weighed.log_w
     log_evidence = log_sum_exp(log_w) - float(np.log(k))
     arrays: dict[str, Array] = {
@@ -157,7 +160,9 @@ def _state(
         if key not in work.draws:
             rng = stream(rotor.seed, ALGORITHM, *key)
             if blade in messages:
-                work.draws[key] = messages[blade].draws(weighed.unit, per_node, rng)
+                work.draws[key] = messages[blade].draws(
+                    weighed.unit, per_node, rng, weighed.columns[blade]
+                )
             else:
                 prior_key = (*key[:-1], str(k))
                 rng = stream(rotor.seed, ALGORITHM, *prior_key)

@@ -176,7 +176,7 @@ def kink(a, b, v, y, s2, ka2, kb2, inside, outside, g, la, lb, lv, iv):  # type:
     g0, x0 = g, inside
     sd, mode = 1.0, g
     start, at0 = inside, g
-    for _ in range(14):
+    for _ in range(8):
         mid = 0.5 * (inside + outside)
         collapse_plane(a, mid, la)
         collapse_plane(b, mid, lb)

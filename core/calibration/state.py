@@ -1,7 +1,8 @@
 """The state that is persisted: a value, versioned by its digest.
 
 A state holds the shared nodes with their weights W_k, one column log m_b(s_k) per blade, and for
-each blade its particle set: local values l_ki with weights w_ki that sum to one at each node. The
+each blade its particle set: local values l_ki with weights w_ki that sum to about one at each node
+(exactly on average, see `message.BladeMessage.draws`). The
 joint particles of a blade are the pairs (l_ki, s_k) with weight W_k w_ki, so a reading of another
 blade moves this blade through W alone, and only what changed is written.
 
@@ -36,7 +37,7 @@ ALGORITHM = "panels-1"
 class RotorSpec:
     """What an update needs to know of a rotor.
 
-    particles  weighted draws per blade (rounded down to a multiple of the shared nodes)
+    particles  weighted draws per blade, at least; rounded up to whole groups at each shared node
     known      values of known parameters per blade
     """
 

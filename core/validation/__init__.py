@@ -1,0 +1,1 @@
+"""Checks that ship: models with exact answers, references, coverage."""
