@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from types import FrameType
@@ -21,6 +22,7 @@ from service.store.engine import is_sqlite, open_engine
 from service.store.migrate import current, migrate, newest
 from service.store.unit_of_work import SqlStore
 from service.telemetry import configure_logs
+from service.worker.lease import Role
 from service.worker.loop import Worker, end_with_parent, owner_name, run_worker
 from service.worker.supervise import Supervisor
 from service.worker.wake import open_wake
@@ -36,7 +38,7 @@ def make_science(settings: Settings) -> Science:
         return FakeScience()
     from service.science import CoreScience
 
-    return CoreScience()
+    return CoreScience(settings.model_dir)
 
 
 def make_store(settings: Settings) -> SqlStore:
@@ -69,14 +71,29 @@ def make_app(store: SqlStore, science: Science, settings: Settings) -> FastAPI:
 
 
 def make_worker(
-    store: SqlStore, science: Science, settings: Settings, owner: str | None = None
+    store: SqlStore,
+    science: Science,
+    settings: Settings,
+    owner: str | None = None,
+    role: Role = "all",
 ) -> Worker:
-    return Worker(store, science, settings, owner or owner_name())
+    return Worker(store, science, settings, owner or owner_name(), role)
 
 
-def worker_command(owner: str) -> list[str]:
+def worker_command(owner: str, role: Role) -> list[str]:
     """The command line of a worker that ends with its parent."""
-    return [sys.executable, "-m", "service.cli", "worker", "--owner", owner, "--end-with-parent"]
+    command = [sys.executable, "-m", "service.cli", "worker", "--role", role]
+    return [*command, "--owner", owner, "--end-with-parent"]
+
+
+def worker_roles(settings: Settings) -> list[Role]:
+    """What each worker of `serve` does: without sealers every worker does both."""
+    both: list[Role] = ["all"] * settings.workers
+    if settings.workers == 0 or settings.sealers == 0:
+        return both
+    apply: list[Role] = ["apply"] * settings.workers
+    seal: list[Role] = ["seal"] * settings.sealers
+    return apply + seal
 
 
 class _Server(uvicorn.Server):
@@ -112,7 +129,9 @@ def serve(settings: Settings) -> None:
     # uvicorn raises the signal again when it has ended; the workers are still to be stopped.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda signum, frame: None)
-    supervisor = Supervisor(store.engine, settings.workers, worker_command, settings.environ())
+    supervisor = Supervisor(
+        store.engine, worker_roles(settings), worker_command, settings.environ()
+    )
     supervisor.start()
     try:
         server.run()
@@ -121,8 +140,8 @@ def serve(settings: Settings) -> None:
         store.close()
 
 
-def work(settings: Settings, *, owner: str | None, with_parent: bool) -> None:
-    """One worker in this process until it is stopped."""
+def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool) -> None:
+    """One worker in this process until it is stopped; one that only seals lets others go first."""
     if with_parent:
         end_with_parent()
     configure_logs(settings.log_level)
@@ -130,6 +149,8 @@ def work(settings: Settings, *, owner: str | None, with_parent: bool) -> None:
     try:
         if not with_parent:
             prepare(store, settings)
-        run_worker(make_worker(store, make_science(settings), settings, owner))
+        if role == "seal":
+            os.nice(10)
+        run_worker(make_worker(store, make_science(settings), settings, owner, role))
     finally:
         store.close()

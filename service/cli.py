@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,6 +28,14 @@ SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
     f"{name} [{default}]: {meaning}" for name, default, meaning in table()
 )
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+class WorkerRole(StrEnum):
+    """What a worker does."""
+
+    ALL = "all"
+    APPLY = "apply"
+    SEAL = "seal"
 
 
 def say(data: dict[str, Any], text: str, *, as_json: bool) -> None:
@@ -53,13 +62,17 @@ def serve(
 
 @app.command()
 def worker(
+    role: Annotated[
+        WorkerRole,
+        typer.Option(help="apply entries, seal provisional posteriors, or all of it."),
+    ] = WorkerRole.ALL,
     owner: Annotated[str | None, typer.Option(hidden=True)] = None,
     end_with_parent: Annotated[bool, typer.Option("--end-with-parent", hidden=True)] = False,
 ) -> None:
     """Run one worker, here or on another machine, against BLADETWIN_DATABASE_URL."""
     from service.bootstrap import work
 
-    work(Settings.load(), owner=owner, with_parent=end_with_parent)
+    work(Settings.load(), role=role.value, owner=owner, with_parent=end_with_parent)
 
 
 @app.command()

@@ -133,7 +133,7 @@ class FakeScience:
         arrays["shared/moments"] = np.array([weighted / precision, 1.0 / precision])
         meta = {
             "algorithm_version": "fake-1",
-            "digest": digest_of(readings),
+            "events_digest": digest_of(readings),
             "sealed": not (quick and self.provisional),
             "health": {"ess": rotor.particles, "ess_ratio": 1.0},
             "blades": list(rotor.blades),

@@ -81,8 +81,7 @@ class RotorSpec:
 class RotorState(Protocol):
     """A posterior of one rotor: a JSON-able `meta` and named arrays; never changes.
 
-    meta holds at least ``algorithm_version``, ``digest`` (of the event set), ``sealed`` and
-    ``health``.
+    meta holds at least ``algorithm_version``, ``events_digest``, ``sealed`` and ``health``.
     """
 
     @property

@@ -36,14 +36,23 @@ class Settings(BaseModel):
     host: str = Field("127.0.0.1", description="address that `serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `serve` listens on")
     workers: int = Field(1, ge=0, le=256, description="worker processes that `serve` starts")
+    sealers: int = Field(
+        1, ge=0, le=256, description="processes that only seal; 0 = the workers do it themselves"
+    )
+    seal_after_s: float = Field(
+        0.3, ge=0, le=3600, description="a provisional posterior is sealed when quiet for, s"
+    )
     migrate: Literal["auto", "always", "never"] = Field(
         "auto", description="migrate at `serve`: auto = SQLite yes, PostgreSQL no"
     )
     science: Literal["core", "fake"] = Field(
         "core", description="core = blade physics; fake = the small Gaussian twin for trials"
     )
+    model_dir: str = Field(
+        "", description="folder of a rebuilt rotor-blade model; empty = the shipped one"
+    )
     particles: int = Field(
-        1000, ge=16, le=1_000_000, description="particles per blade where a rotor names none"
+        4000, ge=16, le=1_000_000, description="particles per blade where a rotor names none"
     )
     max_body_mb: float = Field(32.0, gt=0, le=4096, description="largest request body, MiB")
     page_limit: int = Field(200, ge=1, le=10_000, description="most items on one page of a list")
@@ -53,7 +62,7 @@ class Settings(BaseModel):
     retry_base_s: float = Field(0.5, ge=0, description="first pause after a failed update, doubled")
     retry_max_s: float = Field(60.0, ge=0, description="longest pause after a failed update, s")
     poll_ms: float = Field(5.0, ge=1, le=1000, description="how often SQLite is looked at, ms")
-    keep_versions: int = Field(100, ge=1, description="newest posterior versions that are kept")
+    keep_versions: int = Field(20, ge=1, description="newest posterior versions that are kept")
     checkpoint_every: int = Field(
         50, ge=1, description="of older versions every n-th is kept as a checkpoint"
     )

@@ -86,6 +86,7 @@ def upgrade() -> None:
         sa.Column("fence", BIG, nullable=False),
         sa.Column("owner", NAME, nullable=True),
         sa.Column("lease_until", sa.Double(), nullable=True),
+        sa.Column("sealing", sa.Boolean(), nullable=False),
         sa.Column("not_before", sa.Double(), nullable=True),
         sa.Column("attempts", sa.Integer(), nullable=False),
         sa.Column("blocked", sa.Boolean(), nullable=False),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import Connection, false, insert, select, text, true, update
+from sqlalchemy import Connection, false, insert, or_, select, text, true, update
 
 from service.errors import ConflictError, NotFoundError
 from service.ports import Appended, Event, NewEvent
@@ -72,7 +72,7 @@ class SqlLog:
             self._connection.execute(insert(t.entry).values(received_at=now_s()), rows)
             advance = update(t.rotor).where(t.rotor.c.id == rotor_id)
             self._connection.execute(advance.values(head_seq=head + len(rows)))
-            self._mark_dirty(rotor_id)
+            self._mark_dirty(rotor_id, head)
         return answers
 
     def _known(self, rotor_id: str, ids: list[str]) -> dict[str, tuple[str | None, int]]:
@@ -84,8 +84,11 @@ class SqlLog:
             found |= {row[0]: (row[1], row[2]) for row in self._connection.execute(query)}
         return found
 
-    def _mark_dirty(self, rotor_id: str) -> None:
-        flip = update(t.cursor).where(t.cursor.c.rotor_id == rotor_id, t.cursor.c.dirty == false())
+    def _mark_dirty(self, rotor_id: str, head: int) -> None:
+        """Note that there is work; workers are woken when there was none pending before."""
+        c = t.cursor.c
+        none_pending = or_(c.dirty == false(), c.applied_seq == head)
+        flip = update(t.cursor).where(c.rotor_id == rotor_id, none_pending)
         result = self._connection.execute(flip.values(dirty=True, dirty_since=now_s()))
         if result.rowcount == 1:
             notify(self._connection, "bladetwin_work")

@@ -104,6 +104,7 @@ class SqlRecords:
                 dirty=True,
                 dirty_since=now_s(),
                 fence=0,
+                sealing=False,
                 attempts=0,
                 blocked=False,
             )

@@ -128,6 +128,7 @@ cursor = Table(
     Column("fence", BIG, nullable=False),
     Column("owner", NAME),
     Column("lease_until", Double),
+    Column("sealing", Boolean, nullable=False),
     Column("not_before", Double),
     Column("attempts", Integer, nullable=False),
     Column("blocked", Boolean, nullable=False),

@@ -5,6 +5,10 @@ may claim again with a higher fence; from then on the earlier worker's heartbeat
 no row and change nothing. The cursor moves in the transaction that writes the new version, so a
 worker that dies anywhere leaves either both or neither.
 
+A rotor is claimed to apply what is pending, or, when nothing is, to seal a provisional posterior.
+Sealing takes long and may wait: an entry that comes meanwhile is claimed over it at once, and the
+sealing worker's commit is one that came too late.
+
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
 
@@ -12,7 +16,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from sqlalchemy import (
     ColumnElement,
@@ -21,6 +25,7 @@ from sqlalchemy import (
     and_,
     false,
     insert,
+    not_,
     or_,
     select,
     true,
@@ -33,6 +38,7 @@ from service.store.engine import now_s, transaction
 from service.store.log import lock_rotor, notify
 
 c = t.cursor.c
+Role = Literal["all", "apply", "seal"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,16 +51,25 @@ class Lease:
     applied_seq: int
     version: int
     attempts: int
+    sealing: bool
 
 
-def claimable(table: Any) -> ColumnElement[bool]:
-    """There is work, nobody alive holds it, and no pause is running."""
-    return and_(
-        table.dirty == true(),
-        table.blocked == false(),
-        or_(table.lease_until.is_(None), table.lease_until <= now_s()),
-        or_(table.not_before.is_(None), table.not_before <= now_s()),
+def pending() -> ColumnElement[bool]:
+    """Entries of the log, or the prior, are not applied yet."""
+    head = select(t.rotor.c.head_seq).where(t.rotor.c.id == c.rotor_id).scalar_subquery()
+    return or_(c.version == 0, c.applied_seq < head)
+
+
+def claimable(*, sealing: bool, quiet_s: float) -> ColumnElement[bool]:
+    """There is work of this kind, nobody alive holds it, and no pause is running."""
+    free = or_(c.lease_until.is_(None), c.lease_until <= now_s())
+    due = (
+        and_(not_(pending()), free, c.dirty_since <= now_s() - quiet_s)
+        if sealing
+        else and_(pending(), or_(free, c.sealing == true()))
     )
+    rested = or_(c.not_before.is_(None), c.not_before <= now_s())
+    return and_(c.dirty == true(), c.blocked == false(), rested, due)
 
 
 def holds(lease: Lease) -> ColumnElement[bool]:
@@ -72,14 +87,33 @@ def owned(lease: Lease) -> ColumnElement[bool]:
     return c.owner == lease.owner
 
 
-def claim(engine: Engine, owner: str, lease_s: float) -> Lease | None:
-    """Take the rotor that has waited longest; None: nothing to do."""
-    first = select(c.rotor_id).where(claimable(c)).order_by(c.dirty_since).limit(1)
+def claim(
+    engine: Engine, owner: str, lease_s: float, *, role: Role = "all", quiet_s: float = 0.0
+) -> Lease | None:
+    """Take the rotor that has waited longest; None: nothing to do.
+
+    Pending entries go before sealing; a rotor is sealed when it was quiet for `quiet_s`.
+    """
+    for sealing in (False, True):
+        if role == ("apply" if sealing else "seal"):
+            continue
+        lease = _claim(engine, owner, lease_s, sealing, quiet_s)
+        if lease is not None:
+            return lease
+    return None
+
+
+def _claim(
+    engine: Engine, owner: str, lease_s: float, sealing: bool, quiet_s: float
+) -> Lease | None:
+    due = claimable(sealing=sealing, quiet_s=quiet_s)
+    first = select(c.rotor_id).where(due).order_by(c.dirty_since).limit(1)
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
             return None
+    locked = first.with_for_update(skip_locked=True, of=t.cursor)
     with transaction(engine, write=True) as connection:
-        rotor_id = connection.execute(first.with_for_update(skip_locked=True)).scalar()
+        rotor_id = connection.execute(locked).scalar()
         if rotor_id is None:
             return None
         take = (
@@ -90,11 +124,12 @@ def claim(engine: Engine, owner: str, lease_s: float) -> Lease | None:
                 attempts=c.attempts + 1,
                 owner=owner,
                 lease_until=now_s() + lease_s,
+                sealing=sealing,
             )
             .returning(c.fence, c.applied_seq, c.version, c.attempts)
         )
         row = connection.execute(take).one()
-        return Lease(rotor_id, owner, row.fence, row.applied_seq, row.version, row.attempts)
+    return Lease(rotor_id, owner, row.fence, row.applied_seq, row.version, row.attempts, sealing)
 
 
 def heartbeat(engine: Engine, lease: Lease, lease_s: float) -> bool:
@@ -124,6 +159,7 @@ def advance(connection: Connection, lease: Lease, through: int, *, sealed: bool)
             attempts=0,
             owner=None,
             lease_until=None,
+            sealing=False,
             not_before=None,
             last_error=None,
             last_error_event=None,

@@ -19,6 +19,7 @@ from service.ports import Science
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.worker.jobs import Jobs
+from service.worker.lease import Role
 from service.worker.update import Updater
 from service.worker.wake import open_wake
 
@@ -34,10 +35,17 @@ def owner_name() -> str:
 class Worker:
     """Applies what is pending until it is stopped."""
 
-    def __init__(self, store: SqlStore, science: Science, settings: Settings, owner: str) -> None:
+    def __init__(
+        self,
+        store: SqlStore,
+        science: Science,
+        settings: Settings,
+        owner: str,
+        role: Role = "all",
+    ) -> None:
         self.store = store
         self.science = science
-        self.updater = Updater(store, science, settings, owner)
+        self.updater = Updater(store, science, settings, owner, role)
         self.jobs = Jobs(store, science, settings, owner)
         self.settings = settings
         self._stop = threading.Event()

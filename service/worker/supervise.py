@@ -13,13 +13,13 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.worker.lease import release
+from service.worker.lease import Role, release
 from service.worker.loop import owner_name
 
 log = logging.getLogger("bladetwin.supervisor")
@@ -29,25 +29,26 @@ LONGEST_PAUSE_S = 10.0
 
 @dataclass(slots=True)
 class Child:
-    """A running worker and the name under which it claims."""
+    """A running worker, its role, and the name under which it claims."""
 
     process: subprocess.Popen[bytes]
+    role: Role
     owner: str
     started: float
 
 
 class Supervisor:
-    """Keeps `count` workers alive. `command(owner)` is the command line of one."""
+    """Keeps one worker alive for each of `roles`. `command(owner, role)` is a command line."""
 
     def __init__(
         self,
         engine: Engine,
-        count: int,
-        command: Callable[[str], list[str]],
+        roles: Sequence[Role],
+        command: Callable[[str, Role], list[str]],
         environ: Mapping[str, str],
     ) -> None:
         self._engine = engine
-        self._count = count
+        self._roles = tuple(roles)
         self._command = command
         self._environ = {**os.environ, **environ}
         self._children: list[Child] = []
@@ -56,19 +57,19 @@ class Supervisor:
         self._pause = 0.1
 
     def start(self) -> None:
-        self._children = [self._spawn() for _ in range(self._count)]
+        self._children = [self._spawn(role) for role in self._roles]
         self._thread.start()
 
     def pids(self) -> list[int]:
         """Process ids of the workers that run now."""
         return [child.process.pid for child in self._children if child.process.poll() is None]
 
-    def _spawn(self) -> Child:
+    def _spawn(self, role: Role) -> Child:
         owner = owner_name()
         process = subprocess.Popen(
-            self._command(owner), stdin=subprocess.PIPE, env=self._environ, close_fds=True
+            self._command(owner, role), stdin=subprocess.PIPE, env=self._environ, close_fds=True
         )
-        return Child(process, owner, time.monotonic())
+        return Child(process, role, owner, time.monotonic())
 
     def _watch(self) -> None:
         while not self._stop.wait(0.05):
@@ -87,7 +88,7 @@ class Supervisor:
         young = time.monotonic() - child.started < HEALTHY_S
         self._pause = min(2 * self._pause, LONGEST_PAUSE_S) if young else 0.1
         if not self._stop.wait(self._pause if young else 0.0):
-            self._children[i] = self._spawn()
+            self._children[i] = self._spawn(child.role)
 
     @staticmethod
     def _close(child: Child) -> None:

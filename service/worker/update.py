@@ -14,7 +14,7 @@ import json
 import logging
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
@@ -30,7 +30,7 @@ from service.store.encoding import Encoded, encode
 from service.store.engine import transaction
 from service.store.log import read_entries
 from service.store.states import digests, thin, write_state
-from service.store.unit_of_work import SqlStore
+from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker import lease as leases
 from service.worker.lease import Lease
 
@@ -76,14 +76,27 @@ def entry_of(event: Event) -> Entry:
     return Entry(event.seq, "retraction", event.replaces or "")
 
 
+def entries_of(events: Sequence[Event]) -> list[Entry]:
+    """Those of the log's rows that concern readings."""
+    return [entry_of(e) for e in events if e.kind in ("inspection", "retraction")]
+
+
 class Updater:
     """Applies pending entries, one rotor at a time."""
 
-    def __init__(self, store: SqlStore, science: Science, settings: Settings, owner: str) -> None:
+    def __init__(
+        self,
+        store: SqlStore,
+        science: Science,
+        settings: Settings,
+        owner: str,
+        role: leases.Role = "all",
+    ) -> None:
         self.store = store
         self.science = science
         self.settings = settings
         self.owner = owner
+        self.role = role
         self._memory: OrderedDict[str, Memory] = OrderedDict()
 
     @property
@@ -92,7 +105,13 @@ class Updater:
 
     def run_once(self) -> bool:
         """Claim a rotor and bring it up to date; False: there was nothing to claim."""
-        lease = leases.claim(self.engine, self.owner, self.settings.lease_s)
+        lease = leases.claim(
+            self.engine,
+            self.owner,
+            self.settings.lease_s,
+            role=self.role,
+            quiet_s=self.settings.seal_after_s,
+        )
         if lease is None:
             return False
         if lease.attempts > self.settings.max_attempts:
@@ -103,7 +122,7 @@ class Updater:
             task: Task | None = None
             try:
                 task = self.read(lease)
-                state = self.compute(task)
+                state = self.compute(task, quick=not lease.sealing)
                 change = self.change(task, state)
             except Exception as error:
                 self.give_back(lease, task, error)
@@ -125,11 +144,11 @@ class Updater:
                 lease.version,
                 lease.applied_seq,
             ):
-                memory = self._restore(lease)
-            through = rotor.head_seq
+                memory = self._restore(tx, lease, memory)
+            through = lease.applied_seq if lease.sealing else rotor.head_seq
             fresh = read_entries(tx.connection, rotor.id, memory.through, through)
             blades = [b.id for b in tx.records.blades(rotor.id) if b.added_seq <= through]
-        readings = [entry_of(e) for e in fresh if e.kind in ("inspection", "retraction")]
+        readings = entries_of(fresh)
         return Task(
             card=card,
             spec=RotorSpec(rotor.id, tuple(blades), rotor.particles, rotor.seed),
@@ -139,25 +158,25 @@ class Updater:
             memory=memory,
         )
 
-    def _restore(self, lease: Lease) -> Memory:
-        with self.store.read() as tx:
-            events = read_entries(tx.connection, lease.rotor_id, 0, lease.applied_seq)
-            entries = [entry_of(e) for e in events if e.kind in ("inspection", "retraction")]
-            if lease.version == 0:
-                return Memory(0, 0, None, {}, {}, entries)
-            record = tx.states.get(lease.rotor_id, lease.version)
-            sha256 = digests(tx.connection, lease.rotor_id)
+    def _restore(self, tx: SqlTransaction, lease: Lease, stale: Memory | None) -> Memory:
+        """The state that the claim read. The log only grows: entries known already stay."""
+        known, entries = (0, []) if stale is None else (stale.through, stale.entries)
+        if known > lease.applied_seq:
+            known, entries = 0, []
+        events = read_entries(tx.connection, lease.rotor_id, known, lease.applied_seq)
+        entries = entries + entries_of(events)
+        if lease.version == 0:
+            return Memory(0, 0, None, {}, {}, entries)
+        record = tx.states.get(lease.rotor_id, lease.version)
+        sha256 = digests(tx.connection, lease.rotor_id)
         get = self.store.arrays(lease.rotor_id, lease.version)
         state = self.science.restore(record.meta, get)
         return Memory(lease.version, lease.applied_seq, state, {}, sha256, entries)
 
-    def compute(self, task: Task) -> RotorState:
-        """The new posterior: quick while entries are pending, sealed when none are."""
-        previous = task.memory.state
-        sealing = previous is not None and not previous.meta["sealed"] and task.pending == 0
-        return self.science.update(
-            task.card, task.spec, effective(task.entries), previous, quick=not sealing
-        )
+    def compute(self, task: Task, *, quick: bool) -> RotorState:
+        """The new posterior: quick when entries were pending, else sealed."""
+        readings = effective(task.entries)
+        return self.science.update(task.card, task.spec, readings, task.memory.state, quick=quick)
 
     def change(self, task: Task, state: RotorState) -> Change:
         """The arrays that the new version has to write, and the digest of each that it has."""
@@ -189,7 +208,7 @@ class Updater:
                 algorithm_version=str(state.meta["algorithm_version"]),
                 sealed=sealed,
                 digest=state.digest,
-                events_digest=str(state.meta["digest"]),
+                events_digest=str(state.meta["events_digest"]),
                 meta=dict(state.meta),
                 created_at=0.0,
             )

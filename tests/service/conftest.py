@@ -29,7 +29,9 @@ from service.worker.loop import Worker
 
 @pytest.fixture
 def settings(database_url: str) -> Settings:
-    return Settings(database_url=database_url, science="fake", lease_s=30.0, retry_base_s=0.0)
+    return Settings(
+        database_url=database_url, science="fake", lease_s=30.0, retry_base_s=0.0, seal_after_s=0.0
+    )
 
 
 @pytest.fixture

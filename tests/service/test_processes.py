@@ -60,7 +60,10 @@ def test_no_entry_is_lost_or_applied_twice_while_workers_are_killed(
     script = str(Path(__file__).with_name("slow_worker.py"))
     environ = patient.environ() | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     supervisor = Supervisor(
-        store.engine, 2, lambda owner: [sys.executable, script, owner, "0.02"], environ
+        store.engine,
+        ["apply", "apply", "seal"],
+        lambda owner, role: [sys.executable, script, owner, role, "0.02"],
+        environ,
     )
     supervisor.start()
     killed: set[int] = set()
@@ -190,14 +193,16 @@ def test_serve_applies_readings_replaces_a_dead_worker_and_ends_cleanly(
     with serving(Settings(database_url=bare_url, science="fake")) as (process, client):
         client.create_rotor("r1", blades=["B1"])
         client.wait_for("r1", client.post_inspections("r1", [body("a")]), PATIENCE_S)
-        (worker,) = children(process.pid)
-        os.kill(worker, signal.SIGKILL)
+        first = set(children(process.pid))
+        assert len(first) == 2, "one applies and one seals"
+        for worker in first:
+            os.kill(worker, signal.SIGKILL)
         client.wait_for("r1", client.post_inspections("r1", [body("b")]), PATIENCE_S)
-        (successor,) = children(process.pid)
-        assert successor != worker
+        successors = set(children(process.pid))
+        assert successors.isdisjoint(first)
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE_S) == 0
-        assert not alive(successor)
+        assert not any(alive(pid) for pid in successors)
 
 
 def test_no_worker_outlives_a_server_that_was_killed(bare_url: str) -> None:
@@ -206,7 +211,7 @@ def test_no_worker_outlives_a_server_that_was_killed(bare_url: str) -> None:
         client.create_rotor("r1", blades=["B1"])
         client.wait_for("r1", 0, PATIENCE_S)
         workers = children(process.pid)
-        assert len(workers) == 2
+        assert len(workers) == 3
         process.kill()
         process.wait()
         until("the end of the workers", lambda: not any(alive(pid) for pid in workers))

@@ -94,7 +94,7 @@ class Race:
         lease = leases.claim(self.store.engine, "first", 60.0)
         assert lease is not None
         task = first.read(lease)
-        state = first.compute(task)
+        state = first.compute(task, quick=not lease.sealing)
         self.expire()
         assert second.run_once()
         with suppress(LostLeaseError):
@@ -342,9 +342,49 @@ def test_an_entry_that_comes_during_an_update_is_not_lost(
     assert lease is not None
     task = updater.read(lease)
     post(rotor, reading("b"))
-    state = updater.compute(task)
+    state = updater.compute(task, quick=True)
     updater.commit(lease, task, state, updater.change(task, state))
     assert updater.run_once()
     check_history(race.store, rotor)
     with race.store.read() as tx:
         assert tx.records.rotor(rotor).applied_seq == 2
+
+
+def test_an_entry_is_not_kept_waiting_by_a_sealing(
+    race: Race, rotor: str, reading: Make, post: Post
+) -> None:
+    race.provisional = True
+    post(rotor, reading("a"))
+    assert race.updater("before").run_once()
+    sealer = race.updater("sealer")
+    lease = leases.claim(race.store.engine, "sealer", 60.0, role="seal")
+    assert lease is not None
+    assert lease.sealing
+    assert leases.claim(race.store.engine, "second", 60.0) is None, "nothing is pending"
+    task = sealer.read(lease)
+    state = sealer.compute(task, quick=False)
+    post(rotor, reading("b", blade="B2"))
+    assert leases.claim(race.store.engine, "other", 60.0, role="seal") is None
+    applier = race.updater("applier")
+    applier.role = "apply"
+    assert applier.run_once()
+    with pytest.raises(LostLeaseError):
+        sealer.commit(lease, task, state, sealer.change(task, state))
+    check_history(race.store, rotor)
+    assert not applier.run_once(), "sealing is not its work"
+    assert sealer.run_once()
+    check_history(race.store, rotor)
+    with race.store.read() as tx:
+        assert tx.states.get(rotor).sealed
+        assert tx.records.rotor(rotor).applied_seq == 2
+
+
+def test_a_busy_rotor_is_not_sealed_before_it_is_quiet(
+    race: Race, rotor: str, reading: Make, post: Post
+) -> None:
+    race.provisional = True
+    post(rotor, reading("a"))
+    assert race.updater("before").run_once()
+    engine = race.store.engine
+    assert leases.claim(engine, "sealer", 60.0, role="seal", quiet_s=3600.0) is None
+    assert leases.claim(engine, "sealer", 60.0, role="seal", quiet_s=0.0) is not None

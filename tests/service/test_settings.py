@@ -38,7 +38,7 @@ def test_a_child_process_gets_the_same_settings() -> None:
 def test_the_help_of_serve_lists_every_setting() -> None:
     shown = CliRunner().invoke(app, ["serve", "--help"]).output
     assert [name for name in names() if name not in shown] == []
-    assert len(names()) == 20
+    assert len(names()) == 23
 
 
 def test_no_password_is_shown() -> None:

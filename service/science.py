@@ -1,0 +1,180 @@
+"""The blade physics behind the `Science` port: core.model, core.calibration, core.prediction.
+
+Imported only where it is wired; the compiled kernels of the calibration are imported when a
+worker warms up, so that a process that only serves never loads them.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import core.builtin
+from core.calibration.state import Posterior, RotorState, blade_posterior, shared_posterior
+from core.errors import InputError, ModelError
+from core.model import Model
+from core.network import rotor_blade_network
+from core.observation import Inspection
+from core.prediction import predict
+from core.surrogate.artefact import load
+from service.ports import Array, Draws, Get, ModelCard, Output, RotorSpec
+
+SHIPPED = Path(core.builtin.__file__).with_name("rotor_blade_model")
+NAME = "rotor-blade"
+
+
+class StoredArrays(Mapping[str, Array]):
+    """The arrays of a stored state, each fetched when it is first looked at."""
+
+    def __init__(self, names: Sequence[str], get: Get) -> None:
+        self._names = tuple(names)
+        self._get = get
+        self._found: dict[str, Array] = {}
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._found:
+            if name not in self._names:
+                raise KeyError(name)
+            self._found[name] = self._get(name)
+        return self._found[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """A prediction; for a 3-D deformation the arrays are (T, 3)."""
+
+    time_h: Array
+    mean: Array
+    sd: Mapping[str, Array]
+    lower: Array
+    upper: Array
+    quantiles: Mapping[float, Array]
+
+
+class CoreScience:
+    """The science of this release; `folder` holds a rebuilt model instead of the shipped one."""
+
+    builtins = (NAME,)
+
+    def __init__(self, folder: str = "") -> None:
+        self._folder = Path(folder) if folder else SHIPPED
+        self._lock = threading.Lock()
+        self._workspace: Any = None
+
+    @cached_property
+    def _loaded(self) -> Model:
+        surrogate: Any = load(self._folder)
+        return Model(rotor_blade_network(), surrogate)
+
+    def _model(self, card: ModelCard) -> Model:
+        with self._lock:
+            model = self._loaded
+        if card.digest != model.digest:
+            raise ModelError(
+                f"model {card.id} {card.version} is registered, but this release has "
+                f"{model.version}. Run the release that registered it, or set "
+                "BLADETWIN_MODEL_DIR to the folder of that model."
+            )
+        return model
+
+    def builtin(self, name: str) -> ModelCard:
+        if name not in self.builtins:
+            raise InputError("builtin", name, "is no built-in model", f"use {NAME}")
+        with self._lock:
+            model = self._loaded
+        surrogate: Any = model.surrogate
+        summary = {k: v for k, v in surrogate.manifest.items() if k not in ("structure", "schema")}
+        return ModelCard(
+            id=name,
+            version=model.version,
+            digest=model.digest,
+            network=model.network,
+            horizon_h=float(surrogate.horizon_h),
+            node_count=len(surrogate.points),
+            nodes=dict(surrogate.named),
+            time_h=tuple(np.asarray(surrogate.time_h).tolist()),
+            outputs={q.name: Output(q.unit, q.kind) for q in model.network.quantities},
+            summary=summary,
+        )
+
+    def update(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        readings: Sequence[Inspection],
+        previous: Any,
+        *,
+        quick: bool,
+    ) -> RotorState:
+        from core.calibration import online
+
+        if self._workspace is None:
+            self._workspace = online.Workspace()
+        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed)
+        return online.update(
+            self._model(card), spec, readings, previous, quick=quick, workspace=self._workspace
+        )
+
+    def restore(self, meta: Mapping[str, Any], get: Get) -> RotorState:
+        return RotorState(meta, StoredArrays(meta["arrays"], get))
+
+    def shared_draws(self, meta: Mapping[str, Any], get: Get) -> Draws:
+        return _draws(shared_posterior(meta, get))
+
+    def blade_draws(self, meta: Mapping[str, Any], get: Get, blade: str) -> Draws:
+        return _draws(blade_posterior(meta, get, blade))
+
+    def predict(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        times: Sequence[float],
+        node: int | None,
+        probability: float,
+    ) -> Bands:
+        model = self._model(card)
+        posterior = blade_posterior(meta, get, blade)
+        components = [0, 1, 2] if card.outputs[quantity].kind == "vector" else [None]
+        parts = [
+            predict(model, posterior, quantity, times, node, probability, component=component)
+            for component in components
+        ]
+
+        def joined(arrays: list[Array]) -> Array:
+            return arrays[0] if len(arrays) == 1 else np.stack(arrays, axis=1)
+
+        return Bands(
+            parts[0].time_h,
+            joined([p.mean for p in parts]),
+            {name: joined([p.sd[name] for p in parts]) for name in parts[0].sd},
+            joined([p.lower for p in parts]),
+            joined([p.upper for p in parts]),
+            {q: joined([p.quantiles[q] for p in parts]) for q in parts[0].quantiles},
+        )
+
+    def warm(self, card: ModelCard) -> None:
+        """One update of a made-up rotor compiles what an update needs."""
+        spec = RotorSpec("warm", ("w",), 256, 0)
+        reading = Inspection("w", "w", "elongation", 0.5 * card.horizon_h, np.array([0.2]))
+        state = self.update(card, spec, [reading], None, quick=False)
+        later = Inspection("x", "w", "elongation", 0.6 * card.horizon_h, np.array([0.25]))
+        self.update(card, spec, [reading, later], state, quick=True)
+
+
+def _draws(posterior: Posterior) -> Draws:
+    return Draws(posterior.names, posterior.particles.psi, posterior.particles.log_w)
