@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from typing import Protocol
@@ -29,26 +30,26 @@ class Input(Protocol):
 
 
 class Answers(Protocol):
-    """What the network needs of a surrogate; `core.surrogate.Surrogate` has it, tests may differ."""
+    """What the network needs of a surrogate: `core.surrogate`, or a formula in tests."""
 
     @property
-    def inputs(self) -> tuple[Input, ...]: ...
+    def inputs(self) -> Sequence[Input]: ...
     @property
     def horizon_h(self) -> float: ...
     @property
     def node_count(self) -> int: ...
     @property
-    def named(self) -> dict[str, int]: ...
+    def named(self) -> Mapping[str, int]: ...
     @property
     def digest(self) -> str: ...
 
     def predict(
-        self, x: Array, quantity: str, times: Array, nodes: Array | None = None
+        self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None
     ) -> tuple[Array, Array]: ...
     def response(
-        self, quantity: str, times: Array, nodes: Array | None = None, degree: int = 5
+        self, quantity: str, times: Array, nodes: Sequence[int] | None = None, degree: int = 5
     ) -> Response: ...
-    def deformation_modes(self, nodes: Array) -> Array: ...
+    def deformation_modes(self, nodes: Sequence[int]) -> Array: ...
     def mode_response(self, time_h: float, mixing: Array, degree: int = 5) -> Response: ...
     def mode_covariance(self, time_h: float) -> Array: ...
 
@@ -73,8 +74,8 @@ class Model:
             slack = 1e-9 * (i.high - i.low)
             if prior.low < i.low - slack or prior.high > i.high + slack:
                 raise ModelError(
-                    f"the prior of {i.name!r}, {prior.low:g} … {prior.high:g}, leaves the range "
-                    f"{i.low:g} … {i.high:g} that the surrogate was trained on; narrow it or add runs"
+                    f"the prior of {i.name!r}, {prior.low:g} … {prior.high:g}, leaves the range of "
+                    f"the training runs, {i.low:g} … {i.high:g}; narrow it or add runs"
                 )
 
     @property

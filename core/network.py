@@ -79,10 +79,10 @@ class Prior:
         )
 
     def to_u(self, x: Array) -> Array:
-        return np.log(x) if self.log_scale else np.asarray(x, float)
+        return np.asarray(np.log(x) if self.log_scale else x, float)
 
     def to_x(self, u: Array) -> Array:
-        return np.exp(u) if self.log_scale else np.asarray(u, float)
+        return np.asarray(np.exp(u) if self.log_scale else u, float)
 
     def log_density_u(self, u: Array) -> Array:
         """Log density on the working scale; −inf outside the bounds.
@@ -105,8 +105,8 @@ class Prior:
         low, high = self.box
         if self.kind == "normal":
             f0, f1 = ndtr((low - self.mean) / self.sd), ndtr((high - self.mean) / self.sd)
-            return np.clip(self.mean + self.sd * ndtri(f0 + p * (f1 - f0)), low, high)
-        return self.to_x(low + p * (high - low))
+            return np.asarray(np.clip(self.mean + self.sd * ndtri(f0 + p * (f1 - f0)), low, high))
+        return np.asarray(self.to_x(low + p * (high - low)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,7 @@ def noise_of(model: Model, posterior: Posterior, quantity: str) -> Array:
         return posterior.column(declared.sigma_name)
     n = len(posterior.particles.log_w)
     spread = (np.arange(n) * 0.6180339887498949 + 0.5) % 1.0  # golden-ratio strata
-    return declared.sigma_obs.quantile(spread)
+    return declared.sigma_obs.quantile(np.asarray(spread, float))
 
 
 GROUPS = 160
@@ -100,7 +100,8 @@ def mixture_quantiles(mean: Array, sd: Array, w: Array, p: Array) -> Array:
         second = m**2 + np.take_along_axis(sd, order, axis=0) ** 2
 
         def gather(values: Array) -> Array:
-            return np.bincount(flat, values.ravel(), GROUPS * t).reshape(t, GROUPS).T
+            sums = np.bincount(flat, values.ravel(), GROUPS * t)
+            return np.asarray(sums.reshape(t, GROUPS).T, float)
 
         mass = gather(share)
         safe = np.maximum(mass, 1e-300)
@@ -157,7 +158,7 @@ def predict(
             raise RangeError(
                 "node", node, f"does not exist: 0 … {model.surrogate.node_count - 1}", "name a node"
             )
-        nodes = np.array([node])
+        nodes = [node]
     if declared.kind == "vector" and component not in (0, 1, 2):
         raise InputError("component", component, "is none of 0, 1, 2", "choose x, y or z")
     thin = _thinned(posterior)

@@ -123,7 +123,8 @@ class Response:
 
         >>> x = np.linspace(0, 2, 9)[:, None]
         >>> r = Response.fit(["l"], np.array([0.0]), np.array([2.0]), 2, x, a=3 + x**2)
-        >>> r.reboxed(np.array([1.0]), np.array([1.5])).evaluate(np.array([[1.5]]))[0].round(9).tolist()
+        >>> r.reboxed(np.array([1.0]), np.array([1.5])).evaluate(
+        ...     np.array([[1.5]]))[0].round(9).tolist()
         [[5.25]]
         """
         if np.array_equal(low, self.low) and np.array_equal(high, self.high):
@@ -198,7 +199,7 @@ class Response:
             return np.ascontiguousarray(np.linalg.lstsq(basis, values, rcond=None)[0].T)
 
         if isinstance(log_v, np.ndarray):
-            v = np.linalg.lstsq(basis, log_v, rcond=None)[0]
+            v: Array = np.asarray(np.linalg.lstsq(basis, log_v, rcond=None)[0], float)
         else:
             v = np.zeros(m)
             v[0] = log_v

@@ -8,7 +8,7 @@ readings are never posted and measure the predictions.
 The truth is not the model: each blade is a finite-element run on the mesh ``fine`` (other nodes,
 another number of elements through the wall than the runs that trained the surrogate), at inputs
 drawn from the priors, with its fields interpolated to the default mesh's nodes by element shape
-functions. Noise is added from a seeded stream. `make` writes the small file that ships; it is run by
+functions. Noise is added from a seeded stream. `make` writes the small file that ships:
 
     bladetwin model readings rotor-blade
 """

@@ -1,11 +1,11 @@
 """Weighted draws of a blade's local parameters at one value of the shared ones.
 
 The filter's move: particles are not pushed around but drawn anew from the tube that the message
-was integrated over, with exact weights. A particle's outer parameter falls into a station's cell with the
-cell's rough probability and is uniform inside; the two inner ones come from the bell at
-that place, or cell by cell from the nested points. With q the density of that draw, the weight is
-L / q; the average of the weights is the message again, which tests hold the two against each other
-by.
+was integrated over, with exact weights. A particle's outer parameter falls into a station's cell
+with the cell's rough probability and is uniform inside; the two inner ones come from the bell at
+that place, or cell by cell from the nested points. With q the density of that draw the weight is
+L / q. The average of the weights estimates the message, independently of the quadrature: tests
+hold the two against each other.
 
 `SHARE` particles have one outer value: their inner parameters are drawn from one plane.
 """

@@ -9,7 +9,8 @@ A 3-D scan of thousands of nodes is no thousand independent facts about four inp
 deformation modes Phi at the scanned nodes and Phi = Q R, the readings y split into Q^T y, which
 depends on the inputs through R c(t; x) E(t; x), and a remainder that depends on the noise only:
 
-    p(y | x) = N(Q^T y | R c E, sigma² I + R C R^T s(x)²) · (2 pi sigma²)^(−nu/2) exp(−RSS / 2 sigma²)
+    p(y | x) = N(Q^T y | R c E, sigma² I + R C R^T s(x)²)
+               · (2 pi sigma²)^(−nu/2) exp(−RSS / 2 sigma²)
 
 C is the covariance of the surrogate's error in mode space. Rotating by the eigenvectors of
 R C R^T makes every row independent, so a scan is exact in a dozen rows, and its precision is
@@ -133,13 +134,13 @@ def _rows(model: Model, key: tuple[object, ...], make: object) -> Response:
     return model._rows[key]
 
 
-def _node_of(model: Model, reading: Inspection) -> Array | None:
+def _node_of(model: Model, reading: Inspection) -> list[int] | None:
     quantity = model.network.quantity(reading.quantity)
     if quantity.kind == "scalar":
         return None
     if reading.nodes is not None:
-        return reading.nodes
-    return np.array([model.surrogate.named[quantity.node or "critical"]])
+        return [int(n) for n in reading.nodes]
+    return [model.surrogate.named[quantity.node or "critical"]]
 
 
 def _scan(model: Model, reading: Inspection) -> tuple[Response, Array, Dense]:
@@ -147,7 +148,7 @@ def _scan(model: Model, reading: Inspection) -> tuple[Response, Array, Dense]:
     quantity = model.network.quantity(reading.quantity)
     nodes = reading.nodes
     assert nodes is not None
-    phi = model.surrogate.deformation_modes(nodes).reshape(reading.values.size, -1)
+    phi = model.surrogate.deformation_modes(nodes.tolist()).reshape(reading.values.size, -1)
     q, r = np.linalg.qr(phi)
     y = reading.values.reshape(-1)
     z = q.T @ y
@@ -229,7 +230,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         else:
             nodes = _node_of(model, reading)
             times = np.array([reading.time_h])
-            key = (reading.quantity, reading.time_h, None if nodes is None else nodes.tobytes())
+            key = (reading.quantity, reading.time_h, None if nodes is None else tuple(nodes))
             response = _rows(
                 model,
                 key,

@@ -30,7 +30,7 @@ def log_sum_exp(log_w: Array) -> float:
 def normalised(log_w: Array) -> Array:
     """Weights that sum to one."""
     w = np.exp(log_w - log_sum_exp(log_w))
-    return w / w.sum()
+    return np.asarray(w / w.sum())
 
 
 def ess(log_w: Array) -> float:

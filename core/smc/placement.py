@@ -87,7 +87,7 @@ def rounded(mean: Array, covariance: Array) -> Proposal:
 def sobol(n: int, d: int, seed: int) -> Array:
     """Scrambled Sobol points, strictly inside the unit cube; n a power of two."""
     points = qmc.Sobol(d, scramble=True, rng=np.random.default_rng(seed)).random(n)
-    return np.clip(points, 1e-9, 1 - 1e-9)
+    return np.asarray(np.clip(points, 1e-9, 1 - 1e-9))
 
 
 def moments(u: Array, w: Array) -> tuple[Array, Array]:
@@ -100,7 +100,7 @@ def moments(u: Array, w: Array) -> tuple[Array, Array]:
 def _quadratic(
     u: Array, log_p: Array, w: Array, mean: Array, cov: Array
 ) -> tuple[Array, Array] | None:
-    """Centre and covariance of the quadratic through log_p, weighted by w; None where it has no top."""
+    """Centre and covariance of the quadratic through log_p; None where it has no top."""
     d = u.shape[1]
     scale = np.sqrt(np.diag(cov))
     z = (u - mean) / scale

@@ -63,6 +63,11 @@ class Surrogate:
         return float(self.time_h[-1])
 
     @property
+    def node_count(self) -> int:
+        """Nodes of the model's mesh."""
+        return len(self.points)
+
+    @property
     def low(self) -> Array:
         """Lower bounds of the inputs, (d,)."""
         return np.array([item.low for item in self.inputs])

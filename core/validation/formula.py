@@ -67,7 +67,7 @@ class FormulaModel:
         return self.formulas[quantity]
 
     def predict(
-        self, x: Array, quantity: str, times: Array, nodes: Array | None = None
+        self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
         """Exact values (n, T), standard deviation zero; fields get a node axis."""
         formula = self._formula(quantity)
@@ -80,7 +80,7 @@ class FormulaModel:
         self,
         quantity: str,
         times: Sequence[float] | Array,
-        nodes: Array | None = None,
+        nodes: Sequence[int] | None = None,
         degree: int = 5,
     ) -> Response:
         """The formula compiled to polynomials on a seeded design of 8 M points."""
@@ -94,7 +94,7 @@ class FormulaModel:
             return Response.fit(names, self.low, self.high, degree, x, b=np.log(values))
         return Response.fit(names, self.low, self.high, degree, x, a=values)
 
-    def deformation_modes(self, nodes: Array) -> Array:
+    def deformation_modes(self, nodes: Sequence[int]) -> Array:
         raise RangeError("nodes", len(nodes), "have no modes in a formula", "post scalar readings")
 
     def mode_response(self, time_h: float, mixing: Array, degree: int = 5) -> Response:
