@@ -45,8 +45,8 @@ Progress = Callable[[str, int, int, float], None]
 def design(seed: int = SEED, training: int = TRAINING, test: int = TEST) -> NDArray[np.float64]:
     """Inputs of all runs, (training + test, 4): two independent maximin Latin hypercubes.
 
-    >>> design().shape
-    (100, 4)
+    >>> design(training=3, test=2).shape
+    (5, 4)
     """
     low, high = np.array(list(BOUNDS.values())).T
     seeds = [seed_of(seed, NAME, part) for part in ("training", "test")]

@@ -136,24 +136,36 @@ class SharedGP:
         return self.weights / diagonal[:, None], 1.0 / diagonal
 
 
-def log_likelihood(z: Array, targets: Array, share: Array, hyper: Hyper) -> float:
-    """The restricted log-likelihood of the module's text; share (J,) are the weights w_j."""
-    h = monomials(z, hyper.trend)
+def log_likelihood(z: Array, targets: Array, share: Array, hyper: Hyper) -> tuple[float, Array]:
+    """The restricted log-likelihood L of the module's text and its slopes; share (J,) are w_j.
+
+    Slopes are those with the logarithms of the length scales and of the nugget, (d + 1,). With
+    a_j = Q c_j and M = (n - p) sum_j w_j a_j a_j^T / (c_j^T a_j) - Q,  dL = 1/2 sum(M * dR).
+    A matrix that is not positive definite has L = -inf.
+    """
+    h, lengths = monomials(z, hyper.trend), np.array(hyper.lengths)
     n, p = h.shape
-    r = correlation(z, z, np.array(hyper.lengths))
+    r = correlation(z, z, lengths)
+    kernel = r.copy()
     r[np.diag_indices_from(r)] += hyper.nugget
     try:
         lower = cholesky(r, lower=True)
-        whitened = solve_triangular(lower, np.hstack([h, targets]), lower=True)
-        hw, cw = whitened[:, :p], whitened[:, p:]
-        gram = cholesky(hw.T @ hw, lower=True)
+        whiten = solve_triangular(lower, np.eye(n), lower=True)
+        gram = cholesky(h.T @ whiten.T @ whiten @ h, lower=True)
     except np.linalg.LinAlgError:
-        return -np.inf
-    along = solve_triangular(gram, hw.T @ cw, lower=True)
-    variance = (np.sum(cw**2, axis=0) - np.sum(along**2, axis=0)) / (n - p)
-    logs = np.log(np.maximum(variance, np.finfo(float).tiny))
+        return -np.inf, np.zeros(len(lengths) + 1)
+    along = solve_triangular(gram, h.T @ whiten.T, lower=True) @ whiten
+    q = whiten.T @ whiten - along.T @ along
+    solved = q @ targets
+    square = np.maximum(np.sum(targets * solved, axis=0), np.finfo(float).tiny)
     determinant = 2.0 * float(np.sum(np.log(np.diag(lower))) + np.sum(np.log(np.diag(gram))))
-    return -0.5 * float((n - p) * float(share @ logs) + determinant)
+    value = -0.5 * ((n - p) * float(share @ np.log(square / (n - p))) + determinant)
+    m = (n - p) * (solved * (share / square)) @ solved.T - q
+    slopes = [
+        0.5 * np.sum(m * kernel**2 * (z[:, i, None] - z[:, i]) ** 2) / lengths[i] ** 2
+        for i in range(len(lengths))
+    ]
+    return float(value), np.array([*slopes, 0.5 * hyper.nugget * np.trace(m)])
 
 
 def fit_hyper(z: Array, targets: Array, share: Array, trend: int) -> Hyper:
@@ -165,14 +177,14 @@ def fit_hyper(z: Array, targets: Array, share: Array, trend: int) -> Hyper:
         scales = np.exp(theta)
         return Hyper(tuple(float(s) for s in scales[:d]), float(scales[d]), trend)
 
-    def cost(theta: Array) -> float:
-        value = log_likelihood(z, targets, share, unpack(theta))
-        return -value if np.isfinite(value) else 1e10
+    def cost(theta: Array) -> tuple[float, Array]:
+        value, slopes = log_likelihood(z, targets, share, unpack(theta))
+        return (-value, -slopes) if np.isfinite(value) else (1e10, slopes)
 
     best: Any = None
     for start in STARTS:
         theta = np.log(np.array([start] * d + [1e-5]))
-        found = minimize(cost, theta, method="L-BFGS-B", bounds=bounds)
+        found = minimize(cost, theta, jac=True, method="L-BFGS-B", bounds=bounds)
         if best is None or found.fun < best.fun:
             best = found
     return unpack(best.x)

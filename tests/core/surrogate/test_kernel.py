@@ -72,7 +72,29 @@ def test_the_restricted_likelihood_is_that_of_the_contrasts() -> None:
     variance = np.sum(contrast * np.linalg.solve(small, contrast), axis=0) / len(small)
     expected = -0.5 * (len(small) * share @ np.log(variance) + np.linalg.slogdet(small)[1])
     expected -= 0.5 * np.linalg.slogdet(h.T @ h)[1]
-    assert log_likelihood(z, c, share, HYPER) == pytest.approx(expected, rel=1e-9)
+    assert log_likelihood(z, c, share, HYPER)[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_slopes_of_the_likelihood_are_its_differences() -> None:
+    z = points(18)
+    c, share = targets(z), np.array([0.7, 0.3])
+    theta = np.log([0.9, 2.3, 1e-4])
+
+    def at(values: Array) -> tuple[float, Array]:
+        lengths, nugget = np.exp(values[:2]), float(np.exp(values[2]))
+        return log_likelihood(z, c, share, Hyper((lengths[0], lengths[1]), nugget, 1))
+
+    slopes = at(theta)[1]
+    for i, step in enumerate(1e-4 * np.eye(3)):
+        difference = (at(theta + step)[0] - at(theta - step)[0]) / 2e-4
+        assert slopes[i] == pytest.approx(difference, rel=1e-5)
+        assert abs(difference) > 1e-3
+
+
+def test_a_matrix_that_is_not_positive_definite_is_infinitely_unlikely() -> None:
+    z = np.vstack([points(8), points(8)])
+    value, _ = log_likelihood(z, targets(z), np.array([0.5, 0.5]), Hyper((1.0, 1.0), 0.0, 0))
+    assert value == -np.inf
 
 
 def test_the_variance_is_the_nugget_at_a_run_and_large_far_away() -> None:

@@ -220,12 +220,11 @@ def test_quantities_of_a_users_own_need_no_blade(tmp_path: Path) -> None:
         model.predict(np.array([[1050.0, 0.4]]), "deformation", [100.0])
 
 
-def test_training_twice_gives_the_same_digest_and_another_seed_another(tmp_path: Path) -> None:
-    archive = own(tmp_path, 24)
-    first, again = (digest_of(train(archive, range(20), seed=3)) for _ in range(2))
+def test_training_twice_gives_the_same_digest_and_other_runs_another(tmp_path: Path) -> None:
+    archive = own(tmp_path, 16)
+    first, again = (digest_of(train(archive, range(12), seed=3)) for _ in range(2))
     assert first == again
-    assert first != digest_of(train(archive, range(20), seed=4))
-    assert first != digest_of(train(archive, range(4, 24), seed=3))
+    assert first != digest_of(train(archive, range(4, 16), seed=3))
 
 
 def test_too_few_runs_are_refused(tmp_path: Path) -> None:
