@@ -73,4 +73,5 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         app.include_router(module.router)
     problems.install(app)
     app.add_middleware(BodyLimit, limit=int(services.settings.max_body_mb * 2**20))
+    app.add_middleware(problems.LastResort)
     return app

@@ -18,8 +18,9 @@ from fastapi.responses import JSONResponse
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from core.errors import InputError
+from core.errors import InputError, ModelError
 from service.errors import ConflictError, FaultsError, GoneError, NotFoundError, NotYetError
 
 log = logging.getLogger("bladetwin.api")
@@ -164,6 +165,11 @@ async def _gone(request: Request, error: Any) -> JSONResponse:
     return problem(request, 410, "gone", str(error), faults)
 
 
+async def _unfit(request: Request, error: Any) -> JSONResponse:
+    log.error("%s", error)
+    return problem(request, 503, "model-unfit", str(error))
+
+
 async def _routed(request: Request, error: Any) -> JSONResponse:
     kinds = {400: "invalid-json", 404: "not-found", 405: "method-not-allowed"}
     kind = kinds.get(error.status_code, "refused")
@@ -177,11 +183,6 @@ async def _away(request: Request, error: Any) -> JSONResponse:
     return problem(request, 503, "database-away", detail, (), {"Retry-After": "1"})
 
 
-async def _broken(request: Request, error: Any) -> JSONResponse:
-    detail = "the service failed and stored nothing; the log of the server says why."
-    return problem(request, 500, "internal-error", detail)
-
-
 HANDLERS = {
     RequestError: _refused,
     FaultsError: _faulty,
@@ -191,10 +192,10 @@ HANDLERS = {
     ConflictError: _conflict,
     NotYetError: _not_yet,
     GoneError: _gone,
+    ModelError: _unfit,
     HTTPException: _routed,
     OperationalError: _away,
     PoolTimeoutError: _away,
-    Exception: _broken,
 }
 
 
@@ -202,6 +203,31 @@ def install(app: FastAPI) -> None:
     """Every error of every route answers as a problem."""
     for kind, handler in HANDLERS.items():
         app.add_exception_handler(kind, handler)
+
+
+class LastResort:
+    """ASGI middleware: an error that nobody foresaw is logged and answered as a problem."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        started = False
+
+        async def watched(message: Message) -> None:
+            nonlocal started
+            started = True
+            await send(message)
+
+        try:
+            await self.app(scope, receive, watched)
+        except Exception:
+            if scope["type"] != "http" or started:
+                raise
+            request = Request(scope)
+            log.exception("%s %s failed", request.method, request.url.path)
+            detail = "the service failed on this request; the log of the server says why."
+            await problem(request, 500, "internal-error", detail)(scope, receive, send)
 
 
 def _sentence(faults: Sequence[Fault]) -> str:

@@ -19,7 +19,12 @@ from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 
 Json = dict[str, Any]
-ROTOR = {"id": "r1", "model": "rotor-blade", "blades": [{"id": "B1", "slot": "1"}, {"id": "B2"}]}
+ROTOR: Json = {
+    "id": "r1",
+    "model": "rotor-blade",
+    "blades": [{"id": "B1", "slot": "1"}, {"id": "B2"}],
+    "particles": 1000,
+}
 
 
 def one(name: str = "i1", **given: Any) -> Json:
@@ -298,6 +303,30 @@ def test_a_body_above_the_limit_is_refused_with_413(created: httpx.Client, chunk
     headers = {"content-type": "application/json"}
     refuse(created.post("/v1/rotors/r1/inspections", content=content, headers=headers), 413, "body")
     assert head(created) == 0
+
+
+def test_a_batch_of_20_mib_is_below_the_limit(created: httpx.Client) -> None:
+    nodes, row = list(range(6448)), [0.1234567890123456, -0.1234567890123456, 0.33333333333333]
+    batch = {
+        "inspections": [
+            one(f"s{i}", quantity="deformation", value=None, nodes=nodes, values=[row] * 6448)
+            for i in range(40)
+        ]
+    }
+    content = json.dumps(batch).encode()
+    assert len(content) > 15 * 2**20
+    headers = {"content-type": "application/json"}
+    answer = created.post("/v1/rotors/r1/inspections", content=content, headers=headers)
+    assert answer.json()["head_seq"] == 40
+
+
+def test_an_unforeseen_failure_is_a_problem_and_the_connection_goes_on(
+    created: httpx.Client, worker: Worker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worker.drain()
+    monkeypatch.setattr(FakeScience, "predict", lambda *args: 1 / 0)
+    refuse(created.get("/v1/rotors/r1/blades/B1/prediction?times=1"), 500)
+    assert created.get("/v1/rotors/r1").status_code == 200
 
 
 def test_a_correction_and_a_retraction_are_entries_of_their_own(
