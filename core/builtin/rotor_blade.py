@@ -31,6 +31,7 @@ from core.errors import ModelError
 from core.rng import seed_of
 from core.surrogate import Surrogate, save, train
 from core.surrogate import load as load_artefact
+from core.surrogate.contest import contest
 from core.surrogate.report import errors, polynomial_error
 
 NAME = "rotor-blade"
@@ -143,7 +144,7 @@ def finish(
         "nodes": declared.nodes,
         "runs": {"training": len(training), "test": len(test)},
         "finite_elements": {"digest": blade_digest(), "commit": commit},
-        "training": model.manifest.get("training"),
+        "contest": contest(archive, training, seed=declared.seed),
         "errors": errors(model, archive, test) if test else None,
         "polynomials": polynomial_error(model, seed=declared.seed),
     }
