@@ -44,8 +44,8 @@ Change = tuple[dict[str, str], dict[str, Encoded | None]]
 class Memory:
     """What a worker remembers of a rotor: valid for one version only.
 
-    arrays are those that this worker wrote (none after a restore), so that an array that is the
-    same object need not be hashed again.
+    arrays are those that this worker wrote, or has looked at since it restored the state: one that
+    comes back as the same object is not hashed again.
     """
 
     version: int
@@ -169,9 +169,14 @@ class Updater:
             return Memory(0, 0, None, {}, {}, entries)
         record = tx.states.get(lease.rotor_id, lease.version)
         sha256 = digests(tx.connection, lease.rotor_id)
-        get = self.store.arrays(lease.rotor_id, lease.version)
+        stored = self.store.arrays(lease.rotor_id, lease.version)
+        looked_at: dict[str, Array] = {}
+
+        def get(name: str) -> Array:
+            return looked_at.setdefault(name, stored(name))
+
         state = self.science.restore(record.meta, get)
-        return Memory(lease.version, lease.applied_seq, state, {}, sha256, entries)
+        return Memory(lease.version, lease.applied_seq, state, looked_at, sha256, entries)
 
     def compute(self, task: Task, *, quick: bool) -> RotorState:
         """The new posterior: quick when entries were pending, else sealed."""
