@@ -36,7 +36,7 @@ def normalised(log_w: Array) -> Array:
 def ess(log_w: Array) -> float:
     """Effective sample size of unnormalised log weights.
 
-    >>> ess(np.zeros(50))
+    >>> round(ess(np.zeros(50)), 9)
     50.0
     """
     w = normalised(log_w)
