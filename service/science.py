@@ -27,6 +27,7 @@ from service.ports import Array, Draws, Get, ModelCard, Output, RotorSpec
 
 SHIPPED = Path(core.builtin.__file__).with_name("rotor_blade_model")
 NAME = "rotor-blade"
+INSTANTS = 51
 
 
 class StoredArrays(Mapping[str, Array]):
@@ -64,19 +65,23 @@ class Bands:
 
 
 class CoreScience:
-    """The science of this release; `folder` holds a rebuilt model instead of the shipped one."""
+    """The science of this release, on the shipped model.
+
+    folder   holds a rebuilt model, used instead of the shipped one
+    model    any network and surrogate, e.g. a formula (core.validation.formula), used instead
+    """
 
     builtins = (NAME,)
 
-    def __init__(self, folder: str = "") -> None:
+    def __init__(self, folder: str = "", model: Model | None = None) -> None:
         self._folder = Path(folder) if folder else SHIPPED
+        self._given = model
         self._lock = threading.Lock()
         self._workspace: Any = None
 
     @cached_property
     def _loaded(self) -> Model:
-        surrogate: Any = load(self._folder)
-        return Model(rotor_blade_network(), surrogate)
+        return self._given or Model(rotor_blade_network(), load(self._folder))
 
     def _model(self, card: ModelCard) -> Model:
         with self._lock:
@@ -95,18 +100,19 @@ class CoreScience:
         with self._lock:
             model = self._loaded
         surrogate: Any = model.surrogate
-        summary = {k: v for k, v in surrogate.manifest.items() if k not in ("structure", "schema")}
+        manifest = getattr(surrogate, "manifest", {})
+        instants = getattr(surrogate, "time_h", np.linspace(0.0, surrogate.horizon_h, INSTANTS))
         return ModelCard(
             id=name,
             version=model.version,
             digest=model.digest,
             network=model.network,
             horizon_h=float(surrogate.horizon_h),
-            node_count=len(surrogate.points),
+            node_count=surrogate.node_count,
             nodes=dict(surrogate.named),
-            time_h=tuple(np.asarray(surrogate.time_h).tolist()),
+            time_h=tuple(np.asarray(instants).tolist()),
             outputs={q.name: Output(q.unit, q.kind) for q in model.network.quantities},
-            summary=summary,
+            summary={k: v for k, v in manifest.items() if k not in ("structure", "schema")},
         )
 
     def update(

@@ -1,0 +1,102 @@
+"""The calibration behind the port, on a blade given by a formula."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.errors import ModelError
+from core.model import Model
+from core.network import rotor_blade_network
+from core.observation import Inspection
+from core.validation.formula import FormulaInput, FormulaModel
+from service.bootstrap import make_worker
+from service.handlers import reads
+from service.handlers.inspections import Item, post_inspections
+from service.handlers.models import register_builtins
+from service.handlers.rotors import create_rotor, view_rotor
+from service.ports import BladeRecord, RotorSpec
+from service.science import CoreScience
+from service.settings import Settings
+from service.store.engine import open_engine
+from service.store.unit_of_work import SqlStore
+
+Make = Callable[..., Inspection]
+TRUE = np.array([[1.1, 0.87, 0.4, -0.5]])
+
+
+def elongation(x: NDArray[np.float64], time_h: float) -> NDArray[np.float64]:
+    """A smooth blade: tbc, t1t, alpha, gamma → mm."""
+    tbc, t1t, alpha, gamma = x.T
+    heat = np.exp(8.0 * (t1t - 0.9) - 1.5 * (tbc - 1.0))
+    primary = 0.08 * np.exp(0.15 * alpha) * time_h / (time_h + 3000.0)
+    return np.asarray(heat * (primary + 0.3 * np.exp(0.2 * gamma) * time_h / 50_000.0))
+
+
+def formula_science() -> CoreScience:
+    network = rotor_blade_network()
+    inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in network.parameters)
+    formula = FormulaModel(
+        inputs, {"elongation": elongation}, "smooth", 50_000.0, positive=("elongation",)
+    )
+    return CoreScience(model=Model(network, formula))
+
+
+@pytest.fixture
+def real_store(settings: Settings) -> Iterator[SqlStore]:
+    opened = SqlStore(open_engine(settings.database_url))
+    register_builtins(opened, formula_science())
+    yield opened
+    opened.close()
+
+
+def test_any_order_of_arrival_ends_in_the_same_sealed_posterior_and_a_band_that_holds_the_truth(
+    real_store: SqlStore, settings: Settings, reading: Make
+) -> None:
+    times = (4000.0, 9000.0, 16_000.0)
+    found = [float(elongation(TRUE, t)[0]) for t in times]
+    noise = (0.002, -0.003, 0.001)
+    readings = [
+        reading(f"i{i}", time_h=t, value=round(y + e, 4), sigma=0.003)
+        for i, (t, y, e) in enumerate(zip(times, found, noise, strict=True))
+    ]
+    readings.append(reading("z", blade="B2", time_h=8000.0, value=0.12, sigma=0.003))
+    blades = [BladeRecord("B1"), BladeRecord("B2")]
+    create_rotor(real_store, "r1", "rotor-blade", blades, 512, 5)
+    worker = make_worker(real_store, formula_science(), settings)
+    for i in (3, 2, 0, 1):
+        post_inspections(real_store, "r1", [Item("", readings[i])])
+        worker.drain()
+    state = view_rotor(real_store, "r1").state
+    assert state is not None
+    assert state.sealed
+    science = formula_science()
+    basis = reads.basis(real_store, "r1", None, "B1")
+    spec = RotorSpec("r1", ("B1", "B2"), 512, 5)
+    alone = science.update(basis.card, spec, readings, None, quick=False)
+    assert state.digest == alone.digest
+    get = real_store.arrays("r1", state.version)
+    assert all(get(name).tobytes() == array.tobytes() for name, array in alone.arrays.items())
+
+    asked = reads.question(basis.card, "elongation", [30_000.0, 50_000.0], None, 0.95)
+    bands = reads.predict(real_store, science, basis, "B1", asked)
+    truth = [float(elongation(TRUE, t)[0]) for t in asked.times]
+    for low, true, high in zip(bands["lower"], truth, bands["upper"], strict=True):
+        assert low < true < high
+    total = np.array(bands["sd"]["total"]) ** 2
+    parts = sum(np.array(v) ** 2 for k, v in bands["sd"].items() if k != "total")
+    assert parts == pytest.approx(total)
+    assert "t1t_rate" in reads.posterior(real_store, science, basis, None)["parameters"]
+
+
+def test_a_model_of_another_release_is_refused_by_name(real_store: SqlStore) -> None:
+    network = rotor_blade_network()
+    inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in network.parameters)
+    other = FormulaModel(inputs, {"elongation": elongation}, "another", 50_000.0)
+    with real_store.read() as tx:
+        card = tx.records.model("rotor-blade")
+    with pytest.raises(ModelError, match=card.version):
+        CoreScience(model=Model(network, other)).warm(card)
