@@ -88,7 +88,11 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """What every run of an archive has in common (the content of ``archive.json``)."""
+    """What every run of an archive has in common (the content of ``archive.json``).
+
+    `code` is a digest of the program that makes the runs (empty: not known). An archive begun
+    with one code does not go on with another.
+    """
 
     inputs: tuple[Input, ...]
     quantities: tuple[Quantity, ...]
@@ -98,6 +102,7 @@ class Declaration:
     named: Mapping[str, int]
     seed: int
     command: str
+    code: str = ""
     schema: int = SCHEMA
 
     def __post_init__(self) -> None:
@@ -239,6 +244,7 @@ class Archive:
         mesh: Mesh,
         seed: int,
         command: str,
+        code: str = "",
         quantities: Sequence[Quantity] = BLADE_QUANTITIES,
     ) -> Archive:
         """Start an archive, or go on with one whose declaration is the same."""
@@ -252,11 +258,14 @@ class Archive:
             named={str(name): int(node) for name, node in mesh.named.items()},
             seed=seed,
             command=command,
+            code=code,
         )
         if (path / "archive.json").exists():
             present = cls.open(path)
             if present.declaration != declaration:
-                raise ModelError(f"{path} holds another archive: choose an empty directory")
+                old, new = asdict(present.declaration), asdict(declaration)
+                odd = ", ".join(name for name in new if new[name] != old[name])
+                raise ModelError(f"{path} holds another archive ({odd}): choose an empty directory")
             return present
         path.mkdir(parents=True, exist_ok=True)
 
@@ -403,6 +412,7 @@ class Archive:
                 ),
                 seed=declared.seed,
                 command=declared.command,
+                code=declared.code,
             )
             names = [item.name for item in declared.inputs]
             for k, index in enumerate(packed["index"][...]):

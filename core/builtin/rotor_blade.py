@@ -71,6 +71,7 @@ def open_archive(directory: str | Path, mesh: str = "default", seed: int = SEED)
         mesh=Mesh(mesh, blade.points, blade.cells, blade.parametric, blade.named),
         seed=seed,
         command=COMMAND,
+        code=blade_digest(),
     )
 
 
@@ -117,8 +118,9 @@ def build(
 ) -> Surrogate:
     """Make the model into `out_dir`; the runs go to `archive_dir` (default ``out_dir/archive``).
 
-    A build that was cut goes on where it was. `commit` is noted in the manifest beside the
-    digest of the finite-element code. A model without test runs (`test` = 0) reports no errors.
+    A build that was cut goes on where it was, unless the finite elements have changed since.
+    `commit` is noted in the manifest beside the digest of the finite-element code. A model
+    without test runs (`test` = 0) reports no errors.
     """
     points = design(seed, training, test) if test else design(seed, training, 2)[:training]
     archive = open_archive(archive_dir or Path(out_dir) / "archive", mesh, seed)
@@ -143,7 +145,7 @@ def finish(
         "mesh": declared.mesh,
         "nodes": declared.nodes,
         "runs": {"training": len(training), "test": len(test)},
-        "finite_elements": {"digest": blade_digest(), "commit": commit},
+        "finite_elements": {"digest": declared.code, "commit": commit},
         "contest": contest(archive, training, seed=declared.seed),
         "errors": errors(model, archive, test) if test else None,
         "polynomials": polynomial_error(model, seed=declared.seed),

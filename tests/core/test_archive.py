@@ -115,9 +115,15 @@ def test_a_process_killed_while_writing_leaves_the_runs_before_and_nothing_half(
 def test_create_goes_on_with_the_same_archive_and_refuses_another(tmp_path: Path) -> None:
     new(tmp_path / "a").write(0, run(0))
     assert new(tmp_path / "a").done() == (0,)
-    with pytest.raises(ModelError, match="another archive"):
+    with pytest.raises(ModelError, match=r"another archive \(seed, code\)"):
         Archive.create(
-            tmp_path / "a", inputs=INPUTS, time_h=TIME_H, mesh=MESH, seed=4, command="make them"
+            tmp_path / "a",
+            inputs=INPUTS,
+            time_h=TIME_H,
+            mesh=MESH,
+            seed=4,
+            command="make them",
+            code="b2",
         )
 
 

@@ -107,7 +107,7 @@ def test_a_build_that_was_cut_goes_on_where_it_was_and_ends_with_a_measured_arte
     nodes = len(build_mesh("coarse").points)
     assert (manifest["seed"], manifest["mesh"], manifest["nodes"]) == (5, "coarse", nodes)
     assert manifest["runs"] == {"training": 24, "test": 4}
-    assert manifest["finite_elements"]["commit"] == "abc"
+    assert manifest["finite_elements"] == {"digest": built.blade_digest(), "commit": "abc"}
     assert manifest["errors"]["elongation"]["from_1000_h"]["median_percent"] < 0.5
     assert manifest["polynomials"]["elongation"]["p95_percent"] < 0.1
     x = np.array([[0.9, 0.93, 1.0, -0.5]])
@@ -123,12 +123,13 @@ def test_a_failed_run_stops_the_build_and_is_named(
         built.build(tmp_path, mesh="coarse", training=20, test=4)
 
 
-def test_an_archive_of_another_seed_is_not_mixed_in(
+def test_an_archive_of_another_seed_or_another_code_is_not_mixed_in(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     built.open_archive(tmp_path, "coarse", seed=1)
     monkeypatch.setattr(built, "run_campaign", campaign([]))
-    with pytest.raises(ModelError, match="another archive"):
+    monkeypatch.setattr(built, "blade_digest", lambda: "changed")
+    with pytest.raises(ModelError, match=r"another archive \(seed, code\)"):
         built.build(tmp_path / "x", mesh="coarse", seed=2, archive_dir=tmp_path)
 
 
