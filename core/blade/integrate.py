@@ -34,15 +34,17 @@ MAX_STAGES = 60
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """Error per step: |error| <= absolute + relative · largest strain of the point.
+    """Error per step: |error| <= absolute + relative · min(largest strain of the point, ceiling).
 
-    Measured on the default mesh at three inputs against relative 1e-3, absolute 1e-8: elongation
-    from 1000 h on within 0.16 %, median CEEQ within 0.16 %, at half the cost; the
-    prototype's 1e-1 and 2e-5 cost one tenth less and err two to three times as much.
+    Measured on the default mesh at three inputs, against a tenth of it: elongation from 1000 h
+    on within 0.03 %, median CEEQ within 0.03 %, the worst node's within 0.13 %; stress relaxing at
+    constant length from 260 to 65 MPa within 0.17 %. The prototype's 1e-1 and 2e-5 save a third
+    of the time, err five times as much in CEEQ and 3 % in the relaxed stress.
     """
 
-    relative: float = 1e-2
-    absolute: float = 5e-6
+    relative: float = 3e-4
+    absolute: float = 3e-7
+    ceiling: float = 2e-3  # strain: larger strains are not allowed larger errors
     safety: float = 0.9  # of the stability limit
 
 
@@ -73,10 +75,12 @@ def advance(
             if stages > MAX_STAGES:
                 step *= 0.98 * limit(MAX_STAGES) / (step * stiffness / tolerance.safety)
                 stages, last = MAX_STAGES, False
-            new = _chebyshev(rates, y, f, step, stages)
-            f_new, stiffness_new = rates(new)
+            # a stage that overshoots may overflow: that is a rejected step, not an error
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                new = _chebyshev(rates, y, f, step, stages)
+                f_new, stiffness_new = rates(new)
+                error = _error(y, new, f, f_new, step, tolerance)
             work.evaluations += stages
-            error = _error(y, new, f, f_new, step, tolerance)
             grow = 0.8 / max(error, 1e-10) ** (1 / 3) if math.isfinite(error) else 0.1
             if error <= 1.0:
                 now = float(until) if last else now + step
@@ -89,7 +93,7 @@ def advance(
             else:
                 work.rejected += 1
                 h = step * min(max(grow, 0.1), 0.9)
-                if h < 1e-12 * max(now, 1e-3):
+                if h < 1e-9 * max(now, 1e-3):
                     raise ModelError(
                         f"creep at {now:.6g} h: a step of {step:.3g} h still has "
                         f"{error:.3g} times the allowed error. The inputs or properties make the "
@@ -106,7 +110,8 @@ def _first_step(f: Array, stiffness: float, tolerance: Tolerance) -> float:
 def _error(y: Array, new: Array, f: Array, f_new: Array, h: float, tolerance: Tolerance) -> float:
     part = slice(0, DAMAGE)
     estimate = 0.8 * (y[:, part] - new[:, part]) + 0.4 * h * (f[:, part] + f_new[:, part])
-    scale = tolerance.absolute + tolerance.relative * np.abs(new[:, part]).max(axis=1)
+    size = np.abs(new[:, part]).max(axis=1)
+    scale = tolerance.absolute + tolerance.relative * np.minimum(size, tolerance.ceiling)
     return float((np.abs(estimate).max(axis=1) / scale).max())
 
 

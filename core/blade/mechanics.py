@@ -43,6 +43,9 @@ class Support:
 class Structure:
     """One mesh at one temperature, factorised.
 
+    `extra_load` (3N,) N is added to the centrifugal and thermal loads; `extra_fixed` prescribes
+    u[component] in mm at nodes, {component: (nodes, values)}.
+
     points G = elements × order³, all arrays of a point in that order:
 
     gradient     (G, 20, 3) dN/dx in 1/mm
@@ -60,7 +63,7 @@ class Structure:
         order: int = 2,
         solver: Solver = "splu",
         extra_load: Array | None = None,
-        extra_fixed: dict[int, tuple[Index, float]] | None = None,
+        extra_fixed: dict[int, tuple[Index, Array]] | None = None,
     ) -> None:
         m = properties.material
         local, weight = gauss(order)
@@ -85,12 +88,13 @@ class Structure:
         self.load = self.pull + self.thermal_load
         if extra_load is not None:
             self.load = self.load + extra_load
-        fixed = {3 * int(n) + c: 0.0 for n in mesh.face_nodes(support.face) for c in support.fixed}
+        value_at = np.full((len(mesh.points), 3), np.nan)
+        value_at[mesh.face_nodes(support.face)[:, None], list(support.fixed)] = 0.0
         for component, (nodes, prescribed) in (extra_fixed or {}).items():
-            fixed.update({3 * int(n) + component: prescribed for n in nodes})
-        self.fixed = np.array(sorted(fixed), dtype=np.int64)
-        self.free = np.setdiff1d(np.arange(3 * len(mesh.points)), self.fixed)
-        self.prescribed = np.array([fixed[int(d)] for d in self.fixed])
+            value_at[nodes, component] = prescribed
+        given = np.isfinite(value_at.ravel())
+        self.fixed, self.free = np.flatnonzero(given), np.flatnonzero(~given)
+        self.prescribed = value_at.ravel()[given]
         self._lift = self.stiffness[self.free][:, self.fixed] @ self.prescribed
         self._solve = factorise(self.stiffness[self.free][:, self.free].tocsc(), solver)
 

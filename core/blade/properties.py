@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields, is_dataclass
+from itertools import pairwise
 
 from core.errors import RangeError
 
@@ -116,6 +117,22 @@ class Properties:
     def __post_init__(self) -> None:
         for group in (self.material, self.creep, self.geometry, self.service):
             _check(group)
+        m = self.material
+        for name in ("youngs_modulus", "secant_expansion", "conductivity"):
+            if len(getattr(m, name)) != len(m.temperature_k):
+                raise RangeError(
+                    f"properties.material.{name}",
+                    getattr(m, name),
+                    f"does not have the {len(m.temperature_k)} values of temperature_k",
+                    "give one value per temperature",
+                )
+        if any(a >= b for a, b in pairwise(m.temperature_k)):
+            raise RangeError(
+                "properties.material.temperature_k",
+                m.temperature_k,
+                "does not increase",
+                "sort the tables by temperature",
+            )
 
 
 _MAY_BE_ZERO = {"tertiary_exponent", "huddleston", "transient_sd", "steady_sd", "stagger_deg"}
