@@ -89,6 +89,21 @@ def migrate(as_json: Json = False) -> None:
     say({"revision": revision}, f"schema is at revision {revision}", as_json=as_json)
 
 
+@app.command()
+def demo(
+    keep: Annotated[bool, typer.Option(help="Leave the API up afterwards.")] = False,
+    port: Annotated[int | None, typer.Option(help="Port of the demonstration's API.")] = None,
+    particles: Annotated[int, typer.Option(help="Particles per blade.")] = 10_000,
+    seed: Annotated[int, typer.Option(help="Seed of the rotor.")] = 0,
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("bladetwin-demo"),
+    as_json: Json = False,
+) -> None:
+    """The main job: a rotor of 100 blades over HTTP, held against finite-element truth."""
+    from service.demo import run
+
+    run(keep=keep, port=port, particles=particles, seed=seed, out=out, as_json=as_json)
+
+
 @models.command("build")
 def build(
     name: Annotated[str, typer.Argument(help="The built-in model: rotor-blade.")],

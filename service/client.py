@@ -1,11 +1,11 @@
 """A small typed client of the REST service, for users' programs and for the demonstration.
 
->>> with Client("http://127.0.0.1:8000") as twin:                              # doctest: +SKIP
-...     twin.create_rotor("r1", blades=["B01", "B02"])
-...     seq = twin.post_inspections("r1", [{"id": "i1", "blade": "B01", "quantity": "elongation",
-...                                         "time_h": 8000.0, "value": 0.11, "unit": "mm"}])
-...     twin.wait_for("r1", seq)
-...     bands = twin.prediction("r1", "B01", "elongation", times=[24000, 50000])
+with Client("http://127.0.0.1:8000") as twin:
+    twin.create_rotor("r1", blades=["B01", "B02"])
+    seq = twin.post_inspections("r1", [{"id": "i1", "blade": "B01", "quantity": "elongation",
+                                        "time_h": 8000.0, "value": 0.11, "unit": "mm"}])
+    twin.wait_for("r1", seq)
+    bands = twin.prediction("r1", "B01", "elongation", times=[24000, 50000])
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from urllib.parse import quote
 
 import httpx
 
+from core.errors import BladetwinError
+
 Json = dict[str, Any]
 Blade = str | Mapping[str, Any]
 
 
-class ProblemError(Exception):
+class ProblemError(BladetwinError):
     """The service refused: `status`, `problem` (RFC 9457) and its `faults` say why."""
 
     def __init__(self, response: httpx.Response) -> None:
@@ -37,7 +39,7 @@ class ProblemError(Exception):
         super().__init__(f"{request.method} {request.url.path}: {self.status}: {detail}")
 
 
-class BlockedError(Exception):
+class BlockedError(BladetwinError):
     """The rotor is blocked; `rotor` is its answer with the error and the event named."""
 
     def __init__(self, rotor: Json) -> None:

@@ -9,7 +9,8 @@
     ├── ConflictError         the same id with another content
     ├── NotYetError           an answer that a worker has yet to compute
     ├── GoneError             a version that is no longer kept
-    └── LostLeaseError        a worker whose rotor another one has taken
+    ├── LostLeaseError        a worker whose rotor another one has taken
+    └── StoreAwayError        the database does not answer; nothing was written
 """
 
 from __future__ import annotations
@@ -70,3 +71,11 @@ class LostLeaseError(BladetwinError):
         self.rotor = rotor
         self.fence = fence
         super().__init__(f"rotor {rotor}: fence {fence} no longer holds; the update is dropped")
+
+
+class StoreAwayError(BladetwinError):
+    """The database does not answer, or is too busy; the transaction was rolled back."""
+
+    def __init__(self, cause: str) -> None:
+        self.cause = cause
+        super().__init__(f"the database does not answer ({cause}); nothing was stored. Try again.")

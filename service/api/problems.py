@@ -15,13 +15,18 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from sqlalchemy.exc import OperationalError
-from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from core.errors import InputError, ModelError
-from service.errors import ConflictError, FaultsError, GoneError, NotFoundError, NotYetError
+from service.errors import (
+    ConflictError,
+    FaultsError,
+    GoneError,
+    NotFoundError,
+    NotYetError,
+    StoreAwayError,
+)
 
 log = logging.getLogger("bladetwin.api")
 LONGEST = 200
@@ -178,9 +183,8 @@ async def _routed(request: Request, error: Any) -> JSONResponse:
 
 
 async def _away(request: Request, error: Any) -> JSONResponse:
-    log.error("database: %s: %s", type(error).__name__, getattr(error, "orig", ""))
-    detail = "the database does not answer; nothing was stored. Try again."
-    return problem(request, 503, "database-away", detail, (), {"Retry-After": "1"})
+    log.error("%s: %s", error, error.__cause__)
+    return problem(request, 503, "database-away", str(error), (), {"Retry-After": "1"})
 
 
 HANDLERS = {
@@ -194,8 +198,7 @@ HANDLERS = {
     GoneError: _gone,
     ModelError: _unfit,
     HTTPException: _routed,
-    OperationalError: _away,
-    PoolTimeoutError: _away,
+    StoreAwayError: _away,
 }
 
 

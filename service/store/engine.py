@@ -13,11 +13,13 @@ from contextlib import contextmanager
 from typing import Any
 
 from sqlalchemy import Connection, Double, Engine, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError
+from sqlalchemy.exc import ArgumentError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import FunctionElement
 
 from core.errors import InputError
+from service.errors import StoreAwayError
 
 WRITE = "bladetwin_write"
 
@@ -81,11 +83,17 @@ def _begin_sqlite(connection: Connection) -> None:
 
 @contextmanager
 def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
-    """One transaction: committed at the end, rolled back on any error."""
-    with engine.connect() as connection:
-        connection = connection.execution_options(**{WRITE: write})
-        with connection.begin():
-            yield connection
+    """One transaction: committed at the end, rolled back on any error.
+
+    StoreAwayError: the database does not answer; what it said is the error's cause.
+    """
+    try:
+        with engine.connect() as connection:
+            connection = connection.execution_options(**{WRITE: write})
+            with connection.begin():
+                yield connection
+    except (OperationalError, PoolTimeoutError) as error:
+        raise StoreAwayError(type(getattr(error, "orig", None) or error).__name__) from error
 
 
 def is_sqlite(engine: Engine) -> bool:

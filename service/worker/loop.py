@@ -13,8 +13,7 @@ import signal
 import threading
 from types import FrameType
 
-from sqlalchemy.exc import DBAPIError
-
+from service.errors import StoreAwayError
 from service.ports import Science
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
@@ -74,8 +73,8 @@ class Worker:
             while not self._stop.is_set():
                 try:
                     self.drain()
-                except DBAPIError as error:
-                    log.error("database: %s; trying again in 1 s", type(error.orig).__name__)
+                except StoreAwayError as error:
+                    log.error("%s The worker looks again in 1 s.", error)
                     self._stop.wait(1.0)
                     continue
                 wake.wait(IDLE_S)

@@ -17,8 +17,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Engine
-from sqlalchemy.exc import SQLAlchemyError
 
+from service.errors import StoreAwayError
 from service.worker.lease import Role, release
 from service.worker.loop import owner_name
 
@@ -83,8 +83,8 @@ class Supervisor:
         self._close(child)
         try:
             release(self._engine, child.owner)
-        except SQLAlchemyError as error:
-            log.error("leases of %s stay until they run out: %s", child.owner, type(error).__name__)
+        except StoreAwayError as error:
+            log.error("leases of %s stay until they run out: %s", child.owner, error)
         young = time.monotonic() - child.started < HEALTHY_S
         self._pause = min(2 * self._pause, LONGEST_PAUSE_S) if young else 0.1
         if not self._stop.wait(self._pause if young else 0.0):

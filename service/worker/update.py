@@ -19,11 +19,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from sqlalchemy import Engine
-from sqlalchemy.exc import SQLAlchemyError
 
 from core.errors import CalibrationError
 from core.observation import Entry, Inspection, effective
-from service.errors import LostLeaseError
+from service.errors import LostLeaseError, StoreAwayError
 from service.ports import Array, Event, ModelCard, RotorSpec, RotorState, Science, StateRecord
 from service.settings import Settings
 from service.store.encoding import Encoded, encode
@@ -272,7 +271,7 @@ class Updater:
 
         def beat() -> None:
             while not stop.wait(self.settings.lease_s / 3):
-                with suppress(SQLAlchemyError):
+                with suppress(StoreAwayError):
                     if not leases.heartbeat(self.engine, lease, self.settings.lease_s):
                         return
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from service.bootstrap import make_worker
 from service.client import BlockedError, Client, ProblemError
@@ -564,3 +565,19 @@ def test_no_number_of_an_answer_is_lost_or_not_json(created: httpx.Client, worke
     created.post("/v1/rotors/r1/inspections", json=one("a", value=value, time_h=8000))
     text = created.get("/v1/rotors/r1/inspections/a").text
     assert json.loads(text, parse_constant=pytest.fail)["values"] == [value]
+
+
+def test_while_the_database_is_away_every_route_says_so(
+    created: httpx.Client, monkeypatch: pytest.MonkeyPatch, store: SqlStore
+) -> None:
+    def away(*args: Any, **kw: Any) -> Any:
+        raise OperationalError("SELECT", {}, Exception("gone"))
+
+    monkeypatch.setattr(type(store.engine), "connect", away)
+    body = refuse(created.get("/v1/rotors/r1"), 503)
+    assert body["type"].endswith(":database-away")
+    sent = created.post("/v1/rotors/r1/inspections", json=one())
+    refuse(sent, 503)
+    assert sent.headers["retry-after"] == "1"
+    assert created.get("/readyz").json() == {"ready": False, "database": "Exception"}
+    assert created.get("/healthz").status_code == 200

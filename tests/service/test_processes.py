@@ -205,7 +205,8 @@ def test_serve_applies_readings_replaces_a_dead_worker_and_ends_cleanly(
         assert not any(alive(pid) for pid in successors)
 
 
-def test_no_worker_outlives_a_server_that_was_killed(bare_url: str) -> None:
+def test_no_worker_outlives_a_server_that_was_killed(tmp_path: Path) -> None:
+    bare_url = f"sqlite:///{tmp_path / 'bladetwin.db'}"
     settings = Settings(database_url=bare_url, science="fake", workers=2)
     with serving(settings) as (process, client):
         client.create_rotor("r1", blades=["B1"])
@@ -217,7 +218,8 @@ def test_no_worker_outlives_a_server_that_was_killed(bare_url: str) -> None:
         until("the end of the workers", lambda: not any(alive(pid) for pid in workers))
 
 
-def test_a_server_that_is_told_to_stop_lets_those_who_wait_go(bare_url: str) -> None:
+def test_a_server_that_is_told_to_stop_lets_those_who_wait_go(tmp_path: Path) -> None:
+    bare_url = f"sqlite:///{tmp_path / 'bladetwin.db'}"
     settings = Settings(database_url=bare_url, science="fake", workers=0)
     with serving(settings) as (process, client):
         client.create_rotor("r1", blades=["B1"])

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from core.errors import InputError
-from service.cli import app
+from service.cli import app, main
 from service.settings import Settings, names
 from service.telemetry import JsonLines
 
@@ -55,3 +55,21 @@ def test_a_log_line_is_one_json_object() -> None:
     line = json.loads(out.getvalue())
     assert (line["level"], line["message"]) == ("warning", "two\nlines of rotor r1")
     assert out.getvalue().count("\n") == 1
+
+
+def test_every_command_has_help_and_a_wrong_setting_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runner = CliRunner()
+    for command in (["serve"], ["worker"], ["migrate"], ["demo"], ["model", "build"]):
+        shown = runner.invoke(app, [*command, "--help"])
+        assert shown.exit_code == 0
+        assert "--help" in shown.output
+    monkeypatch.setenv("BLADETWIN_PROT", "1")
+    monkeypatch.setattr("sys.argv", ["bladetwin", "migrate"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    told = capsys.readouterr().err
+    assert told.startswith("bladetwin: BLADETWIN_PROT")
+    assert told.count("\n") == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,13 @@ from sqlalchemy import func, select, text
 
 from core.errors import InputError, ModelError
 from core.observation import Inspection
-from service.errors import ConflictError, GoneError, NotFoundError, NotYetError
+from service.errors import (
+    ConflictError,
+    GoneError,
+    NotFoundError,
+    NotYetError,
+    StoreAwayError,
+)
 from service.handlers.inspections import list_inspections, retract
 from service.ports import StateRecord
 from service.store import tables as t
@@ -170,3 +177,14 @@ def test_the_cache_holds_no_more_than_its_limit_and_drops_the_oldest() -> None:
     assert cache.get(("r", 1, "2")) is arrays[2]
     cache.put(("r", 1, "big"), np.zeros(1000))
     assert cache.get(("r", 1, "big")) is None
+
+
+def test_a_database_that_is_away_is_told_as_such(tmp_path: Path) -> None:
+    for url in (
+        f"sqlite:///{tmp_path / 'no' / 'such' / 'folder.db'}",
+        f"postgresql://u@/d?host={tmp_path}",
+    ):
+        engine = open_engine(url)
+        with pytest.raises(StoreAwayError), transaction(engine, write=False):
+            pass
+        engine.dispose()

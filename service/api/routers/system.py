@@ -6,7 +6,8 @@ from typing import Any
 
 from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse
-from sqlalchemy.exc import SQLAlchemyError
+
+from service.errors import StoreAwayError
 
 router = APIRouter(tags=["system"])
 
@@ -26,7 +27,7 @@ def readyz(request: Request) -> JSONResponse:
         ready = found == needed
         if not ready:
             checks["remedy"] = f"run `bladetwin migrate`: revision {needed} is needed"
-    except SQLAlchemyError as error:
+    except StoreAwayError as error:
         ready = False
-        checks["database"] = type(error).__name__
+        checks["database"] = error.cause
     return JSONResponse({"ready": ready} | checks, 200 if ready else 503)
