@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,8 +89,6 @@ def test_a_run_that_fails_is_reported_and_the_others_go_on(points: list[dict[str
 
 def exploding() -> Properties:
     """A rupture line so low that the first hour ends every part of the blade."""
-    from dataclasses import replace
-
     p = Properties()
     return replace(p, creep=replace(p.creep, larson_miller_c=45.0, tertiary_exponent=8.0))
 
@@ -97,7 +97,7 @@ def test_a_bad_point_is_refused_before_any_process_starts(points: list[dict[str,
     def never(index: int, run: BladeRun) -> None:
         raise AssertionError
 
-    with pytest.raises(RangeError, match="t1t_rate = 1.4"):
+    with pytest.raises(RangeError, match=r"t1t_rate = 1\.4"):
         run_campaign([*points, {**points[0], "t1t_rate": 1.4}], never)
     with pytest.raises(InputError, match="choose one of"):
         run_campaign(points, never, onto="hexagons")

@@ -91,5 +91,5 @@ def test_a_rate_that_explodes_is_reported_with_its_time_and_step() -> None:
     def explode(y: np.ndarray) -> tuple[np.ndarray, float]:
         return 1e-3 * np.exp(np.minimum(1e6 * y, 600.0)), 0.0
 
-    with pytest.raises(ModelError, match="a step of .* times the allowed error"):
+    with pytest.raises(ModelError, match=r"a step of .* times the allowed error"):
         list(advance(explode, np.zeros((1, STATE)), np.array([0.0, 1e4]), Tolerance()))

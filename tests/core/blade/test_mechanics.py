@@ -96,7 +96,7 @@ def _component(basis: Basis) -> np.ndarray:
 def test_displacement_converges_with_the_third_power_of_the_element(
     plain: Properties, uniform: Uniform
 ) -> None:
-    """u = grad(e^{ax} sin ay + e^{az} cos ax): without divergence and harmonic, so in equilibrium."""
+    """u = grad(e^{ax} sin ay + e^{az} cos ax) is harmonic without divergence: in equilibrium."""
     a = 0.06
 
     def exact(p: np.ndarray) -> np.ndarray:
@@ -193,7 +193,7 @@ def test_relaxation_at_constant_length_follows_the_scalar_equation(
 @pytest.fixture(scope="module")
 def bar() -> BladeMesh:
     mesh = brick((2, 2, 12), (8.0, 8.0, 180.0))
-    return replace(mesh, points=mesh.points + [-4.0, -4.0, 900.0])
+    return replace(mesh, points=mesh.points + np.array([-4.0, -4.0, 900.0]))
 
 
 def test_rotating_bar_stretches_and_creeps_as_the_integral_says(

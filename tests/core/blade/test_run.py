@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.blade import BladeRun, Properties, build_mesh, on_mesh, output_times, simulate
-from core.blade.integrate import Work
+from core.blade import BladeMesh, BladeRun, Properties, build_mesh, on_mesh, output_times, simulate
+from core.blade.integrate import Tolerance, Work
 from core.blade.run import BOUNDS, check_inputs, von_mises
 from core.errors import InputError, RangeError
 
@@ -90,24 +90,31 @@ def test_fields_on_another_mesh_keep_their_sign_and_their_values_at_common_point
 # --- physics ----------------------------------------------------------------------------------
 
 SWEEPS = {
-    "tbc_thickness": ((2 / 3, 1.0, 4 / 3), -1),
-    "t1t_rate": ((0.8, 0.9, 1.0), 1),
-    "creep_transient": ((-3.0, 0.0, 3.0), 1),
-    "creep_steady": ((-3.0, 0.0, 3.0), 1),
+    "tbc_thickness": ((2 / 3, 4 / 3), -1),
+    "t1t_rate": ((0.8, 1.0), 1),
+    "creep_transient": ((-3.0, 3.0), 1),
+    "creep_steady": ((-3.0, 3.0), 1),
 }
+LATE = np.array([0.0, 2000.0, 8000.0, 20000.0])
+LOOSE = Tolerance(relative=1e-2, absolute=5e-6)  # meshes and inputs are compared, not time steps
+
+
+@pytest.fixture(scope="module")
+def middle(base: dict[str, float]) -> np.ndarray:
+    return simulate(base, "coarse", time_h=LATE, tolerance=LOOSE).elongation
 
 
 @pytest.mark.parametrize("name", INPUTS)
 def test_elongation_is_monotone_in_each_input_at_every_late_instant(
-    name: str, base: dict[str, float]
+    name: str, base: dict[str, float], middle: np.ndarray
 ) -> None:
-    instants = np.array([0.0, 2000.0, 10000.0, 30000.0])
-    values, sign = SWEEPS[name]
-    curves = [
-        simulate({**base, name: value}, "coarse", time_h=instants).elongation for value in values
+    (low, high), sign = SWEEPS[name]
+    ends = [
+        simulate({**base, name: value}, "coarse", time_h=LATE, tolerance=LOOSE).elongation
+        for value in (low, high)
     ]
-    steps = sign * np.diff(curves, axis=0)[:, 1:]
-    assert np.all(steps > 0.05 * curves[1][1:])
+    steps = sign * np.diff([ends[0], middle, ends[1]], axis=0)[:, 1:]
+    assert np.all(steps > 0.05 * middle[1:])
 
 
 def test_a_starved_coolant_makes_the_blade_longer(base: dict[str, float]) -> None:
@@ -120,27 +127,36 @@ def test_a_starved_coolant_makes_the_blade_longer(base: dict[str, float]) -> Non
 
 
 EXTREMES = {
-    "centre": ({**HOTTEST, "tbc_thickness": 1.0, "t1t_rate": 0.9}, 3000.0),
-    "hottest": (HOTTEST, 600.0),
-    "coolest": (COOLEST, 20000.0),
+    "centre": ({**HOTTEST, "tbc_thickness": 1.0, "t1t_rate": 0.9}, 600.0),
+    "hottest": (HOTTEST, 60.0),
+    "coolest": (COOLEST, 10000.0),
 }
 
 
-@pytest.mark.parametrize("place", EXTREMES)
-def test_default_mesh_elongates_within_one_percent_of_the_finer_one(place: str) -> None:
+@pytest.fixture(scope="module")
+def stretched() -> dict[str, float]:
+    """Elongation of the default mesh at the end of each of the EXTREMES."""
+    return {place: elongation_at(place, "default") for place in EXTREMES}
+
+
+def elongation_at(place: str, mesh: str | BladeMesh) -> float:
     point, until = EXTREMES[place]
-    default, fine = (
-        simulate(point, mesh, time_h=np.array([0.0, until])) for mesh in ("default", "fine")
-    )
-    assert fine.elongation[-1] > 0.01
-    assert default.elongation[-1] == pytest.approx(fine.elongation[-1], rel=0.01)
+    run = simulate(point, mesh, time_h=np.array([0.0, until]), tolerance=LOOSE)
+    return float(run.elongation[-1])
 
 
-def test_one_element_through_the_wall_misses_that_percent() -> None:
-    instants = np.array([0.0, EXTREMES["coolest"][1]])
-    single = simulate(COOLEST, build_mesh((40, 1, 12)), time_h=instants)
-    double = simulate(COOLEST, "default", time_h=instants)
-    assert abs(single.elongation[-1] / double.elongation[-1] - 1) > 0.02
+@pytest.mark.parametrize("place", EXTREMES)
+def test_default_mesh_elongates_within_one_percent_of_the_finer_one(
+    place: str, stretched: dict[str, float]
+) -> None:
+    fine = elongation_at(place, "fine")
+    assert fine > 0.01
+    assert stretched[place] == pytest.approx(fine, rel=0.01)
+
+
+def test_one_element_through_the_wall_misses_that_percent(stretched: dict[str, float]) -> None:
+    single = elongation_at("coolest", build_mesh((40, 1, 12)))
+    assert abs(single / stretched["coolest"] - 1) > 0.02
 
 
 # --- what is refused --------------------------------------------------------------------------
