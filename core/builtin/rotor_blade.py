@@ -139,6 +139,7 @@ def finish(
     declared = archive.declaration
     model = train(archive, training, seed=declared.seed)
     manifest: dict[str, Any] = {
+        **model.manifest,
         "name": NAME,
         "command": declared.command,
         "seed": declared.seed,

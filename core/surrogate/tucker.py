@@ -67,6 +67,12 @@ class Factors:
         """The forms of the coefficients of the spatial modes at times, (1 + J, T', B)."""
         return np.asarray(np.einsum("ta,jab->jtb", self.at(time_h), self.core, optimize=True))
 
+    def encode(self, values: Floats) -> Array:
+        """Coefficients (n, J) of values (n, T, R) at `time_h`, all rows given."""
+        projected = np.einsum("ntb,ta->nab", values @ self.space.astype(float), self.time)
+        forms = self.core[1:].reshape(self.coefficients, -1)
+        return np.asarray((projected - self.core[0]).reshape(len(values), -1) @ forms.T)
+
     def decoder(self, time_h: Array, rows: NDArray[np.int64]) -> Callable[[Array], Array]:
         """The map from coefficients (n, J) to values (n, T', R'), only at the rows asked for."""
         forms, space = self.modes(time_h), self.space[rows].T.astype(float)

@@ -112,6 +112,15 @@ def test_the_tip_of_the_field_agrees_with_the_elongation(model: Surrogate) -> No
     np.testing.assert_allclose(tip, model.predict(X, "elongation", [30_000.0])[0][:, 0], rtol=2e-3)
 
 
+def test_training_notes_its_bases_and_what_they_lose_of_runs_left_out(model: Surrogate) -> None:
+    notes = model.manifest["training"]
+    assert notes["runs"] == 66
+    for name, part in model.parts.items():
+        base = notes["bases"][name]
+        assert base["coefficients"] == part.columns.stop - part.columns.start
+        assert 0 < base["held_out_percent"] < 2.0
+
+
 def test_modes_put_the_deformation_together(model: Surrogate) -> None:
     """E T c with T = the modes at a node is the deformation there, error included."""
     nodes, time = [299, 12], 23_000.0

@@ -26,6 +26,16 @@ def test_a_tensor_of_rank_three_is_reproduced_with_rank_three() -> None:
     np.testing.assert_allclose(factors.decode(c, TIME_H, np.arange(40)), y, atol=2e-5)
 
 
+def test_runs_not_seen_are_encoded_and_decoded_if_they_lie_in_the_same_spaces() -> None:
+    y, _ = tensor(20)
+    factors, _ = factorise(y[:12], TIME_H, Ranks(9, 9, 9, 1e-5), seed=1)
+    back = factors.decode(factors.encode(y[12:]), TIME_H, np.arange(40))
+    np.testing.assert_allclose(back, y[12:], atol=1e-4)
+    strange = np.random.default_rng(2).standard_normal((1, 53, 40))
+    lost = factors.decode(factors.encode(strange), TIME_H, np.arange(40)) - strange
+    assert np.linalg.norm(lost) > 0.9 * np.linalg.norm(strange)
+
+
 def test_the_tolerance_drops_what_is_smaller() -> None:
     y, _ = tensor()
     small = Ranks(9, 9, 9, 0.3 * float(np.std(y)))
