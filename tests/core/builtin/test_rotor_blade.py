@@ -172,6 +172,23 @@ def test_the_polynomials_add_less_than_a_third_of_the_surrogates_own_error(
     assert np.quantile(np.abs(found / mean - 1), 0.95) < 0.002
 
 
+def test_the_bases_lose_less_than_one_per_cent_of_creep_fields_left_out(blade: Surrogate) -> None:
+    bases = blade.manifest["training"]["bases"]
+    for name in ("mean_ceeq", "ceeq", "creep_damage", "deformation", "elongation"):
+        assert bases[name]["held_out_percent"] < 1.0
+        assert bases[name]["coefficients"] == blade.parts[name].factors.coefficients
+
+
+def test_the_corners_of_the_box_are_within_three_of_its_own_standard_deviations(
+    blade: Surrogate,
+) -> None:
+    """Finite elements at the two extreme corners: 8.50 and 0.055 mm after 50,000 h."""
+    corners = np.array([[2 / 3, 1.0, 3.0, 3.0], [4 / 3, 0.8, -3.0, -3.0]])
+    mean, sd = (v[:, 0] for v in blade.predict(corners, "elongation", [50_000.0]))
+    assert np.all(np.abs(mean - [8.50, 0.055]) < 3 * sd + [0.005, 0.0005])
+    assert np.all(sd < 0.2 * mean)
+
+
 def test_the_process_won_the_contest(blade: Surrogate) -> None:
     table = blade.manifest["contest"]
     assert table[0]["name"] == "gaussian process"
