@@ -34,7 +34,8 @@ class Columns:
     computed: int = 0
 
     def of(self, message: BladeMessage, key: bytes, unit: Array, how: str) -> Array:
-        place = (message.rows.digest + repr(sorted(message.fixed.items())), how.encode() + key)
+        count = f"{how} {len(unit)} ".encode()  # a proposal's scouts are fewer than its nodes
+        place = (message.rows.digest + repr(sorted(message.fixed.items())), count + key)
         if place not in self.kept:
             if len(self.kept) >= self.limit:
                 for old in list(self.kept)[: self.limit // 2]:
