@@ -16,8 +16,8 @@ gamma = `creep_steady` are standard deviates.
 q. n is 0 unless `tertiary_exponent` says otherwise; then the D of the coupling stops at 0.95.
 
 The state of a point is (eps_xx, eps_yy, eps_zz, 2eps_yz, 2eps_xz, 2eps_xy, eps_p, eps_s, D): nine
-numbers, with engineering shear strains. Written for numba, one scalar point at a time; measured
-against numpy, the fused loop is several times faster because no field of intermediates is stored.
+numbers, with engineering shear strains. Compiled, one point at a time; the loop over the points
+and its cost are in :mod:`core.blade.kernels`.
 """
 
 from __future__ import annotations

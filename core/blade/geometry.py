@@ -11,6 +11,10 @@ outer to the inner skin, s in [0, 1] from root to tip. With phi = 2 pi c a secti
 bent over the parabolic camber line 4 m x (1 - x), moved to the centroid of the metal, turned by
 stagger + twist s, and stacked along z = hub_radius + span s. x is the rotor's axis, z the radius.
 Tip and critical points have the same (c, w, s), hence the same place, in every mesh.
+
+Two elements through the wall, not one: creep goes with the sixth power of stress, and two Gauss
+points miss how thermal stress relaxes across the wall. At equal numbers of nodes one element errs
+0.9 % (centre) to 3.6 % (coolest corner) in the elongation after 50,000 h, two 0.06 and 0.26 %.
 """
 
 from __future__ import annotations

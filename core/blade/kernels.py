@@ -1,8 +1,9 @@
 """The loops over Gauss points, compiled.
 
 Point g belongs to element g // (points per element). Strains are (xx, yy, zz, 2yz, 2xz, 2xy),
-stresses (xx, yy, zz, yz, xz, xy). Measured on the default mesh, one thread: the fused loops take
-2 ms where numpy's einsum takes 25 ms, beside 12 ms for the solution of the equations.
+stresses (xx, yy, zz, yz, xz, xy). Measured on the default mesh, one thread of a busy EPYC: one
+evaluation of all rates takes 2 ms here and 15 ms with numpy's einsum and add.at, beside 18 ms for
+the solution of the equations.
 """
 
 from __future__ import annotations
