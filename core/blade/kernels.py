@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 
 from core.blade.compiled import compiled
-from core.blade.creep import _rates
 from core.blade.element import Array, Index
 
 
@@ -86,15 +85,3 @@ def creep_load(
         for n in range(20):
             for a in range(3):
                 out[3 * cells[e, n] + a] += local[n, a]
-
-
-@compiled
-def all_rates(
-    law: Array, stress: Array, temperature: Array, shear: Array, state: Array, out: Array
-) -> float:
-    """The nine rates of every point into out; returns the fastest decay rate."""
-    fastest = 0.0
-    for g in range(len(temperature)):
-        decay = _rates(law, stress[g], temperature[g], shear[g], state[g], out[g])
-        fastest = max(fastest, decay)
-    return fastest

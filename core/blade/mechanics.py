@@ -22,9 +22,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from core.blade.creep import all_rates
 from core.blade.element import Array, Index, face_points, gauss, shape
 from core.blade.geometry import BladeMesh
-from core.blade.kernels import all_rates, creep_load, point_stress
+from core.blade.kernels import creep_load, point_stress
 from core.blade.properties import Properties
 from core.errors import InputError
 
