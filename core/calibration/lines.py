@@ -29,7 +29,7 @@ TRAPEZOID = 9
 GH_X, GH_W = np.polynomial.hermite_e.hermegauss(5)
 GH_W = GH_W / math.sqrt(2.0 * math.pi)
 BELL = 0.5 * GH_X[4] ** 2  # the drop of an exact bell at the outermost point
-OFF_BELL = 1.2  # how far from it the drop may be: five points then err by less than 1e-3
+OFF_BELL = 2.0  # how far from it the drop may be: five points then err by less than 1e-3
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})

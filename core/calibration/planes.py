@@ -18,8 +18,9 @@ from numba import njit
 
 from core.calibration.lines import GH_W, GH_X, OFF_BELL, line_mode, line_sum
 
-GL8_X, GL8_W = np.polynomial.legendre.leggauss(8)
-CELL8 = np.concatenate([[-1.0], np.cumsum(GL8_W) - 1.0])  # cells that hold one point each
+POINTS = 6
+GL_X, GL_W = np.polynomial.legendre.leggauss(POINTS)
+CELL = np.concatenate([[-1.0], np.cumsum(GL_W) - 1.0])  # cells that hold one point each
 N_TRAPEZOID = 9
 
 
@@ -148,7 +149,6 @@ def reach(a, b, v, y, s2, ka2, kb2, x, g, top, w, direction, la, lb, lv, iv):  #
         at = x + direction * w
         collapse_plane(a, at, la)
         collapse_plane(b, at, lb)
-        collapse_plane(v, at, lv)
         value, mode, _, _, side = line_mode(la, lb, lv, y, s2, ka2, kb2, mode, iv)
         drop = top - value
         if drop > 17.0:
@@ -176,11 +176,10 @@ def kink(a, b, v, y, s2, ka2, kb2, inside, outside, g, la, lb, lv, iv):  # type:
     g0, x0 = g, inside
     sd, mode = 1.0, g
     start, at0 = inside, g
-    for _ in range(8):
+    for _ in range(6):
         mid = 0.5 * (inside + outside)
         collapse_plane(a, mid, la)
         collapse_plane(b, mid, lb)
-        collapse_plane(v, mid, lv)
         _, found, _, bend, side = line_mode(la, lb, lv, y, s2, ka2, kb2, mode, iv)
         if side == 0:
             x0, g0 = inside, mode
@@ -314,6 +313,7 @@ def plane_sum(a, b, v, y, s2, ka2, kb2, start, slopes, top, nodes):  # type: ign
     rows, p = a.shape[0], a.shape[1]
     la, lb, lv, iv = np.empty((rows, p)), np.empty((rows, p)), np.empty((rows, p)), np.empty(rows)
     breaks = np.empty(12)
+    collapse_plane(v, start[0], lv)  # varies little over a plane: taken at its mode
     n, bell = plane_breaks(a, b, v, y, s2, ka2, kb2, start, slopes, top, breaks, la, lb, lv, iv)
     count = 0
     if bell:
@@ -327,9 +327,9 @@ def plane_sum(a, b, v, y, s2, ka2, kb2, start, slopes, top, nodes):  # type: ign
             half, mid = 0.5 * (breaks[q + 1] - breaks[q]), 0.5 * (breaks[q + 1] + breaks[q])
             if half <= 0.0:
                 continue
-            for i in range(8):
-                nodes[count, 0], nodes[count, 1] = mid + half * GL8_X[i], half * GL8_W[i]
-                nodes[count, 3] = mid + half * CELL8[i]
+            for i in range(POINTS):
+                nodes[count, 0], nodes[count, 1] = mid + half * GL_X[i], half * GL_W[i]
+                nodes[count, 3] = mid + half * CELL[i]
                 count += 1
     g = start[1]
     peak = -1e300
@@ -337,7 +337,6 @@ def plane_sum(a, b, v, y, s2, ka2, kb2, start, slopes, top, nodes):  # type: ign
         x = nodes[i, 0]
         collapse_plane(a, x, la)
         collapse_plane(b, x, lb)
-        collapse_plane(v, x, lv)
         value, g, slope, bend, _ = line_mode(la, lb, lv, y, s2, ka2, kb2, g, iv)
         nodes[i, 2], _, _ = line_sum(la, lb, y, iv, g, value, slope, bend)
         peak = max(peak, nodes[i, 2])

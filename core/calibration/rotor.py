@@ -88,7 +88,7 @@ class Weighed:
 
 def node_count(dim: int) -> int:
     """Shared nodes for `dim` shared parameters."""
-    return 64 if dim <= 2 else 128
+    return 64 if dim <= 4 else 128
 
 
 def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Proposal:

@@ -18,7 +18,7 @@ from numba import njit
 
 from core.calibration.planes import plane_bell, plane_mode, plane_sum
 
-N1 = 8
+N1 = 6
 GL_X, GL_W = np.polynomial.legendre.leggauss(N1)
 CELL = np.concatenate([[-1.0], np.cumsum(GL_W) - 1.0])  # cells that hold one point each
 LEGENDRE = np.array(
@@ -32,7 +32,7 @@ LEGENDRE = np.array(
 )
 STATIONS = 17
 DEPTH = 16.0  # nats below the profile's top that still count
-SPLIT = 0.02
+SPLIT = 0.15
 MAX_NODES = 512
 
 

@@ -1,0 +1,184 @@
+"""Start a service, stream the paper's inspection plan into it, read the twin back, look.
+
+Everything goes through the front door: a real `bladetwin serve` on a real database, the HTTP
+client that users import, nothing else. The readings are finite-element truth plus noise
+(`core.builtin.inspection_plan`); what is compared at the end was never posted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from core.builtin import inspection_plan
+from core.builtin.inspection_plan import Plan
+from core.errors import BladetwinError
+from service.client import Client
+from service.demo.result import Result, collect
+from service.demo.stream import steps
+
+ROTOR = "demo"
+console = Console(stderr=True)
+
+
+def free_port() -> int:
+    """A port of the loopback address that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass(frozen=True)
+class Running:
+    """A service that this process started."""
+
+    url: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+
+@contextmanager
+def service(folder: Path, port: int | None = None) -> Iterator[Running]:
+    """`bladetwin serve` on a new SQLite database in `folder`; ends with the block."""
+    chosen = port or free_port()
+    log = folder / "serve.log"
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("BLADETWIN_")}
+    environment["BLADETWIN_DATABASE_URL"] = f"sqlite:///{folder / 'bladetwin.db'}"
+    with log.open("wb") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "service.cli", "serve", "--port", str(chosen)],
+            env=environment,
+            stdout=out,
+            stderr=out,
+        )
+        running = Running(f"http://127.0.0.1:{chosen}", process, log)
+        try:
+            yield running
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+                try:
+                    process.wait(20)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
+
+
+def post_all(client: Client, plan: Plan, particles: int, seed: int, quiet: bool = False) -> int:
+    """Create the rotor and stream every step; the last sequence number."""
+    known = inspection_plan.blades()
+    first = [b for b in known if not b.endswith("-2")]
+    blades = [{"id": b, "slot": int(b[1:])} for b in first]
+    client.create_rotor(ROTOR, blades=blades, particles=particles, seed=seed)
+    todo = list(steps(plan, seed))
+    last = 0
+    with _bar(quiet) as bar:
+        task = bar.add_task("posting inspections", total=sum(len(s.inspections) for s in todo))
+        for step in todo:
+            if step.inspections:
+                last = client.post_inspections(ROTOR, step.inspections)
+                bar.advance(task, len(step.inspections))
+            if step.retire and step.install:
+                client.retire_blade(ROTOR, step.retire)
+                slot = int(step.retire[1:])
+                last = client.add_blade(ROTOR, {"id": step.install, "slot": slot})
+    return last
+
+
+def wait_applied(
+    client: Client, seq: int, patience_s: float, quiet: bool = False
+) -> dict[str, Any]:
+    """Until every event counts and the posterior is sealed; shows how far it is."""
+    with _bar(quiet) as bar:
+        task = bar.add_task("updating the posterior", total=seq)
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            rotor = client.rotor(ROTOR)
+            if rotor["status"] == "blocked":
+                raise BladetwinError(f"rotor {ROTOR} is blocked: {rotor['last_error']}")
+            bar.update(task, completed=rotor["applied_seq"])
+            posterior = rotor.get("posterior") or {}
+            if rotor["applied_seq"] >= seq and posterior.get("sealed"):
+                return rotor
+            time.sleep(0.1)
+    raise BladetwinError(f"rotor {ROTOR}: not sealed within {patience_s:g} s")
+
+
+def _bar(quiet: bool) -> Progress:
+    return Progress(
+        TextColumn("{task.description:<24}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=quiet or not console.is_terminal,
+    )
+
+
+def run(
+    *,
+    keep: bool = False,
+    port: int | None = None,
+    particles: int = 10_000,
+    seed: int = 0,
+    out: Path = Path("bladetwin-demo"),
+    as_json: bool = False,
+) -> Result:
+    """The main job; writes ``result.json`` and ``demo.png`` into `out` and prints a table."""
+    from service.demo.picture import draw, print_table
+
+    out.mkdir(parents=True, exist_ok=True)
+    plan = inspection_plan.load()
+    begun = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="bladetwin-") as folder:
+        with service(Path(folder), port) as running:
+            say = console.print
+            say(f"service at {running.url}, database in {folder}")
+            with Client(running.url) as client:
+                try:
+                    client.ready(180)
+                    ready = time.monotonic()
+                    last = post_all(client, plan, particles, seed, quiet=as_json)
+                    posted = time.monotonic()
+                    say(f"{len(plan.inspections)} inspections acknowledged")
+                    rotor = wait_applied(client, last, 600, quiet=as_json)
+                    sealed = time.monotonic()
+                    result = collect(client, plan, rotor, ROTOR, quiet=as_json)
+                except (BladetwinError, TimeoutError):
+                    say(running.log.read_text()[-3000:], style="dim")
+                    raise
+                done = time.monotonic()
+                result.seconds.update(
+                    start=ready - begun,
+                    posting=posted - ready,
+                    updating=sealed - posted,
+                    reading=done - sealed,
+                    twin=done - ready,
+                )
+                (out / "result.json").write_text(json.dumps(result.to_json(), indent=1))
+                draw(result, plan, out / "demo.png")
+                if as_json:
+                    print(json.dumps(result.to_json()))
+                else:
+                    print_table(result, out)
+                if keep:
+                    say(f"the API stays up at {running.url} (rotor {ROTOR!r}); Ctrl-C ends it")
+                    try:
+                        running.process.wait()
+                    except KeyboardInterrupt:
+                        say("stopping")
+    return result
