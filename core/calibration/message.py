@@ -93,6 +93,7 @@ def _noise(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Array]
     s2 = np.empty((len(x), len(rows.sigma)))
     for r, sigma in enumerate(rows.sigma):
         s2[:, r] = (x[:, space.names.index(sigma)] if isinstance(sigma, str) else sigma) ** 2
+    s2 += rows.extra
     rest = np.zeros(len(x))
     for d in rows.dense:
         s = (

@@ -84,7 +84,7 @@ def plane_mode(a, b, v, y, s2, ka2, kb2, start, out):  # type: ignore[no-untyped
     trial = np.empty(5)
     x, g = start[0], start[1]
     value = plane_slopes(a, b, v, y, s2, ka2, kb2, x, g, out)
-    for _ in range(60):
+    for _ in range(30):
         sx, sg = out[0], out[1]
         ridge = 1e-9 * (out[2] + out[4]) + 1e-12
         hxx, hxg, hgg = out[2] + ridge, out[3], out[4] + ridge

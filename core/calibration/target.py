@@ -5,17 +5,7 @@ priors; each row has a reading and a noise, which is a shared parameter sigma_ob
 or, where the inspection says so, known. A normal prior of a local parameter is one more row,
 linear in it.
 
-A 3-D scan of thousands of nodes is no thousand independent facts about four inputs. With the
-deformation modes Phi at the scanned nodes and Phi = Q R, the readings y split into Q^T y, which
-depends on the inputs through R c(t; x) E(t; x), and a remainder that depends on the noise only:
-
-    p(y | x) = N(Q^T y | R c E, sigma² I + R C R^T s(x)²)
-               · (2 pi sigma²)^(−nu/2) exp(−RSS / 2 sigma²)
-
-C is the covariance of the surrogate's error in mode space. Rotating by the eigenvectors of
-R C R^T makes every row independent, so a scan is exact in a dozen rows, and its precision is
-limited by what the surrogate knows, not by the number of nodes. Rotated rows in which the prior's
-whole range moves the reading by less than a tenth of its noise are left to the remainder.
+A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`).
 """
 
 from __future__ import annotations
@@ -23,10 +13,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.scans import NUMERICAL, Dense, scan_rows
 from core.errors import InputError
 from core.model import Model
 from core.network import Parameter, Prior
@@ -38,21 +30,13 @@ DEGREE = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Dense:
-    """Remainder of a scan: residual sum of squares [unit²] and its degrees of freedom."""
-
-    sigma: str | float
-    rss: float
-    dof: int
-
-
-@dataclass(frozen=True, slots=True)
 class BladeRows:
     """A blade's readings, packed.
 
     response  R rows over all inputs, on the priors' boxes
     y         readings, (R,)
     sigma     per row: the name of a shared sigma_obs, or a known value
+    extra     per row: variance beside the noise and the surrogate's, (R,) [unit²]
     dense     remainders of scans
     digest    of the readings
     """
@@ -60,6 +44,7 @@ class BladeRows:
     response: Response
     y: Array
     sigma: tuple[str | float, ...]
+    extra: Array
     dense: tuple[Dense, ...]
     digest: str
 
@@ -143,48 +128,6 @@ def _node_of(model: Model, reading: Inspection) -> list[int] | None:
     return [model.surrogate.named[quantity.node or "critical"]]
 
 
-def _scan(model: Model, reading: Inspection) -> tuple[Response, Array, Dense]:
-    """A 3-D scan as independent rows and a remainder."""
-    quantity = model.network.quantity(reading.quantity)
-    nodes = reading.nodes
-    assert nodes is not None
-    phi = model.surrogate.deformation_modes(nodes.tolist()).reshape(reading.values.size, -1)
-    q, r = np.linalg.qr(phi)
-    y = reading.values.reshape(-1)
-    z = q.T @ y
-    covariance = model.surrogate.mode_covariance(reading.time_h)
-    _, turn = np.linalg.eigh(r @ covariance @ r.T)
-    key = ("scan", reading.quantity, reading.time_h, nodes.tobytes())
-    response = _rows(
-        model, key, lambda: model.surrogate.mode_response(reading.time_h, turn.T @ r, degree=DEGREE)
-    )
-    z = turn.T @ z
-    noise = reading.sigma or math.exp(0.5 * sum(quantity.sigma_obs.box))
-    mean, sd = response.evaluate(
-        response.low
-        + (response.high - response.low)
-        * np.random.default_rng(0).random((256, len(response.names)))
-    )
-    speaks = np.ptp(mean, axis=0) > 0.1 * np.sqrt(noise**2 + np.median(sd, axis=0) ** 2)
-    if not speaks.any():
-        speaks[np.argmax(np.ptp(mean, axis=0))] = True
-    rest = z[~speaks] - np.median(mean[:, ~speaks], axis=0)
-    rss = float(y @ y - (q.T @ y) @ (q.T @ y)) + float(rest @ rest)
-    kept = Response(
-        response.names,
-        response.low,
-        response.high,
-        response.degree,
-        response.a[speaks],
-        response.b[speaks],
-        response.ka[speaks],
-        response.kb[speaks],
-        response.log_v[speaks],
-    )
-    sigma = reading.sigma if reading.sigma is not None else quantity.sigma_name
-    return kept, z[speaks], Dense(sigma, max(rss, 0.0), y.size - int(speaks.sum()))
-
-
 def _gaussian_prior_rows(model: Model, like: Response) -> list[tuple[Response, float, float]]:
     """A row (response, mean, sd) for each local parameter with a normal prior."""
     found = []
@@ -222,11 +165,14 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     y: list[Array] = []
     sigma: list[str | float] = []
     dense: list[Dense] = []
+    extra: list[Array] = []
     for reading in sorted(readings, key=lambda i: (i.time_h, i.id)):
         quantity = model.network.quantity(reading.quantity)
+        name = reading.sigma if reading.sigma is not None else quantity.sigma_name
         if quantity.kind == "vector":
-            response, values, rest = _scan(model, reading)
-            dense.append(rest)
+            scan = scan_rows(model, reading, name, partial(_boxed, model), DEGREE)
+            response, values, more = scan.response, scan.y, scan.extra
+            dense.append(scan.dense)
         else:
             nodes = _node_of(model, reading)
             times = np.array([reading.time_h])
@@ -239,16 +185,23 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
                 ),
             )
             values = reading.values
+            more = (NUMERICAL * values) ** 2
         parts.append(response)
+        extra.append(more)
         y.append(values)
-        name = reading.sigma if reading.sigma is not None else quantity.sigma_name
         sigma += [name] * len(response)
     for row, mean, sd in _gaussian_prior_rows(model, parts[0]):
         parts.append(row)
         y.append(np.array([mean]))
         sigma.append(sd)
+        extra.append(np.zeros(1))
     return BladeRows(
-        Response.stack(parts), np.concatenate(y), tuple(sigma), tuple(dense), digest_of(readings)
+        Response.stack(parts),
+        np.concatenate(y),
+        tuple(sigma),
+        np.concatenate(extra),
+        tuple(dense),
+        digest_of(readings),
     )
 
 
