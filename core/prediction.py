@@ -7,6 +7,8 @@ deviation s,
     total² = Var_w(Y_m) + Σ w_i s(t; psi_i)² + sigma_delta² + Σ w_i sigma_obs,i²
              parameters   surrogate            discrepancy   noise of one more reading
 
+(the surrogate's part holds the simulation's numerical error, too),
+
 so the squares of the sources add up to the square of the total. Quantiles and bounds are those
 of the mixture of normals Σ w_i N(Y_m,i, s_i² + sigma_i²), not of a fitted bell: they are the bounds
 between which a *reading* falls with the stated probability. Whoever wants the band of the blade
@@ -168,6 +170,7 @@ def predict(
         mean, sd = mean[:, :, 0], sd[:, :, 0]
     elif declared.kind == "vector":
         mean, sd = mean[:, :, 0, component], sd[:, :, 0, component]
+    sd = np.hypot(sd, declared.numerical * mean)
     sigma = noise_of(model, thin, quantity) if noise else np.zeros(len(w))
     centre = w @ mean
     parts = {

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from core.calibration.message import BladeMessage
 from core.calibration.target import SharedSpace
-from core.smc.particles import ess, normalised
-from core.smc.placement import Proposal, descend, moments, rounded, sobol
+from core.smc.particles import ess
+from core.smc.placement import Proposal, descend, improved, sobol
 
 Array = NDArray[np.float64]
 
@@ -113,8 +113,8 @@ def weigh(
     columns: Columns,
     seed: int,
     *,
-    rounds: int = 8,
-    enough: float = 0.4,
+    rounds: int = 12,
+    enough: float = 0.5,
 ) -> Weighed:
     """Place and weight the shared nodes for these messages."""
     d = space.dim
@@ -134,20 +134,19 @@ def weigh(
     wide = Proposal(proposal.mean, proposal.chol * 1.5)
     n = node_count(d)
     base = sobol(n, d, seed + 1)
+    best: tuple[float, Proposal] | None = None
     for step in range(rounds):
         unit, log_q = wide.nodes(base)
         log_p = total(unit, wide.key, "exact")
-        log_w = log_p - log_q
-        ratio = ess(log_w) / n
+        ratio = ess(log_p - log_q) / n
+        if best is None or ratio > best[0]:
+            best = (ratio, wide)
         if step > 0 and ratio >= enough:
             break
-        if ratio * n >= 1.5 * (d + 1):
-            wide = rounded(*moments(unit, normalised(log_w)))
-        else:
-            wide, more = descend(
-                lambda unit, key: total(unit, key, "exact"), wide, scouts, seed, max_levels=3
-            )
-            levels += more
+        wide = improved(unit, log_p, log_q, 0.3)
+    assert best is not None
+    wide = best[1]
+    unit, log_q = wide.nodes(base)
     return Weighed(
         unit,
         log_q,

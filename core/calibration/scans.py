@@ -7,8 +7,8 @@ on the noise only,
     p(y | x) = N(z | R c E, sigma² I + S) · (2 pi sigma²)^(−nu/2) exp(−RSS / 2 sigma²),
 
 exact for white noise. S is what the simulation itself does not know: the surrogate's covariance in
-mode space, and the error of its mesh and polynomials, NUMERICAL of the deformation (the default
-mesh is within 0.3 % of a refined one). Without S, 4,000 readings would make a posterior as sharp as
+mode space, and the error of its mesh and polynomials, a share of the deformation that the network
+declares (the default mesh is within 0.3 % of a refined one). Without S, 4,000 readings would make a posterior as sharp as
 0.03 mm / sqrt(4000), which no model deserves.
 
 The two dozen components of z are still more than the inputs need. Around the best fit x* (noise
@@ -35,7 +35,6 @@ from core.observation import Inspection
 from core.response import Response
 
 Array = NDArray[np.float64]
-NUMERICAL = 0.003
 DIRECTIONS = 5
 STARTS, SAMPLE = 4096, 400
 
@@ -79,7 +78,7 @@ def scan_rows(
     dense = Dense(sigma, max(float(readings @ readings - y @ y), 0.0), readings.size - y.size)
     response = boxed(model.surrogate.mode_response(reading.time_h, r, degree=degree))
     noise = _noise_guess(model, reading, dense)
-    numerical = NUMERICAL**2 * (y**2 + np.mean(y**2))
+    numerical = model.network.quantity(reading.quantity).numerical ** 2 * (y**2 + np.mean(y**2))
     best = _best_fit(response, y, noise, numerical)
     sd = response.evaluate(best[None])[1]
     # the surrogate's error in z is correlated: R C R^T, scaled to its sd at the best fit

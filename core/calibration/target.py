@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.scans import NUMERICAL, Dense, scan_rows
+from core.calibration.scans import Dense, scan_rows
 from core.errors import InputError
 from core.model import Model
 from core.network import Parameter, Prior
@@ -185,7 +185,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
                 ),
             )
             values = reading.values
-            more = (NUMERICAL * values) ** 2
+            more = (quantity.numerical * values) ** 2
         parts.append(response)
         extra.append(more)
         y.append(values)

@@ -30,7 +30,7 @@ from scipy.stats import qmc
 from core.smc.particles import ess, normalised, tempering_exponent
 
 Array = NDArray[np.float64]
-WIDEN = 1.3  # proposals are a little wider than what they propose for
+WIDEN = 1.25  # proposals are a little wider than what they propose for
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +68,14 @@ class Proposal:
 def rounded(mean: Array, covariance: Array) -> Proposal:
     """The proposal for these moments on the coarse lattice.
 
-    Spreads are rounded up to powers of sqrt 2, correlations to quarters, centres to half a spread.
+    Spreads are rounded to powers of sqrt 2, correlations to quarters, centres to half a spread.
     """
     d = len(mean)
     covariance = covariance + 1e-14 * np.eye(d)
     chol = np.linalg.cholesky(covariance)
     out = np.zeros((d, d))
     for i in range(d):
-        spread = 2.0 ** (np.ceil(2 * np.log2(WIDEN * chol[i, i])) / 2)
+        spread = 2.0 ** (np.round(2 * np.log2(WIDEN * chol[i, i])) / 2)
         out[i, i] = min(spread, 1.0)
         for j in range(i):
             out[i, j] = np.round(4 * chol[i, j] / chol[i, i]) / 4 * out[i, i]
@@ -144,20 +144,42 @@ def descend(
     start    where the descent begins
     scouts   nodes of each level (a power of two)
     """
-    d = len(start.mean)
-    base = sobol(scouts, d, seed)
-    coefficients = (d + 1) * (d + 2) // 2
+    base = sobol(scouts, len(start.mean), seed)
     proposal = start
     for level in range(max_levels):
         u, log_q = proposal.nodes(base)
-        log_p = np.maximum(target(u, proposal.key), -1e300)
-        log_w = log_p - log_q
-        if ess(log_w) >= enough * scouts:
-            return rounded(*moments(u, normalised(log_w))), level + 1
-        beta = tempering_exponent(log_w, min(1.6 * coefficients, 0.5 * scouts))
-        w = normalised(beta * log_w)
-        mean, cov = moments(u, w)
-        cov = cov + 1e-12 * np.eye(d)
-        fit = _quadratic(u, log_p, w, mean, cov)
-        proposal = rounded(*fit) if fit is not None else rounded(mean, cov)
+        log_p = target(u, proposal.key)
+        fits = ess(floored(log_p) - log_q) >= enough * scouts
+        proposal = improved(u, log_p, log_q, enough)
+        if fits:
+            return proposal, level + 1
     return proposal, max_levels
+
+
+def floored(log_p: Array) -> Array:
+    """Log densities with everything hopeless (−inf, too) at ten million nats below the best.
+
+    >>> floored(np.array([3.0, -np.inf])).tolist()
+    [3.0, -9999997.0]
+    """
+    return np.asarray(np.maximum(log_p, np.max(log_p) - 1e7))
+
+
+def improved(u: Array, log_p: Array, log_q: Array, enough: float) -> Proposal:
+    """The next proposal from a target known at nodes u (n, d).
+
+    Where the weights keep `enough` of the nodes, their moments; else the quadratic through the
+    tempered nodes, or the tempered moments where the quadratic has no top.
+    """
+    n, d = u.shape
+    log_p = floored(log_p)
+    log_w = log_p - log_q
+    if ess(log_w) >= enough * n:
+        return rounded(*moments(u, normalised(log_w)))
+    coefficients = (d + 1) * (d + 2) // 2
+    beta = tempering_exponent(log_w, min(1.6 * coefficients, 0.5 * n))
+    w = normalised(beta * log_w)
+    mean, cov = moments(u, w)
+    cov = cov + 1e-12 * np.eye(d)
+    fit = _quadratic(u, log_p, w, mean, cov)
+    return rounded(*fit) if fit is not None else rounded(mean, cov)

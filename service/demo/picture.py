@@ -26,7 +26,7 @@ def draw(result: Result, plan: Plan, path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(14, 9.5), dpi=110, layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1, 1))
+    top, bottom = np.ravel(figure.subfigures(2, 1))
     for axis, name in zip(top.subplots(1, 3), LOCAL, strict=True):
         rows = np.array([b[name] for b in result.local.values()])
         axis.errorbar(
@@ -49,8 +49,6 @@ def draw(result: Result, plan: Plan, path: Path) -> None:
     )  # fmt: skip
     ends = [rows[:, 1].min(), rows[:, 1].max()]
     held.plot(ends, ends, color=GREY, lw=1, ls="--")
-    held.set_xscale("log")
-    held.set_yscale("log")
     held.set_xlabel("reading at the held-out outage [mm]")
     held.set_ylabel("forecast with 95 % band [mm]")
     held.set_title(f"{len(rows)} readings never posted: {result.coverage:.0%} inside", fontsize=10)

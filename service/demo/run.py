@@ -82,7 +82,7 @@ def post_all(client: Client, plan: Plan, particles: int, seed: int, quiet: bool 
     """Create the rotor and stream every step; the last sequence number."""
     known = inspection_plan.blades()
     first = [b for b in known if not b.endswith("-2")]
-    blades = [{"id": b, "slot": int(b[1:])} for b in first]
+    blades = [{"id": b, "slot": b[1:]} for b in first]
     client.create_rotor(ROTOR, blades=blades, particles=particles, seed=seed)
     todo = list(steps(plan, seed))
     last = 0
@@ -94,7 +94,7 @@ def post_all(client: Client, plan: Plan, particles: int, seed: int, quiet: bool 
                 bar.advance(task, len(step.inspections))
             if step.retire and step.install:
                 client.retire_blade(ROTOR, step.retire)
-                slot = int(step.retire[1:])
+                slot = step.retire[1:]
                 last = client.add_blade(ROTOR, {"id": step.install, "slot": slot})
     return last
 
