@@ -24,7 +24,8 @@ import math
 import numpy as np
 from numba import njit
 
-GL_X, GL_W = np.polynomial.legendre.leggauss(10)
+FLANK = 7
+GL_X, GL_W = np.polynomial.legendre.leggauss(FLANK)
 TRAPEZOID = 9
 GH_X, GH_W = np.polynomial.hermite_e.hermegauss(5)
 GH_W = GH_W / math.sqrt(2.0 * math.pi)
@@ -108,10 +109,11 @@ def half_width(a, b, y, iv, g, top, slope, bend, direction):  # type: ignore[no-
     room = 1.0 - direction * g
     out = max(-direction * slope, 0.0)  # a mode at the bound falls off linearly inwards
     w = 23.0 / (out + math.sqrt(out * out + 23.0 * (bend + 1e-12)))
-    for _ in range(8):
+    for _ in range(40):
         if w >= room:
             if top - line_value(a, b, y, iv, g + direction * room) > 40.0:
-                w = 0.6 * room
+                w = 0.4 * room
+                room = min(room, 2.0 * w)
                 continue
             return room, True
         drop = top - line_value(a, b, y, iv, g + direction * w)
@@ -145,15 +147,25 @@ def line_sum(a, b, y, iv, g, value, slope, bend):  # type: ignore[no-untyped-def
     left, cut_left = half_width(a, b, y, iv, g, top, slope, bend, -1.0)
     right, cut_right = half_width(a, b, y, iv, g, top, slope, bend, 1.0)
     low, high = g - left, g + right
-    total = 0.0
+    total, peak = 0.0, 0.0  # Σ weight exp(value − top − peak): a stalled mode cannot overflow
     if cut_left or cut_right:
-        half, mid = 0.5 * (high - low), 0.5 * (high + low)
-        for i in range(10):
-            total += GL_W[i] * math.exp(line_value(a, b, y, iv, mid + half * GL_X[i]) - top)
-        total *= half
+        for side in range(2):  # the two flanks may differ in steepness by an order
+            half = 0.5 * (left if side == 0 else right)
+            mid = g - half if side == 0 else g + half
+            for i in range(FLANK):
+                rise = line_value(a, b, y, iv, mid + half * GL_X[i]) - top
+                if rise > peak:
+                    total *= math.exp(peak - rise)
+                    peak = rise
+                total += half * GL_W[i] * math.exp(rise - peak)
     else:
         h = (high - low) / (TRAPEZOID - 1)
         for i in range(TRAPEZOID):
-            total += math.exp(line_value(a, b, y, iv, low + i * h) - top)
-        total *= h
-    return value + math.log(total), low, high
+            rise = line_value(a, b, y, iv, low + i * h) - top
+            if rise > peak:
+                total *= math.exp(peak - rise)
+                peak = rise
+            total += h * math.exp(rise - peak)
+    if not total > 0.0:  # narrower than every point: the bell itself
+        total = min(sd * math.sqrt(2.0 * math.pi), 2.0)
+    return value + peak + math.log(total), low, high

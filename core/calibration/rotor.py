@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from core.calibration.message import BladeMessage
 from core.calibration.target import SharedSpace
+from core.errors import CalibrationError
 from core.smc.particles import ess
 from core.smc.placement import Proposal, descend, improved, sobol
 
@@ -41,7 +42,13 @@ class Columns:
                 for old in list(self.kept)[: self.limit // 2]:
                     del self.kept[old]
             self.computed += 1
-            self.kept[place] = self._compute(message, unit, how)
+            column = self._compute(message, unit, how)
+            if np.isnan(column).any():
+                raise CalibrationError(
+                    f"a blade's message is not a number at {int(np.isnan(column).sum())} of "
+                    f"{len(column)} nodes; its readings: {message.rows.y.tolist()[:12]}"
+                )
+            self.kept[place] = column
         return self.kept[place]
 
     @staticmethod

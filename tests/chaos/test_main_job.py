@@ -1,0 +1,64 @@
+"""The main job, small: a killed worker changes nothing in its result."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import subprocess
+from pathlib import Path
+from typing import Any
+
+
+from core.builtin import inspection_plan
+from service.client import Client
+
+demo = importlib.import_module("service.demo.run")
+PARTICLES = 768
+
+
+def workers_of(pid: int) -> list[int]:
+    """The worker processes below a `bladetwin serve`."""
+    found = subprocess.run(
+        ["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+    ).stdout
+    return [int(line.split()[0]) for line in found.splitlines() if " worker" in line]
+
+
+def main_job(folder: Path, kills: int) -> tuple[dict[str, Any], dict[str, Any], int]:
+    """Stream the plan, killing every worker `kills` times on the way; posterior and rotor."""
+    plan = inspection_plan.load()
+    folder.mkdir()
+    done = 0
+    with demo.service(folder) as running, Client(running.url) as client:
+        client.ready(180)
+        post = client.post_inspections
+
+        def deadly(rotor: str, inspections: Any) -> int:
+            nonlocal done
+            seq = post(rotor, inspections)
+            if done < kills and seq > 40 * (done + 1):
+                victims = workers_of(running.process.pid)
+                assert victims, "no worker to kill"
+                for victim in victims:
+                    os.kill(victim, signal.SIGKILL)
+                done += 1
+            return seq
+
+        client.post_inspections = deadly  # type: ignore[method-assign]
+        last = demo.post_all(client, plan, PARTICLES, seed=4, quiet=True)
+        rotor = demo.wait_applied(client, last, 300, quiet=True)
+        posterior = client.posterior("demo", "B090")
+        return rotor, posterior, done
+
+
+def test_killing_the_workers_with_9_changes_nothing_in_the_result(tmp_path: Path) -> None:
+    calm, calm_posterior, _ = main_job(tmp_path / "calm", kills=0)
+    wild, wild_posterior, kills = main_job(tmp_path / "wild", kills=4)
+    assert kills == 4
+    assert wild["head_seq"] == wild["applied_seq"] == calm["applied_seq"]
+    assert wild["posterior"]["sealed"]
+    assert calm["posterior"]["sealed"]
+    assert wild["posterior"]["events_digest"] == calm["posterior"]["events_digest"]
+    assert wild["posterior"]["state_digest"] == calm["posterior"]["state_digest"]
+    assert wild_posterior["parameters"] == calm_posterior["parameters"]
