@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +12,10 @@ from typing import Annotated, Any
 import typer
 
 from core.errors import BladetwinError
+from service.progress import bar
 from service.settings import Settings, table
+from service.studies import app as studies
+from service.studies import commit
 
 app = typer.Typer(
     name="bladetwin",
@@ -23,6 +27,7 @@ app = typer.Typer(
 )
 models = typer.Typer(help="Models.", no_args_is_help=True)
 app.add_typer(models, name="model")
+app.add_typer(studies, name="study")
 
 SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
     f"{name} [{default}]: {meaning}" for name, default, meaning in table()
@@ -119,9 +124,41 @@ def build(
     from core.builtin import rotor_blade
 
     chosen = rotor_blade.SEED if seed is None else seed
-    surrogate = rotor_blade.build(out, mesh=mesh, seed=chosen, workers=workers)
+    shown: dict[str, Any] = {}
+    with ExitStack() as bars:
+
+        def progress(name: str, done: int, total: int, left: float) -> None:
+            if name not in shown:
+                shown[name] = bars.enter_context(bar(name, total, quiet=as_json))
+            shown[name](done)
+
+        surrogate = rotor_blade.build(
+            out, mesh=mesh, seed=chosen, workers=workers, progress=progress, commit=commit()
+        )
     facts = {"model": name, "digest": surrogate.digest, "folder": str(out)}
     say(facts, f"{name}: digest {surrogate.digest[:12]}… in {out}", as_json=as_json)
+
+
+@models.command("readings")
+def readings(
+    name: Annotated[str, typer.Argument(help="The built-in model: rotor-blade.")],
+    out: Annotated[Path, typer.Option(help="Folder of the truth runs.")] = Path("bladetwin-data"),
+    workers: Annotated[int, typer.Option(help="Processes that compute runs.")] = 2,
+    as_json: Json = False,
+) -> None:
+    """Compute the truth runs of the main job again, with noise; resumes where it stopped."""
+    if name != "rotor-blade":
+        raise typer.BadParameter(f"{name!r} is no built-in model; use rotor-blade")
+    from core.builtin import inspection_plan
+
+    with bar("truth runs", len(inspection_plan.blades()), quiet=as_json) as shown:
+        archive = inspection_plan.simulate(
+            out / "truth", workers, lambda _name, done, _total, _left: shown(done)
+        )
+    file = out / "inspection_plan.npz"
+    plan = inspection_plan.make(archive, file)
+    facts = {"file": str(file), "inspections": len(plan.inspections)}
+    say(facts, f"{facts['inspections']} inspections in {file}", as_json=as_json)
 
 
 def main() -> None:

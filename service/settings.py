@@ -52,7 +52,7 @@ class Settings(BaseModel):
         "", description="folder of a rebuilt rotor-blade model; empty = the shipped one"
     )
     particles: int = Field(
-        4000, ge=16, le=1_000_000, description="particles per blade where a rotor names none"
+        10_000, ge=16, le=1_000_000, description="particles per blade where a rotor names none"
     )
     max_body_mb: float = Field(32.0, gt=0, le=4096, description="largest request body, MiB")
     page_limit: int = Field(200, ge=1, le=10_000, description="most items on one page of a list")

@@ -78,7 +78,9 @@ def breaches(path: str, source: str) -> list[str]:
 
 def sources() -> list[str]:
     return [
-        str(p.relative_to(ROOT)) for room in ("core", "service") for p in (ROOT / room).rglob("*.py")
+        str(p.relative_to(ROOT))
+        for room in ("core", "service")
+        for p in (ROOT / room).rglob("*.py")
     ]
 
 

@@ -8,8 +8,8 @@ on the noise only,
 
 exact for white noise. S is what the simulation itself does not know: the surrogate's covariance in
 mode space, and the error of its mesh and polynomials, a share of the deformation that the network
-declares (the default mesh is within 0.3 % of a refined one). Without S, 4,000 readings would make a posterior as sharp as
-0.03 mm / sqrt(4000), which no model deserves.
+declares (the default mesh is within 0.3 % of a refined one). Without S, 4,000 readings would make
+a posterior as sharp as 0.03 mm / sqrt(4000), which no model deserves.
 
 The two dozen components of z are still more than the inputs need. Around the best fit x* (noise
 sigma_0 from the remainder), the whitened components vary along a few directions only: the left

@@ -55,7 +55,9 @@ def simulate(
     shared = {p.name: float(p.prior.quantile(rng.random())) for p in network.of_level("shared")}
     shared[declared.sigma_name] = float(declared.sigma_obs.quantile(rng.random()))
     local = {
-        f"B{b:03d}": {p.name: float(p.prior.quantile(rng.random())) for p in network.of_level("local")}
+        f"B{b:03d}": {
+            p.name: float(p.prior.quantile(rng.random())) for p in network.of_level("local")
+        }
         for b in range(blades)
     }
     x = np.array([[{**shared, **v}[name] for name in model.input_names] for v in local.values()])

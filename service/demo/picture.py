@@ -26,7 +26,7 @@ def draw(result: Result, plan: Plan, path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(14, 9.5), dpi=110, layout="constrained")
-    top, bottom = np.ravel(figure.subfigures(2, 1))
+    top, bottom = figure.subfigures(2, 1, squeeze=False)[:, 0]
     for axis, name in zip(top.subplots(1, 3), LOCAL, strict=True):
         rows = np.array([b[name] for b in result.local.values()])
         axis.errorbar(

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from core.builtin import inspection_plan
 from core.builtin.inspection_plan import Plan
@@ -30,6 +29,7 @@ from core.errors import BladetwinError
 from service.client import Client
 from service.demo.result import Result, collect
 from service.demo.stream import steps
+from service.progress import bar
 
 ROTOR = "demo"
 console = Console(stderr=True)
@@ -86,16 +86,19 @@ def post_all(client: Client, plan: Plan, particles: int, seed: int, quiet: bool 
     client.create_rotor(ROTOR, blades=blades, particles=particles, seed=seed)
     todo = list(steps(plan, seed))
     last = 0
-    with _bar(quiet) as bar:
-        task = bar.add_task("posting inspections", total=sum(len(s.inspections) for s in todo))
+    sent = 0
+    with bar("posting inspections", sum(len(s.inspections) for s in todo), quiet=quiet) as shown:
         for step in todo:
             if step.inspections:
                 last = client.post_inspections(ROTOR, step.inspections)
-                bar.advance(task, len(step.inspections))
+                sent += len(step.inspections)
+                shown(sent)
             if step.retire and step.install:
                 client.retire_blade(ROTOR, step.retire)
                 slot = step.retire[1:]
                 last = client.add_blade(ROTOR, {"id": step.install, "slot": slot})
+            if step.through:
+                client.wait_for(ROTOR, last)  # the outage ends when its readings count
     return last
 
 
@@ -103,30 +106,18 @@ def wait_applied(
     client: Client, seq: int, patience_s: float, quiet: bool = False
 ) -> dict[str, Any]:
     """Until every event counts and the posterior is sealed; shows how far it is."""
-    with _bar(quiet) as bar:
-        task = bar.add_task("updating the posterior", total=seq)
+    with bar("updating the posterior", seq, quiet=quiet) as shown:
         end = time.monotonic() + patience_s
         while time.monotonic() < end:
             rotor = client.rotor(ROTOR)
             if rotor["status"] == "blocked":
                 raise BladetwinError(f"rotor {ROTOR} is blocked: {rotor['last_error']}")
-            bar.update(task, completed=rotor["applied_seq"])
+            shown(rotor["applied_seq"])
             posterior = rotor.get("posterior") or {}
             if rotor["applied_seq"] >= seq and posterior.get("sealed"):
                 return rotor
             time.sleep(0.1)
     raise BladetwinError(f"rotor {ROTOR}: not sealed within {patience_s:g} s")
-
-
-def _bar(quiet: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description:<24}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=quiet or not console.is_terminal,
-    )
 
 
 def run(

@@ -20,11 +20,15 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One request: readings to post, or a blade to retire and its successor."""
+    """One request: readings to post, or a blade to retire and its successor.
+
+    through   the outage ends here
+    """
 
     inspections: tuple[Json, ...] = ()
     retire: str | None = None
     install: str | None = None
+    through: bool = False
 
 
 def steps(plan: Plan, seed: int) -> Iterator[Step]:
@@ -44,4 +48,4 @@ def steps(plan: Plan, seed: int) -> Iterator[Step]:
             at += size
         for blade, when in DESTROYED.items():
             if when == outage:
-                yield Step(retire=blade, install=f"{blade}-2")
+                yield Step(retire=blade, install=f"{blade}-2", through=True)

@@ -9,7 +9,6 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-
 from core.builtin import inspection_plan
 from service.client import Client
 
