@@ -52,12 +52,14 @@ def simulate(
     rng = stream(seed, "simulated", rotor)
     network = model.network
     declared = network.quantity(quantity)
-    shared = {p.name: float(p.prior.quantile(rng.random())) for p in network.of_level("shared")}
-    shared[declared.sigma_name] = float(declared.sigma_obs.quantile(rng.random()))
+
+    def drawn(prior: Prior) -> float:
+        return float(prior.quantile(rng.random(1))[0])
+
+    shared = {p.name: drawn(p.prior) for p in network.of_level("shared")}
+    shared[declared.sigma_name] = drawn(declared.sigma_obs)
     local = {
-        f"B{b:03d}": {
-            p.name: float(p.prior.quantile(rng.random())) for p in network.of_level("local")
-        }
+        f"B{b:03d}": {p.name: drawn(p.prior) for p in network.of_level("local")}
         for b in range(blades)
     }
     x = np.array([[{**shared, **v}[name] for name in model.input_names] for v in local.values()])

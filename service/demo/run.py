@@ -135,41 +135,43 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     plan = inspection_plan.load()
     begun = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="bladetwin-") as folder:
-        with service(Path(folder), port) as running:
-            say = console.print
-            say(f"service at {running.url}, database in {folder}")
-            with Client(running.url) as client:
+    with (
+        tempfile.TemporaryDirectory(prefix="bladetwin-") as folder,
+        service(Path(folder), port) as running,
+    ):
+        say = console.print
+        say(f"service at {running.url}, database in {folder}")
+        with Client(running.url) as client:
+            try:
+                client.ready(180)
+                ready = time.monotonic()
+                last = post_all(client, plan, particles, seed, quiet=as_json)
+                posted = time.monotonic()
+                say(f"{len(plan.inspections)} inspections acknowledged")
+                rotor = wait_applied(client, last, 600, quiet=as_json)
+                sealed = time.monotonic()
+                result = collect(client, plan, rotor, ROTOR, quiet=as_json)
+            except (BladetwinError, TimeoutError):
+                say(running.log.read_text()[-3000:], style="dim")
+                raise
+            done = time.monotonic()
+            result.seconds.update(
+                start=ready - begun,
+                posting=posted - ready,
+                updating=sealed - posted,
+                reading=done - sealed,
+                twin=done - ready,
+            )
+            (out / "result.json").write_text(json.dumps(result.to_json(), indent=1))
+            draw(result, plan, out / "demo.png")
+            if as_json:
+                print(json.dumps(result.to_json()))
+            else:
+                print_table(result, out)
+            if keep:
+                say(f"the API stays up at {running.url} (rotor {ROTOR!r}); Ctrl-C ends it")
                 try:
-                    client.ready(180)
-                    ready = time.monotonic()
-                    last = post_all(client, plan, particles, seed, quiet=as_json)
-                    posted = time.monotonic()
-                    say(f"{len(plan.inspections)} inspections acknowledged")
-                    rotor = wait_applied(client, last, 600, quiet=as_json)
-                    sealed = time.monotonic()
-                    result = collect(client, plan, rotor, ROTOR, quiet=as_json)
-                except (BladetwinError, TimeoutError):
-                    say(running.log.read_text()[-3000:], style="dim")
-                    raise
-                done = time.monotonic()
-                result.seconds.update(
-                    start=ready - begun,
-                    posting=posted - ready,
-                    updating=sealed - posted,
-                    reading=done - sealed,
-                    twin=done - ready,
-                )
-                (out / "result.json").write_text(json.dumps(result.to_json(), indent=1))
-                draw(result, plan, out / "demo.png")
-                if as_json:
-                    print(json.dumps(result.to_json()))
-                else:
-                    print_table(result, out)
-                if keep:
-                    say(f"the API stays up at {running.url} (rotor {ROTOR!r}); Ctrl-C ends it")
-                    try:
-                        running.process.wait()
-                    except KeyboardInterrupt:
-                        say("stopping")
+                    running.process.wait()
+                except KeyboardInterrupt:
+                    say("stopping")
     return result
