@@ -141,8 +141,8 @@ def line_sum(a, b, y, iv, g, value, slope, bend):  # type: ignore[no-untyped-def
                 total += GH_W[i] * math.exp(at)
             return (
                 value + math.log(total * sd * math.sqrt(2.0 * math.pi)),
-                g - 5.0 * sd,
-                g + 5.0 * sd,
+                max(g - 5.0 * sd, -1.0),
+                min(g + 5.0 * sd, 1.0),
             )
     left, cut_left = half_width(a, b, y, iv, g, top, slope, bend, -1.0)
     right, cut_right = half_width(a, b, y, iv, g, top, slope, bend, 1.0)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior, shared_posterior
 from core.model import Model
+from core.network import Prior
 from core.observation import Inspection
 from core.prediction import predict
 from core.rng import stream

@@ -1,0 +1,130 @@
+"""A blade's message against a dense reference, and its draws against the message."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.calibration.draws import SHARE
+from core.calibration.message import BladeMessage
+from core.calibration.target import assemble, shared_space
+from core.model import Model
+from core.network import Network, Parameter, Prior, Quantity
+from core.observation import Inspection
+from core.validation.formula import FormulaInput, FormulaModel
+
+LOCAL = (("tbc", 2 / 3, 4 / 3), ("alpha", -3.0, 3.0), ("gamma", -3.0, 3.0))
+
+
+def creep(x: np.ndarray, t: float) -> np.ndarray:
+    """Primary + secondary creep of a bar at a metal temperature set by rate and coating [mm]."""
+    tbc, rate, alpha, gamma = x.T
+    kelvin = 300 * (rate - 0.9) - 66 * (tbc - 1)
+    steady = 1.4e-8 * np.exp(0.033 * kelvin)
+    primary = 1e-3 * np.exp(0.35 * alpha) * (1 - np.exp(-t * steady / 2e-4))
+    return np.asarray(180 * (0.6 * primary + steady * np.exp(0.35 * gamma) * t))
+
+
+def bar() -> Model:
+    shared = Parameter("rate", "shared", Prior("uniform", 0.8, 1.0))
+    local = [Parameter(n, "local", Prior("uniform", a, b)) for n, a, b in LOCAL]
+    order = (local[0], shared, local[1], local[2])
+    inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in order)
+    quantity = Quantity("y", "mm", "scalar", Prior("log_uniform", 1e-3, 0.2), -5.0, 50.0)
+    return Model(
+        Network("bar", order, (quantity,)),
+        FormulaModel(inputs, {"y": creep}, "bar", positive=("y",)),
+    )
+
+
+def dense(message: BladeMessage, rate: float, sigma: float, n: int) -> float:
+    """log ∫ L dl / volume by the mid-point rule on n³ cells, in blocks of the first parameter."""
+    axes = [a + (np.arange(n) + 0.5) / n * (b - a) for _, a, b in LOCAL]
+    alpha, gamma = (v.ravel() for v in np.meshgrid(axes[1], axes[2], indexing="ij"))
+    total, top = 0.0, -np.inf
+    for tbc in axes[0]:
+        x = np.column_stack([np.full_like(alpha, tbc), np.full_like(alpha, rate), alpha, gamma])
+        mean, sd = message.rows.response.evaluate(x)
+        var = sigma**2 + message.rows.extra + sd**2
+        ll = -0.5 * np.sum((mean - message.rows.y) ** 2 / var + np.log(2 * np.pi * var), axis=1)
+        here = float(ll.max())
+        if here > top:
+            total *= np.exp(top - here) if np.isfinite(top) else 0.0
+            top = here
+        total += float(np.exp(ll - top).sum())
+    return top + np.log(total / n**3)
+
+
+@pytest.mark.parametrize(
+    ("truth", "times"),
+    [
+        ((1.0, 0.0, 0.0), (8e3, 16e3, 24e3)),
+        ((0.7, 2.8, -2.5), (8e3, 24e3, 50e3)),
+        ((1.3, -2.9, 2.9), (8e3, 24e3)),
+        ((0.9, 1.0, -1.0), (24e3,)),
+    ],
+)
+def test_message_agrees_with_a_dense_sum(
+    truth: tuple[float, float, float], times: tuple[float, ...]
+) -> None:
+    model, rng, sigma, rate = bar(), np.random.default_rng(1), 0.03, 0.93
+    x = np.array([[truth[0], rate, truth[1], truth[2]]])
+    readings = [
+        Inspection(f"i{t}", "b", "y", t, creep(x, t) + sigma * rng.standard_normal(1), sigma=sigma)
+        for t in times
+    ]
+    rows = assemble(model, readings)
+    assert rows is not None
+    message = BladeMessage(model, rows, shared_space(model, [rows]), {})
+    unit = np.array([[(rate - 0.8) / 0.2], [0.55], [0.75]])
+    got = message.column(unit)
+    for u, value in zip(unit[:, 0], got, strict=True):
+        assert value == pytest.approx(dense(message, 0.8 + 0.2 * u, sigma, 160), abs=0.01)
+    rough = message.column(unit, rough=True)
+    assert np.max(np.abs(rough - got)) > 0.01, "negative control: a glance does not pass"
+
+
+def test_draws_estimate_the_message_and_stay_in_the_box() -> None:
+    model, rng, sigma = bar(), np.random.default_rng(2), 0.02
+    x = np.array([[0.72, 0.97, 2.5, 2.7]])
+    readings = [
+        Inspection(f"i{t}", "b", "y", t, creep(x, t) + sigma * rng.standard_normal(1))
+        for t in (8e3, 16e3, 24e3)
+    ]
+    rows = assemble(model, readings)
+    assert rows is not None
+    space = shared_space(model, [rows])
+    message = BladeMessage(model, rows, space, {})
+    unit = np.column_stack([np.linspace(0.5, 1.0, 16), np.full(16, 0.57)])
+    column = message.column(unit)
+    values, log_w = message.draws(unit, 1200, np.random.default_rng(3), column)
+    for j, (_, low, high) in enumerate(LOCAL):
+        kept = values[:, :, j][np.isfinite(log_w)]
+        assert kept.min() >= low
+        assert kept.max() <= high
+    groups = np.exp(log_w).reshape(16, -1, SHARE).sum(axis=2)  # draws that share an outer value
+    estimate = groups.sum(axis=1)
+    error = np.sqrt(groups.shape[1]) * groups.std(axis=1)
+    assert np.all(np.abs(estimate - 1) < 4 * error)
+    assert abs(np.mean(estimate) - 1) < 4 * np.sqrt(np.mean(error**2) / 16)
+    _, wrong = message.draws(unit, 1200, np.random.default_rng(3), column + 0.2)
+    off = np.exp(wrong).sum(axis=1).mean() - 1
+    assert abs(off) > 4 * np.sqrt(np.mean(error**2) / 16), "negative control"
+
+
+def test_interpolated_messages_agree_with_exact_ones() -> None:
+    model, sigma = bar(), 0.02
+    x = np.array([[1.1, 0.93, 0.4, -0.8]])
+    readings = [
+        Inspection(f"i{t}", "b", "y", t, creep(x, t), sigma=None) for t in (8e3, 16e3, 24e3)
+    ]
+    rows = assemble(model, readings)
+    assert rows is not None
+    space = shared_space(model, [rows])
+    message = BladeMessage(model, rows, space, {})
+    centre = np.array([0.65, (np.log(sigma) - np.log(1e-3)) / np.log(200)])
+    low, high = centre - 0.04, centre + 0.04
+    made = message.interpolant(low, high, spend=64)
+    assert made is not None
+    unit = low + np.random.default_rng(0).random((40, 2)) * (high - low)
+    assert made(unit) == pytest.approx(message.column(unit), abs=0.01)
