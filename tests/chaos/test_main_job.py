@@ -6,6 +6,7 @@ import importlib
 import os
 import signal
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,10 @@ def main_job(folder: Path, kills: int) -> tuple[dict[str, Any], dict[str, Any], 
             nonlocal done
             seq = post(rotor, inspections)
             if done < kills and seq > 40 * (done + 1):
-                victims = workers_of(running.process.pid)
-                assert victims, "no worker to kill"
+                end = time.monotonic() + 60
+                while not (victims := workers_of(running.process.pid)):
+                    assert time.monotonic() < end, "no worker came back"
+                    time.sleep(0.05)
                 for victim in victims:
                     os.kill(victim, signal.SIGKILL)
                 done += 1
