@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from hashlib import sha256
 from typing import Protocol
 
@@ -78,8 +79,9 @@ class Model:
                     f"the training runs, {i.low:g} … {i.high:g}; narrow it or add runs"
                 )
 
-    @property
+    @cached_property
     def digest(self) -> str:
+        """SHA-256 over the declaration and the surrogate's own digest."""
         text = json.dumps(self.network.to_json(), sort_keys=True) + self.surrogate.digest
         return sha256(text.encode()).hexdigest()
 

@@ -13,6 +13,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -118,9 +119,13 @@ class BladeMessage:
         self, model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]
     ) -> None:
         self.model, self.rows, self.space, self.fixed = model, rows, space, fixed
-        self.packed = pack(model, rows)
         speaks = {p.name for p in model.network.of_level("shared")} | set(rows.shared_sigmas)
         self.dims = tuple(j for j, name in enumerate(space.names) if name in speaks)
+
+    @cached_property
+    def packed(self) -> Packed:
+        """The rows in the compiled functions' layout, made when first needed."""
+        return pack(self.model, self.rows)
 
     def column(self, unit: Array, rough: bool = False) -> Array:
         """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""

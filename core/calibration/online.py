@@ -40,7 +40,7 @@ from core.rng import seed_of, stream
 from core.smc.particles import log_sum_exp
 
 Array = NDArray[np.float64]
-QUICK_ESS = 0.2
+QUICK_ESS = 0.1
 
 
 class Workspace:

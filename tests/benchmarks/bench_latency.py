@@ -1,10 +1,11 @@
 """One inspection posted by hand: how long until its blade's new band is read.
 
-    python tests/benchmarks/bench_latency.py [POSTS] [BLADES]
+    python tests/benchmarks/bench_latency.py [POSTS] [BLADES] [PAUSE_S]
 
 Starts `bladetwin serve` on a new SQLite database, creates a rotor at 10,000 particles per blade,
-streams elongations of the first outage, then posts one reading at a time, each when the last is
-sealed or a second has passed, and reads the blade's prediction until it rests on the new reading.
+streams elongations of the first outage, then posts one reading at a time and reads the blade's
+prediction once it rests on the new reading. Between posts: PAUSE_S seconds, while the sealer still
+works on the last ones; 0 waits until they are sealed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from service.client import Client
 from service.demo.run import service
 
 
-def main(posts: int, blades: int) -> None:
+def main(posts: int, blades: int, pause_s: float) -> None:
     """Print the distribution of ack and of post → visible band [ms]."""
     plan = inspection_plan.load()
     names = [b for b in inspection_plan.blades() if not b.endswith("-2")][:blades]
@@ -48,7 +49,10 @@ def main(posts: int, blades: int) -> None:
             band = client.prediction("r", reading["blade"], times=[32_000.0])
             seen.append(time.perf_counter() - start)
             assert band["rests_on"]["through_seq"] >= seq
-            time.sleep(1.0)
+            if pause_s:
+                time.sleep(pause_s)
+            else:
+                client.wait_sealed("r", 300)
         client.wait_sealed("r", 300)
     for name, values in {"acknowledged": acks, "band visible": seen}.items():
         ms = 1e3 * np.array(values)
@@ -59,4 +63,5 @@ def main(posts: int, blades: int) -> None:
 
 
 if __name__ == "__main__":
-    main(*(int(a) for a in (*sys.argv[1:], *("100", "100")[len(sys.argv) - 1 :])))
+    words = sys.argv[1:] + ["40", "100", "1"][len(sys.argv) - 1 :]
+    main(int(words[0]), int(words[1]), float(words[2]))
