@@ -57,9 +57,13 @@ def draw_line(la, lb, lv, y, s2, ka2, kb2, g, iv, u1, u2):  # type: ignore[no-un
     top = line_value(la, lb, y, iv, g)
     h = (high - low) / SLICES
     slices = np.empty(SLICES)
+    peak = -1e300
+    for i in range(SLICES):
+        slices[i] = line_value(la, lb, y, iv, low + (i + 0.5) * h) - top
+        peak = max(peak, slices[i])
     total = 0.0
     for i in range(SLICES):
-        slices[i] = math.exp(line_value(la, lb, y, iv, low + (i + 0.5) * h) - top)
+        slices[i] = math.exp(slices[i] - peak)  # the best slice is 1: nothing over- or underflows
         total += slices[i]
     left, cell = u1 * total, SLICES - 1
     for i in range(SLICES):
@@ -68,7 +72,8 @@ def draw_line(la, lb, lv, y, s2, ka2, kb2, g, iv, u1, u2):  # type: ignore[no-un
             cell = i
             break
     at = low + (cell + u2) * h
-    ratio = line_value(la, lb, y, iv, at) - top - math.log(slices[cell])
+    # log L(at) − log q(at), with q = slice / (total h)
+    ratio = line_value(la, lb, y, iv, at) - top - math.log(slices[cell] + 1e-300)
     return at, value + ratio + math.log(total * h)
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from core.calibration import draws as drawing
 from core.calibration import kernel
 from core.calibration.target import BladeRows, SharedSpace, locals_of
+from core.errors import CalibrationError
 from core.model import Model
 from core.response import multi_indices
 
@@ -221,6 +222,11 @@ class BladeMessage:
         list(_POOL.map(work, _split(k)))
         constant = p.offset - 0.5 * len(p.y) * math.log(2 * math.pi) - p.dim * math.log(2.0)
         log_w += constant - math.log(per_node) + (rest - column)[:, None]
+        if not np.all(log_w < np.inf):  # neither NaN nor an unbounded weight
+            raise CalibrationError(
+                f"{int(np.sum(~(log_w < np.inf)))} draws of a blade have no weight; its readings: "
+                f"{self.rows.y.tolist()[:12]}"
+            )
         return _natural(self.model, out[:, :, 3 - p.dim :]), log_w
 
 
