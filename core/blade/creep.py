@@ -26,9 +26,9 @@ import math
 
 import numpy as np
 
-from core.blade.compiled import compiled
 from core.blade.element import Array
 from core.blade.properties import Creep
+from core.compiled import compiled
 
 STATE = 9
 EPS_P, EPS_S, DAMAGE = 6, 7, 8

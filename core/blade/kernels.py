@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.blade.compiled import compiled
 from core.blade.element import Array, Index
+from core.compiled import compiled
 
 
 @compiled

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from core.calibration.kernel import collapse_shared
 from core.calibration.lines import line_mode, line_sum, line_value
@@ -27,12 +26,13 @@ from core.calibration.planes import (
     plane_value,
 )
 from core.calibration.volumes import STATIONS, log_sum, station, volume_glance
+from core.compiled import compiled
 
 SHARE = 12
 SLICES = 24
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def pick(nodes, count, u):  # type: ignore[no-untyped-def]
     """Index of the point whose share of Σ weight · exp(log value) holds the quantile u."""
     peak = -1e300
@@ -49,7 +49,7 @@ def pick(nodes, count, u):  # type: ignore[no-untyped-def]
     return count - 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def draw_line(la, lb, lv, y, s2, ka2, kb2, g, iv, u1, u2):  # type: ignore[no-untyped-def]
     """Inner parameter on a line: (value, log L there − log q)."""
     value, g, slope, bend, _ = line_mode(la, lb, lv, y, s2, ka2, kb2, g, iv)
@@ -77,17 +77,17 @@ def draw_line(la, lb, lv, y, s2, ka2, kb2, g, iv, u1, u2):  # type: ignore[no-un
     return at, value + ratio + math.log(total * h)
 
 
-@njit(cache=True, nogil=True)
-def draw_plane(a, b, v, y, s2, ka2, kb2, start, slopes, top, u, z, many, first, out, log_w):  # type: ignore[no-untyped-def]
-    """`many` draws of the two inner parameters into out[first:, 1:3]; log_w += log(L / q)."""
-    rows, p = a.shape[0], a.shape[1]
+@compiled
+def draw_plane(a, b, v, y, s2, ka2, kb2, start, slopes, top, u, z, out, log_w):  # type: ignore[no-untyped-def]
+    """Draws of the two inner parameters into out[:, 1:3]; log_w += log(L / q)."""
+    rows, p, many = a.shape[0], a.shape[1], out.shape[0]
     bell, _ = plane_bell(a, b, v, y, s2, ka2, kb2, start, slopes, top)
     if bell:
         hxx, hxg, hgg = slopes[2], slopes[3], slopes[4]
         wide = 1.1  # heavier than the bell, so that weights stay bounded
         sd_x = wide / math.sqrt(hxx - hxg * hxg / hgg)
         sd_g = wide / math.sqrt(hgg)
-        for i in range(first, first + many):
+        for i in range(many):
             x = start[0] + sd_x * z[i, 0]
             g = start[1] - hxg / hgg * (x - start[0]) + sd_g * z[i, 1]
             out[i, 1], out[i, 2] = x, g
@@ -100,7 +100,7 @@ def draw_plane(a, b, v, y, s2, ka2, kb2, start, slopes, top, u, z, many, first, 
     la, lb, lv, iv = np.empty((rows, p)), np.empty((rows, p)), np.empty((rows, p)), np.empty(rows)
     nodes = np.empty((96, 4))
     total, count = plane_sum(a, b, v, y, s2, ka2, kb2, start, slopes, top, nodes)
-    for i in range(first, first + many):
+    for i in range(many):
         j = pick(nodes, count, u[i, 2])
         x = nodes[j, 3] + u[i, 3] * nodes[j, 1]
         if abs(x) > 1.0:
@@ -114,7 +114,7 @@ def draw_plane(a, b, v, y, s2, ka2, kb2, start, slopes, top, u, z, many, first, 
         log_w[i] += ratio - (nodes[j, 2] - total)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def draw(a, b, v, y, s2, ka2, kb2, dim, u, z, out, log_w):  # type: ignore[no-untyped-def]
     """Draws for collapsed rows (R, P, P, P): out (m, 3) scaled locals, log_w (m,) = log L / q.
 
@@ -125,37 +125,38 @@ def draw(a, b, v, y, s2, ka2, kb2, dim, u, z, out, log_w):  # type: ignore[no-un
     out[:] = 0.0
     if dim == 1:
         iv = np.empty(rows)
+        la, lb, lv = a[:, 0, 0].copy(), b[:, 0, 0].copy(), v[:, 0, 0].copy()
         for i in range(m):
-            out[i, 2], log_w[i] = draw_line(
-                a[:, 0, 0], b[:, 0, 0], v[:, 0, 0], y, s2, ka2, kb2, 0.0, iv, u[i, 0], u[i, 1]
-            )
+            out[i, 2], log_w[i] = draw_line(la, lb, lv, y, s2, ka2, kb2, 0.0, iv, u[i, 0], u[i, 1])
         return
     log_w[:] = 0.0
     if dim == 2:
-        pa, pb, pv = a[:, 0], b[:, 0], v[:, 0]
+        pa, pb, pv = a[:, 0].copy(), b[:, 0].copy(), v[:, 0].copy()
         top, _ = plane_mode(pa, pb, pv, y, s2, ka2, kb2, start, slopes)
-        draw_plane(pa, pb, pv, y, s2, ka2, kb2, start, slopes, top, u, z, m, 0, out, log_w)
+        draw_plane(pa, pb, pv, y, s2, ka2, kb2, start, slopes, top, u, z, out, log_w)
         return
     qa, qb, qv = np.empty((rows, p, p)), np.empty((rows, p, p)), np.empty((rows, p, p))
-    nodes, count = np.empty((STATIONS, 4)), STATIONS
+    nodes = np.empty((STATIONS, 4))
+    count = nodes.shape[0]
     total = volume_glance(a, b, v, y, s2, ka2, kb2, nodes)
     floor = total - 9.0  # a thin floor under the rough values: no place is proposed never
     for j in range(count):
         nodes[j, 2] = max(nodes[j, 2], floor)
     total = log_sum(nodes, count)
     for first in range(0, m, SHARE):
-        many = min(SHARE, m - first)
+        own = slice(first, min(first + SHARE, m))
         j = pick(nodes, count, u[first, 0])
         x = nodes[j, 3] + u[first, 1] * nodes[j, 1]
         start[0] = start[1] = 0.0
         top, _ = station(a, b, v, y, s2, ka2, kb2, x, start, slopes, qa, qb, qv)
-        for i in range(first, first + many):
-            out[i, 0] = x
-            log_w[i] = total - nodes[j, 2]
-        draw_plane(qa, qb, qv, y, s2, ka2, kb2, start, slopes, top, u, z, many, first, out, log_w)
+        out[own, 0] = x
+        log_w[own] = total - nodes[j, 2]
+        draw_plane(
+            qa, qb, qv, y, s2, ka2, kb2, start, slopes, top, u[own], z[own], out[own], log_w[own]
+        )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def draws(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, u, z, out, log_w):  # type: ignore[no-untyped-def]
     """Draws at K values of the shared parameters: out (K, m, 3), log_w (K, m); u, z likewise."""
     rows, p = a.shape[0], 0

@@ -12,14 +12,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from core.calibration.lines import line_mode, line_sum
 from core.calibration.planes import plane_mode, plane_sum
 from core.calibration.volumes import MAX_NODES, STATIONS, log_sum, volume_glance, volume_nodes
+from core.compiled import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def collapse_shared(c, exponents, factor, out):  # type: ignore[no-untyped-def]
     """Fix all but the local inputs: (R, M) → out (R, P, P, P); factor (M,) = shared monomials."""
     out[:] = 0.0
@@ -30,7 +30,7 @@ def collapse_shared(c, exponents, factor, out):  # type: ignore[no-untyped-def]
             out[r, i, j, k] += c[r, q] * factor[q]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def message(a, b, v, y, s2, ka2, kb2, dim, rough):  # type: ignore[no-untyped-def]
     """log of the message for collapsed rows (R, P, P, P) and `dim` local parameters.
 
@@ -45,18 +45,18 @@ def message(a, b, v, y, s2, ka2, kb2, dim, rough):  # type: ignore[no-untyped-de
         value = log_sum(points, count)
     elif dim == 2:
         start, slopes, nodes = np.zeros(2), np.empty(5), np.empty((96, 4))
-        pa, pb, pv = a[:, 0], b[:, 0], v[:, 0]
+        pa, pb, pv = a[:, 0].copy(), b[:, 0].copy(), v[:, 0].copy()
         top, _ = plane_mode(pa, pb, pv, y, s2, ka2, kb2, start, slopes)
         value, _ = plane_sum(pa, pb, pv, y, s2, ka2, kb2, start, slopes, top, nodes)
     else:
         iv = np.empty(rows)
-        la, lb, lv = a[:, 0, 0], b[:, 0, 0], v[:, 0, 0]
+        la, lb, lv = a[:, 0, 0].copy(), b[:, 0, 0].copy(), v[:, 0, 0].copy()
         top, g, slope, bend, _ = line_mode(la, lb, lv, y, s2, ka2, kb2, 0.0, iv)
         value, _, _ = line_sum(la, lb, y, iv, g, top, slope, bend)
     return value - 0.5 * rows * math.log(2.0 * math.pi) - dim * math.log(2.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def messages(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, rough, out):  # type: ignore[no-untyped-def]
     """Messages at K values of the shared parameters.
 

@@ -22,7 +22,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from core.compiled import compiled, contracted
 
 FLANK = 7
 GL_X, GL_W = np.polynomial.legendre.leggauss(FLANK)
@@ -33,7 +34,7 @@ BELL = 0.5 * GH_X[4] ** 2  # the drop of an exact bell at the outermost point
 OFF_BELL = 2.0  # how far from it the drop may be: five points then err by less than 1e-3
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+@contracted
 def line_value(a, b, y, iv, g):  # type: ignore[no-untyped-def]
     """−½ Σ (y_r(g) − y_obs,r)² iv_r with iv = 1/var frozen."""
     rows, p = a.shape
@@ -48,7 +49,7 @@ def line_value(a, b, y, iv, g):  # type: ignore[no-untyped-def]
     return -0.5 * total
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+@contracted
 def line_slopes(a, b, v, y, s2, ka2, kb2, g, iv):  # type: ignore[no-untyped-def]
     """log L, its slope and its Gauss–Newton curvature at g; fills iv with 1/var."""
     rows, p = a.shape
@@ -73,7 +74,7 @@ def line_slopes(a, b, v, y, s2, ka2, kb2, g, iv):  # type: ignore[no-untyped-def
     return value, slope, bend
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def line_mode(a, b, v, y, s2, ka2, kb2, g, iv):  # type: ignore[no-untyped-def]
     """Mode inside [-1, 1] from start g: (log L, mode, slope, curvature, side).
 
@@ -103,7 +104,7 @@ def line_mode(a, b, v, y, s2, ka2, kb2, g, iv):  # type: ignore[no-untyped-def]
     return value, g, slope, bend, side
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def half_width(a, b, y, iv, g, top, slope, bend, direction):  # type: ignore[no-untyped-def]
     """How far the bell reaches from g towards `direction`, and whether the box cuts it."""
     room = 1.0 - direction * g
@@ -126,7 +127,7 @@ def half_width(a, b, y, iv, g, top, slope, bend, direction):  # type: ignore[no-
     return min(w, room), w >= room
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def line_sum(a, b, y, iv, g, value, slope, bend):  # type: ignore[no-untyped-def]
     """log ∫ L dg over [-1, 1] from what line_mode found, and the range used (low, high)."""
     top = line_value(a, b, y, iv, g)

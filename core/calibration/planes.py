@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from core.calibration.lines import GH_W, GH_X, OFF_BELL, line_mode, line_sum
+from core.compiled import compiled, contracted
 
 POINTS = 6
 GL_X, GL_W = np.polynomial.legendre.leggauss(POINTS)
@@ -24,7 +24,7 @@ CELL = np.concatenate([[-1.0], np.cumsum(GL_W) - 1.0])  # cells that hold one po
 N_TRAPEZOID = 9
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+@contracted
 def collapse_plane(c, x, out):  # type: ignore[no-untyped-def]
     """Fix the middle parameter at x: (R, P, P) → out (R, P)."""
     rows, p = c.shape[0], c.shape[1]
@@ -36,7 +36,7 @@ def collapse_plane(c, x, out):  # type: ignore[no-untyped-def]
             out[r, k] = t
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+@contracted
 def plane_slopes(a, b, v, y, s2, ka2, kb2, x, g, out):  # type: ignore[no-untyped-def]
     """log L at (x, g); out = slopes and Gauss–Newton curvatures (sx, sg, hxx, hxg, hgg)."""
     rows, p = a.shape[0], a.shape[1]
@@ -74,7 +74,7 @@ def plane_slopes(a, b, v, y, s2, ka2, kb2, x, g, out):  # type: ignore[no-untype
     return value
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def plane_mode(a, b, v, y, s2, ka2, kb2, start, out):  # type: ignore[no-untyped-def]
     """Mode in the box from `start` (2,), which is updated: (log L, active code).
 
@@ -124,7 +124,8 @@ def plane_mode(a, b, v, y, s2, ka2, kb2, start, out):  # type: ignore[no-untyped
             break
         small = gain < 1e-3
         x, g, value = nx, ng, nv
-        out[:] = trial
+        for i in range(5):
+            out[i] = trial[i]
         if small:
             break
     start[0], start[1] = x, g
@@ -133,7 +134,18 @@ def plane_mode(a, b, v, y, s2, ka2, kb2, start, out):  # type: ignore[no-untyped
     return value, 3 * (side_x + 1) + side_g + 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
+def insertion_sort(x):  # type: ignore[no-untyped-def]
+    """Sort a dozen values in place; numpy's sort costs seconds to compile."""
+    for i in range(1, len(x)):
+        value, j = x[i], i
+        while j > 0 and x[j - 1] > value:
+            x[j] = x[j - 1]
+            j -= 1
+        x[j] = value
+
+
+@compiled
 def reach(a, b, v, y, s2, ka2, kb2, x, g, top, w, direction, la, lb, lv, iv):  # type: ignore[no-untyped-def]
     """Half width towards `direction` at which the profile has dropped by 8.5 … 17.
 
@@ -167,7 +179,7 @@ def reach(a, b, v, y, s2, ka2, kb2, x, g, top, w, direction, la, lb, lv, iv):  #
     return w, side, mode, w >= room
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def kink(a, b, v, y, s2, ka2, kb2, inside, outside, g, la, lb, lv, iv):  # type: ignore[no-untyped-def]
     """Where the inner mode meets its bound between `inside` (free) and `outside` (held).
 
@@ -194,7 +206,7 @@ def kink(a, b, v, y, s2, ka2, kb2, inside, outside, g, la, lb, lv, iv):  # type:
     return 0.5 * (inside + outside), sd * run / rise
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def plane_breaks(a, b, v, y, s2, ka2, kb2, start, slopes, top, breaks, la, lb, lv, iv):  # type: ignore[no-untyped-def]
     """Fill `breaks` with the panel borders around the mode: (count, bell inside the box)."""
     x, g = start[0], start[1]
@@ -243,11 +255,11 @@ def plane_breaks(a, b, v, y, s2, ka2, kb2, start, slopes, top, breaks, la, lb, l
         n += 1
     breaks[n] = x + right
     n += 1
-    breaks[:n].sort()
+    insertion_sort(breaks[:n])
     return n, smooth and not cut_l and not cut_r
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+@contracted
 def plane_value(a, b, v, y, s2, ka2, kb2, x, g):  # type: ignore[no-untyped-def]
     """log L at (x, g), with the variance there."""
     rows, p = a.shape[0], a.shape[1]
@@ -270,7 +282,7 @@ def plane_value(a, b, v, y, s2, ka2, kb2, x, g):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def plane_bell(a, b, v, y, s2, ka2, kb2, start, slopes, top):  # type: ignore[no-untyped-def]
     """log ∫∫ L by 5 × 5 Gauss–Hermite points where L is close to a bell inside the box.
 
@@ -302,7 +314,7 @@ def plane_bell(a, b, v, y, s2, ka2, kb2, start, slopes, top):  # type: ignore[no
     return True, top + math.log(2.0 * math.pi * sd_x * sd_g * total)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def plane_sum(a, b, v, y, s2, ka2, kb2, start, slopes, top, nodes):  # type: ignore[no-untyped-def]
     """log ∫∫ L over the box of the two inner parameters, and the number of points used.
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from core.calibration.planes import plane_bell, plane_mode, plane_sum
+from core.calibration.planes import insertion_sort, plane_bell, plane_mode, plane_sum
+from core.compiled import compiled, contracted
 
 N1 = 6
 GL_X, GL_W = np.polynomial.legendre.leggauss(N1)
@@ -36,7 +36,7 @@ SPLIT = 0.15
 MAX_NODES = 512
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+@contracted
 def collapse_volume(c, x, out):  # type: ignore[no-untyped-def]
     """Fix the outer parameter at x: (R, P, P, P) → out (R, P, P)."""
     rows, p = c.shape[0], c.shape[1]
@@ -49,7 +49,7 @@ def collapse_volume(c, x, out):  # type: ignore[no-untyped-def]
                 out[r, j, k] = t
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def station(a, b, v, y, s2, ka2, kb2, x, start, slopes, pa, pb, pv):  # type: ignore[no-untyped-def]
     """Profile at outer value x: (log L at the mode, active code); pa, pb, pv hold the plane."""
     collapse_volume(a, x, pa)
@@ -58,7 +58,7 @@ def station(a, b, v, y, s2, ka2, kb2, x, start, slopes, pa, pb, pv):  # type: ig
     return plane_mode(pa, pb, pv, y, s2, ka2, kb2, start, slopes)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def volume_plan(a, b, v, y, s2, ka2, kb2, breaks, modes):  # type: ignore[no-untyped-def]
     """Panel borders over the outer parameter; `modes` (n, 3) keeps (x, mode) as warm starts.
 
@@ -155,7 +155,7 @@ def volume_plan(a, b, v, y, s2, ka2, kb2, breaks, modes):  # type: ignore[no-unt
             if support_low + 0.01 * length < edge < support_high - 0.01 * length:
                 breaks[n] = edge
                 n += 1
-    breaks[:n].sort()
+    insertion_sort(breaks[:n])
     m = 1
     for i in range(1, n):
         if breaks[i] - breaks[m - 1] > 0.01 * length or i == n - 1:
@@ -164,7 +164,7 @@ def volume_plan(a, b, v, y, s2, ka2, kb2, breaks, modes):  # type: ignore[no-unt
     return m, n_modes, top
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def log_sum(nodes, count):  # type: ignore[no-untyped-def]
     """log Σ weight · exp(log value) over the first `count` points."""
     peak = -1e300
@@ -176,7 +176,7 @@ def log_sum(nodes, count):  # type: ignore[no-untyped-def]
     return peak + math.log(total)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def volume_glance(a, b, v, y, s2, ka2, kb2, nodes):  # type: ignore[no-untyped-def]
     """A rough log of the triple integral: Laplace in the inner two, sums over stations outside.
 
@@ -211,10 +211,10 @@ def volume_glance(a, b, v, y, s2, ka2, kb2, nodes):  # type: ignore[no-untyped-d
     for i in range(STATIONS):
         nodes[i, 0], nodes[i, 1] = low + (i + 0.5) * h, h
         nodes[i, 2], nodes[i, 3] = phi[i] + area[i], low + i * h
-    return log_sum(nodes, STATIONS)
+    return log_sum(nodes, nodes.shape[0])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def volume_nodes(a, b, v, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
     """Points of the outer integral.
 
