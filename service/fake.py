@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from core.digest import array_digest, state_digest
 from core.errors import InputError
 from core.network import Network, Parameter, Prior, Quantity
 from core.observation import Inspection, digest_of
@@ -59,11 +60,13 @@ class FakeState:
     arrays: Mapping[str, Array]
 
     @property
+    def fresh(self) -> frozenset[str]:
+        """All of them: nothing is taken from the state before."""
+        return frozenset(self.arrays)
+
+    @property
     def digest(self) -> str:
-        found = hashlib.sha256(json.dumps(dict(self.meta), sort_keys=True).encode())
-        for name in sorted(self.arrays):
-            found.update(name.encode() + self.arrays[name].tobytes())
-        return found.hexdigest()
+        return state_digest(self.meta, {n: array_digest(a) for n, a in self.arrays.items()})
 
 
 @dataclass(frozen=True, slots=True)

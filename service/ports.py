@@ -82,6 +82,8 @@ class RotorState(Protocol):
     """A posterior of one rotor: a JSON-able `meta` and named arrays; never changes.
 
     meta holds at least ``algorithm_version``, ``events_digest``, ``sealed`` and ``health``.
+    fresh names the arrays that the update made; the others are those of the state before, and need
+    not be looked at to write this one.
     """
 
     @property
@@ -89,7 +91,7 @@ class RotorState(Protocol):
     @property
     def arrays(self) -> Mapping[str, Array]: ...
     @property
-    def digest(self) -> str: ...
+    def fresh(self) -> frozenset[str]: ...
 
 
 @dataclass(frozen=True, slots=True)

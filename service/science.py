@@ -7,7 +7,7 @@ worker warms up, so that a process that only serves never loads them.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import core.builtin
-from core.calibration.state import Posterior, RotorState, blade_posterior, shared_posterior
+from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
 from core.errors import InputError, ModelError
 from core.model import Model
 from core.network import rotor_blade_network
@@ -28,28 +28,6 @@ from service.ports import Array, Draws, Get, ModelCard, Output, RotorSpec
 SHIPPED = Path(core.builtin.__file__).with_name("rotor_blade_model")
 NAME = "rotor-blade"
 INSTANTS = 51
-
-
-class StoredArrays(Mapping[str, Array]):
-    """The arrays of a stored state, each fetched when it is first looked at."""
-
-    def __init__(self, names: Sequence[str], get: Get) -> None:
-        self._names = tuple(names)
-        self._get = get
-        self._found: dict[str, Array] = {}
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._found:
-            if name not in self._names:
-                raise KeyError(name)
-            self._found[name] = self._get(name)
-        return self._found[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +112,7 @@ class CoreScience:
         )
 
     def restore(self, meta: Mapping[str, Any], get: Get) -> RotorState:
-        return RotorState(meta, StoredArrays(meta["arrays"], get))
+        return RotorState(meta, Arrays(meta["arrays"], {}, get))
 
     def shared_draws(self, meta: Mapping[str, Any], get: Get) -> Draws:
         return _draws(shared_posterior(meta, get))

@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("core.errors", "core.rng", "core.compiled"),
+    ("core.errors", "core.rng", "core.compiled", "core.digest"),
     ("core.network", "core.response", "core.observation", "core.archive"),
     ("core.blade", "core.design", "core.reduction", "core.smc"),
     ("core.surrogate",),

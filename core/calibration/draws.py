@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from core.calibration.kernel import collapse_shared
-from core.calibration.lines import line_mode, line_sum, line_value
+from core.calibration.lines import half_width, line_mode, line_value
 from core.calibration.planes import (
     collapse_plane,
     plane_bell,
@@ -29,7 +29,7 @@ from core.calibration.volumes import STATIONS, log_sum, station, volume_glance
 from core.compiled import compiled
 
 SHARE = 12
-SLICES = 24
+SLICES = 12
 
 
 @compiled
@@ -53,28 +53,42 @@ def pick(nodes, count, u):  # type: ignore[no-untyped-def]
 def draw_line(la, lb, lv, y, s2, ka2, kb2, g, iv, u1, u2):  # type: ignore[no-untyped-def]
     """Inner parameter on a line: (value, log L there − log q)."""
     value, g, slope, bend, _ = line_mode(la, lb, lv, y, s2, ka2, kb2, g, iv)
-    _, low, high = line_sum(la, lb, y, iv, g, value, slope, bend)
     top = line_value(la, lb, y, iv, g)
+    left, _ = half_width(la, lb, y, iv, g, top, slope, bend, -1.0)
+    right, _ = half_width(la, lb, y, iv, g, top, slope, bend, 1.0)
+    at, log_q = draw_chords(la, lb, y, iv, g - left, g + right, u1, u2)
+    return at, value + line_value(la, lb, y, iv, at) - top - log_q
+
+
+@compiled
+def draw_chords(la, lb, y, iv, low, high, u1, u2):  # type: ignore[no-untyped-def]
+    """A draw from the chords of log L between `SLICES` + 1 even points, and its log density."""
     h = (high - low) / SLICES
-    slices = np.empty(SLICES)
+    edge, mass = np.empty(SLICES + 1), np.empty(SLICES)
     peak = -1e300
+    for i in range(SLICES + 1):
+        edge[i] = line_value(la, lb, y, iv, low + i * h)
+        peak = max(peak, edge[i])
+    total, before = 0.0, math.exp(edge[0] - peak)  # the best edge is 1: nothing overflows
     for i in range(SLICES):
-        slices[i] = line_value(la, lb, y, iv, low + (i + 0.5) * h) - top
-        peak = max(peak, slices[i])
-    total = 0.0
-    for i in range(SLICES):
-        slices[i] = math.exp(slices[i] - peak)  # the best slice is 1: nothing over- or underflows
-        total += slices[i]
+        after, d = math.exp(edge[i + 1] - peak), edge[i + 1] - edge[i]
+        mass[i] = h * ((after - before) / d if abs(d) > 1e-6 else before)
+        total += mass[i]
+        before = after
     left, cell = u1 * total, SLICES - 1
     for i in range(SLICES):
-        left -= slices[i]
+        left -= mass[i]
         if left <= 0.0:
             cell = i
             break
-    at = low + (cell + u2) * h
-    # log L(at) − log q(at), with q = slice / (total h)
-    ratio = line_value(la, lb, y, iv, at) - top - math.log(slices[cell] + 1e-300)
-    return at, value + ratio + math.log(total * h)
+    d = edge[cell + 1] - edge[cell]
+    if abs(d) <= 1e-6:
+        t = u2
+    elif d > 0.0:  # from the high end, so that exp() stays below 1
+        t = 1.0 + math.log1p(u2 * math.expm1(-d)) / d
+    else:
+        t = math.log1p(u2 * math.expm1(d)) / d
+    return low + (cell + t) * h, edge[cell] + d * t - peak - math.log(total)
 
 
 @compiled
@@ -90,10 +104,11 @@ def draw_plane(a, b, v, y, s2, ka2, kb2, start, slopes, top, u, z, out, log_w): 
         for i in range(many):
             x = start[0] + sd_x * z[i, 0]
             g = start[1] - hxg / hgg * (x - start[0]) + sd_g * z[i, 1]
-            out[i, 1], out[i, 2] = x, g
-            if abs(x) > 1.0 or abs(g) > 1.0:
+            if abs(x) > 1.0 or abs(g) > 1.0:  # no weight, and a place that the model knows
+                out[i, 1], out[i, 2] = start[0], start[1]
                 log_w[i] = -math.inf
                 continue
+            out[i, 1], out[i, 2] = x, g
             q = -0.5 * (z[i, 0] ** 2 + z[i, 1] ** 2) - math.log(2.0 * math.pi * sd_x * sd_g)
             log_w[i] += plane_value(a, b, v, y, s2, ka2, kb2, x, g) - q
         return

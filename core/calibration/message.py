@@ -1,21 +1,18 @@
 """What a blade tells its rotor, and the blade's own particles.
 
-log m_b(s) for many values of the shared parameters at once, exactly (`column`), roughly
-(`glance`) or, inside a small box of shared values, by interpolation (`Interpolant`): one blade's
-message is a hundred times broader than the rotor's posterior, so that inside the posterior's box a
-few Chebyshev points hold it to a thousandth of a nat; the last coefficients say how well.
+log m_b(s) for many values of the shared parameters at once, by quadrature or at a glance
+(`column`), and weighted draws of the local parameters at each of these values (`draws`).
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +26,6 @@ from core.response import multi_indices
 
 Array = NDArray[np.float64]
 _POOL = ThreadPoolExecutor(max_workers=max(1, os.cpu_count() or 1))
-TOLERANCE = 0.003  # nat, of the interpolated message
-SIZES = (3, 5, 9, 17)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +115,12 @@ class BladeMessage:
         self, model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]
     ) -> None:
         self.model, self.rows, self.space, self.fixed = model, rows, space, fixed
-        speaks = {p.name for p in model.network.of_level("shared")} | set(rows.shared_sigmas)
-        self.dims = tuple(j for j, name in enumerate(space.names) if name in speaks)
+
+    @cached_property
+    def name(self) -> str:
+        """What the message rests on beside the nodes: model, readings, known inputs, space."""
+        known = repr(sorted(self.fixed.items()))
+        return f"{self.model.digest} {self.rows.digest} {known} {'/'.join(self.space.names)}"
 
     @cached_property
     def packed(self) -> Packed:
@@ -130,55 +129,9 @@ class BladeMessage:
 
     def column(self, unit: Array, rough: bool = False) -> Array:
         """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
-        x = self.space.to_x(unit)
-        factors = _factors(self.model, self.rows, self.space, x, self.fixed)
-        s2, rest = _noise(self.rows, self.space, x)
-        p, out = self.packed, np.empty(len(x))
-
-        def work(part: slice) -> None:
-            kernel.messages(
-                p.a,
-                p.b,
-                p.v,
-                p.exponents,
-                factors[part],
-                p.y,
-                s2[part],
-                p.ka2,
-                p.kb2,
-                p.dim,
-                rough,
-                out[part],
-            )
-
-        list(_POOL.map(work, _split(len(x))))
-        return out + rest + p.offset
-
-    def interpolant(self, low: Array, high: Array, spend: int) -> Interpolant | None:
-        """Chebyshev interpolant on a box of unit coordinates; None where `spend` points fail."""
-        size = [3 if self.space.names[j].startswith("sigma") else 5 for j in self.dims]
-        level = [SIZES.index(s) for s in size]
-        known: dict[tuple[float, ...], float] = {}
-        while True:
-            axes = [np.cos(np.pi * np.arange(SIZES[k]) / (SIZES[k] - 1)) for k in level]
-            grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(level))
-            if len(grid) > spend:
-                return None
-            keys = [tuple(np.round(g, 12)) for g in grid]
-            missing = [i for i, key in enumerate(keys) if key not in known]
-            unit = np.tile(0.5 * (low + high), (len(missing), 1))
-            for c, j in enumerate(self.dims):
-                unit[:, j] = low[j] + 0.5 * (grid[missing, c] + 1) * (high[j] - low[j])
-            for i, value in zip(missing, self.column(unit), strict=True):
-                known[keys[i]] = float(value)
-            values = np.array([known[key] for key in keys]).reshape([len(a) for a in axes])
-            made = Interpolant.through(values, self.dims, low, high)
-            worst = int(np.argmax(made.tails))
-            if made.tails[worst] < TOLERANCE:
-                return made
-            if level[worst] + 1 == len(SIZES):
-                return None
-            level[worst] += 1
+        out = np.empty(len(unit))
+        rest = self._at(unit, kernel.messages, (rough,), (out,))
+        return out + rest + self.packed.offset
 
     def draws(
         self, unit: Array, per_node: int, rng: np.random.Generator, column: Array
@@ -189,10 +142,7 @@ class BladeMessage:
         the exact message `column` (K,), so that a node's weights sum to one on average; dividing by
         their own sum instead would bias every mean by the order of 1 / per_node.
         """
-        x = self.space.to_x(unit)
-        factors = _factors(self.model, self.rows, self.space, x, self.fixed)
-        s2, rest = _noise(self.rows, self.space, x)
-        k, p = len(x), self.packed
+        k, p = len(unit), self.packed
         u, z = rng.random((k, per_node, 6)), rng.standard_normal((k, per_node, 2))
         share = drawing.SHARE if p.dim == 3 else 1
         groups = per_node // share
@@ -200,26 +150,7 @@ class BladeMessage:
         strata = (np.arange(groups) + rng.random((k, groups))) / groups
         u[:, :, 0] = np.repeat(strata, share, axis=1)
         out, log_w = np.empty((k, per_node, 3)), np.empty((k, per_node))
-
-        def work(part: slice) -> None:
-            drawing.draws(
-                p.a,
-                p.b,
-                p.v,
-                p.exponents,
-                factors[part],
-                p.y,
-                s2[part],
-                p.ka2,
-                p.kb2,
-                p.dim,
-                u[part],
-                z[part],
-                out[part],
-                log_w[part],
-            )
-
-        list(_POOL.map(work, _split(k)))
+        rest = self._at(unit, drawing.draws, (), (u, z, out, log_w))
         constant = p.offset - 0.5 * len(p.y) * math.log(2 * math.pi) - p.dim * math.log(2.0)
         log_w += constant - math.log(per_node) + (rest - column)[:, None]
         if not np.all(log_w < np.inf):  # neither NaN nor an unbounded weight
@@ -228,6 +159,30 @@ class BladeMessage:
                 f"{self.rows.y.tolist()[:12]}"
             )
         return _natural(self.model, out[:, :, 3 - p.dim :]), log_w
+
+    def _at(
+        self,
+        unit: Array,
+        function: Callable[..., None],
+        options: tuple[object, ...],
+        per_node: tuple[Array, ...],
+    ) -> Array:
+        """Run a compiled function at every node, nodes shared out to threads.
+
+        per_node   arrays that it reads or fills, by node
+        Returns the log density of the scans' remainders at each node, (n,).
+        """
+        x, p = self.space.to_x(unit), self.packed
+        factors = _factors(self.model, self.rows, self.space, x, self.fixed)
+        s2, rest = _noise(self.rows, self.space, x)
+        rows = (p.a, p.b, p.v, p.exponents)
+
+        def work(part: slice) -> None:
+            own = (array[part] for array in per_node)
+            function(*rows, factors[part], p.y, s2[part], p.ka2, p.kb2, p.dim, *options, *own)
+
+        list(_POOL.map(work, _split(len(x))))
+        return rest
 
 
 def prior_draws(
@@ -250,39 +205,3 @@ def _natural(model: Model, scaled: Array) -> Array:
     low = np.array([p.prior.low for p in locals_of(model)])
     high = np.array([p.prior.high for p in locals_of(model)])
     return np.asarray(low + 0.5 * (scaled + 1) * (high - low))
-
-
-@dataclass(frozen=True, slots=True)
-class Interpolant:
-    """Chebyshev coefficients of log m_b on a box; `tails` (nat) is the size of the last ones."""
-
-    coefficients: Array
-    dims: tuple[int, ...]
-    low: Array
-    high: Array
-    tails: tuple[float, ...]
-
-    @staticmethod
-    def through(values: Array, dims: Sequence[int], low: Array, high: Array) -> Interpolant:
-        c: Any = values
-        tails = []
-        for axis in range(values.ndim):
-            n = values.shape[axis]
-            points = np.cos(np.pi * np.arange(n) / (n - 1))
-            inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(points, n - 1))
-            c = np.moveaxis(np.tensordot(inverse, np.moveaxis(c, axis, 0), axes=1), 0, axis)
-        for axis in range(values.ndim):
-            last = np.take(c, [values.shape[axis] - 1], axis=axis)
-            tails.append(float(np.abs(last).sum()))
-        return Interpolant(np.asarray(c), tuple(dims), low, high, tuple(tails))
-
-    def __call__(self, unit: Array) -> Array:
-        """log m_b at nodes inside the box, (n,)."""
-        z = [2 * (unit[:, j] - self.low[j]) / (self.high[j] - self.low[j]) - 1 for j in self.dims]
-        basis = [
-            np.polynomial.chebyshev.chebvander(zj, self.coefficients.shape[i] - 1)
-            for i, zj in enumerate(z)
-        ]
-        letters = "abcdefgh"[: len(basis)]
-        spec = ",".join(f"n{c}" for c in letters) + f",{letters}->n"
-        return np.asarray(np.einsum(spec, *basis, self.coefficients, optimize=True))

@@ -9,13 +9,16 @@ blade's readings only, and is kept.
 Quick (``quick=True``), the shared nodes stay where the previous state has them, the touched blades'
 messages are exact at these nodes, and every other blade moves through the weights. That is the
 classical particle-filter step; it is refused where too few nodes would carry the weight, and the
-state says that it is provisional until a sealed one follows.
+state says that it is provisional until a sealed one follows, and which blades carry fewer draws
+until then. It reads and writes the touched blades' arrays only.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,8 +26,8 @@ from numpy.typing import NDArray
 
 from core.calibration.draws import SHARE
 from core.calibration.message import BladeMessage, prior_draws
-from core.calibration.rotor import Columns, Weighed, node_count, weigh
-from core.calibration.state import ALGORITHM, RotorSpec, RotorState, health
+from core.calibration.rotor import Columns, node_count, weigh
+from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.target import (
     BladeRows,
     SharedSpace,
@@ -37,10 +40,12 @@ from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection, digest_of
 from core.rng import seed_of, stream
-from core.smc.particles import log_sum_exp
+from core.smc.particles import ess, log_sum_exp
 
 Array = NDArray[np.float64]
 QUICK_ESS = 0.1
+MESSAGE_ERROR = 0.0005  # nat, root mean square against a dense reference
+PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
 
 
 class Workspace:
@@ -77,6 +82,8 @@ def update(
     Raises InputError for a reading of a blade that the rotor does not have.
     """
     work = workspace or Workspace()
+    if previous is not None and previous.meta["algorithm_version"] != ALGORITHM:
+        previous = None
     by_blade: dict[str, list[Inspection]] = {}
     for reading in inspections:
         if reading.blade not in rotor.blades:
@@ -90,120 +97,179 @@ def update(
     messages = {
         b: BladeMessage(model, r, space, nominal(model, known.get(b))) for b, r in rows.items()
     }
-    digests = {b: r.digest for b, r in rows.items()}
+    made = _Update(model, rotor, space, messages, work, digest_of(inspections), len(inspections))
     if quick and previous is not None:
-        step = _quick(rotor, space, messages, digests, previous, work)
-        if step is not None:
-            return _state(model, rotor, space, step, messages, inspections, previous, work, False)
-    weighed = weigh(space, messages, work.columns, seed_of(rotor.seed, rotor.id, "nodes") % 2**63)
-    return _state(model, rotor, space, weighed, messages, inspections, previous, work, True)
+        log_w = made.reweighted(previous)
+        if log_w is not None:
+            return made.provisional(previous, log_w)
+    return made.sealed(previous)
 
 
-def _quick(
-    rotor: RotorSpec,
-    space: SharedSpace,
-    messages: Mapping[str, BladeMessage],
-    digests: Mapping[str, str],
-    previous: RotorState,
-    work: Workspace,
-) -> Weighed | None:
-    """The previous nodes with the touched blades' columns renewed; None where they do not carry."""
-    if tuple(previous.meta["shared"]) != space.names or previous.meta["seed"] != rotor.seed:
-        return None
-    unit = previous.arrays["shared/unit"]
-    key = bytes.fromhex(previous.meta["placement"])
-    before: Mapping[str, str] = previous.meta["readings"]
-    columns = {
-        b: previous.arrays[f"column/{b}"]
-        if before.get(b) == digests[b]
-        else work.columns.of(messages[b], key, unit, "exact")
-        for b in messages
-    }
-    step = Weighed(unit, previous.arrays["shared/log_q"], space.log_prior(unit), columns, key, 0)
-    return step if step.ess_ratio >= QUICK_ESS else None
+@dataclass(frozen=True)
+class _Update:
+    """One update at work: what it rests on, and the two ways to a state."""
 
+    model: Model
+    rotor: RotorSpec
+    space: SharedSpace
+    messages: Mapping[str, BladeMessage]
+    work: Workspace
+    events_digest: str
+    events: int
 
-def _state(
-    model: Model,
-    rotor: RotorSpec,
-    space: SharedSpace,
-    weighed: Weighed,
-    messages: Mapping[str, BladeMessage],
-    inspections: Sequence[Inspection],
-    previous: RotorState | None,
-    work: Workspace,
-    sealed: bool,
-) -> RotorState:
-    k = len(weighed.unit)
-    per_node = SHARE * -(
-        -rotor.particles // (k * SHARE)
-    )  # whole groups: every stratum counts alike
-    log_w = weighed.log_w
-    log_evidence = log_sum_exp(log_w) - float(np.log(k))
-    arrays: dict[str, Array] = {
-        "shared/unit": weighed.unit,
-        "shared/x": space.to_x(weighed.unit),
-        "shared/log_q": weighed.log_q,
-        "shared/log_w": log_w - log_sum_exp(log_w),
-    }
-    readings = {b: m.rows.digest for b, m in messages.items()}
-    for blade in rotor.blades:
-        key = (
-            model.digest,
-            rotor.id,
-            str(rotor.seed),
-            blade,
-            readings.get(blade, ""),
-            str(per_node),
-            weighed.key.hex() + "/".join(space.names),
-        )
-        if key not in work.draws and previous is not None:
-            same = {"model": model.digest, "rotor": rotor.id, "seed": rotor.seed}
-            same |= {"particles": per_node * k, "placement": weighed.key.hex()}
-            same |= {"shared": list(space.names), "algorithm_version": ALGORITHM}
-            unread = previous.meta["readings"].get(blade) == readings.get(blade)
-            known = unread and blade in previous.meta["blades"]
-            if known and all(previous.meta.get(n) == value for n, value in same.items()):
-                names = (f"blade/{blade}/local", f"blade/{blade}/log_w")
-                work.draws[key] = (previous.arrays[names[0]], previous.arrays[names[1]])
-        if key not in work.draws:
-            rng = stream(rotor.seed, ALGORITHM, *key)
-            if blade in messages:
-                work.draws[key] = messages[blade].draws(
-                    weighed.unit, per_node, rng, weighed.columns[blade]
-                )
+    @cached_property
+    def readings(self) -> dict[str, str]:
+        return {b: m.rows.digest for b, m in self.messages.items()}
+
+    def per_node(self, nodes: int, particles: int) -> int:
+        """Draws at each node: whole groups, so that every stratum counts alike."""
+        return SHARE * -(-particles // (nodes * SHARE))
+
+    def unread(self, previous: RotorState) -> set[str]:
+        """Blades whose readings are those of the state before."""
+        before: Mapping[str, str] = previous.meta["readings"]
+        blades = set(self.rotor.blades)
+        return {
+            b for b in previous.meta["blades"]
+            if b in blades and before.get(b) == self.readings.get(b)
+        }  # fmt: skip
+
+    def fits(self, previous: RotorState) -> bool:
+        """True where the state before speaks of the same rotor, model and shared parameters."""
+        same = {"model": self.model.digest, "rotor": self.rotor.id, "seed": self.rotor.seed}
+        same |= {"shared": list(self.space.names), "local": [p.name for p in locals_of(self.model)]}
+        return all(previous.meta[name] == value for name, value in same.items())
+
+    def reweighted(self, previous: RotorState) -> tuple[Array, dict[str, Array]] | None:
+        """log p at the nodes of the state before, and the touched blades' columns.
+
+        log p moves by the difference of these columns: no other blade is looked at. None where
+        the shared parameters are others now, or too few nodes would carry the weight.
+        """
+        if not self.fits(previous):
+            return None
+        old, unread = previous.arrays, self.unread(previous)
+        unit, key = old["shared/unit"], bytes.fromhex(previous.meta["placement"])
+        columns = {
+            b: self.work.columns.of(m, key, unit, "exact")
+            for b, m in self.messages.items()
+            if b not in unread
+        }
+        log_p = old["shared/log_p"].copy()
+        for blade in sorted(previous.meta["readings"]):
+            if blade not in unread:
+                log_p -= old[f"column/{blade}"]
+        for blade in sorted(columns):
+            log_p += columns[blade]
+        carries = ess(log_p - old["shared/log_q"]) >= QUICK_ESS * len(unit)
+        return (log_p, columns) if carries else None  # a NaN does not carry either
+
+    def provisional(
+        self, previous: RotorState, found: tuple[Array, dict[str, Array]]
+    ) -> RotorState:
+        """The state on the nodes of the one before; touched blades get fewer draws for now."""
+        (log_p, columns), old, unread = found, previous.arrays, self.unread(previous)
+        log_w = log_p - old["shared/log_q"]
+        unit, key = old["shared/unit"], bytes.fromhex(previous.meta["placement"])
+        own = {"shared/log_p": log_p, "shared/log_w": log_w - log_sum_exp(log_w)}
+        kept = {"shared/unit", "shared/x", "shared/log_q"}
+        count = self.per_node(len(unit), min(self.rotor.particles, PROVISIONAL))
+        thin = {b for b in previous.meta["provisional"] if b in unread}
+        for blade in self.rotor.blades:
+            if blade in unread:
+                kept |= {f"blade/{blade}/local", f"blade/{blade}/log_w"}
+                if blade in self.messages:
+                    kept.add(f"column/{blade}")
+                continue
+            own |= self.draws(blade, unit, key, count, columns.get(blade))
+            thin.add(blade)
+        return self.state(own, old.over(own, kept), key, log_w, sealed=False, thin=thin)
+
+    def sealed(self, previous: RotorState | None) -> RotorState:
+        """The state as a function of the readings alone; equal draws are taken from the last."""
+        seed = seed_of(self.rotor.seed, self.rotor.id, "nodes") % 2**63
+        weighed = weigh(self.space, self.messages, self.work.columns, seed)
+        log_w = weighed.log_w
+        own: dict[str, Array] = {
+            "shared/unit": weighed.unit,
+            "shared/x": self.space.to_x(weighed.unit),
+            "shared/log_p": weighed.log_p,
+            "shared/log_q": weighed.log_q,
+            "shared/log_w": log_w - log_sum_exp(log_w),
+        }
+        own |= {f"column/{b}": column for b, column in weighed.columns.items()}
+        count = self.per_node(len(weighed.unit), self.rotor.particles)
+        stays: set[str] = set()
+        if previous is not None and self.fits(previous):
+            size = previous.meta["particles"]
+            if size == count * len(log_w) and previous.meta["placement"] == weighed.key.hex():
+                stays = self.unread(previous) - set(previous.meta["provisional"])
+        kept = {f"blade/{b}/{part}" for b in stays for part in ("local", "log_w")}
+        for blade in self.rotor.blades:
+            if blade not in stays:
+                column = weighed.columns.get(blade)
+                own |= self.draws(blade, weighed.unit, weighed.key, count, column)
+        below = previous.arrays if previous is not None else Arrays.EMPTY
+        arrays = below.over(own, kept)
+        return self.state(own, arrays, weighed.key, log_w, sealed=True, thin=set())
+
+    def draws(
+        self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
+    ) -> dict[str, Array]:
+        """The blade's particle set at these nodes, from a stream of its own."""
+        found = self.work.draws
+        rotor, message = self.rotor, self.messages.get(blade)
+        reading = "" if message is None else message.rows.digest
+        name = (self.model.digest, rotor.id, str(rotor.seed), blade, reading, str(per_node))
+        # a blade without a reading is drawn from its prior, wherever the nodes stand
+        nodes = key.hex() + "/".join(self.space.names) if message is not None else str(len(unit))
+        if (*name, nodes) not in found:
+            rng = stream(rotor.seed, ALGORITHM, *name, nodes)
+            if message is not None and column is not None:
+                found[*name, nodes] = message.draws(unit, per_node, rng, column)
             else:
-                prior_key = (*key[:-1], str(k))
-                rng = stream(rotor.seed, ALGORITHM, *prior_key)
-                work.draws[key] = prior_draws(model, k, per_node, rng)
-            while len(work.draws) > 3 * len(rotor.blades) + 100:
-                work.draws.popitem(last=False)
-        else:
-            work.draws.move_to_end(key)
-        arrays[f"blade/{blade}/local"], arrays[f"blade/{blade}/log_w"] = work.draws[key]
-        if blade in messages:
-            arrays[f"column/{blade}"] = weighed.columns[blade]
-    for value in arrays.values():
-        value.flags.writeable = False
-    meta: dict[str, Any] = {
-        "algorithm_version": ALGORITHM,
-        "model": model.digest,
-        "rotor": rotor.id,
-        "seed": rotor.seed,
-        "particles": per_node * k,
-        "sealed": sealed,
-        "events_digest": digest_of(inspections),
-        "events": len(inspections),
-        "readings": readings,
-        "placement": weighed.key.hex(),
-        "shared": list(space.names),
-        "local": [p.name for p in locals_of(model)],
-        "blades": list(rotor.blades),
-        "log_evidence": log_evidence,
-        "health": health(log_w, 0.003 * float(np.sqrt(max(len(messages), 1)))),
-        "arrays": sorted(arrays),
-    }
-    return RotorState(meta, arrays)
+                found[*name, nodes] = prior_draws(self.model, len(unit), per_node, rng)
+            while len(found) > 3 * len(rotor.blades) + 100:
+                found.popitem(last=False)
+        found.move_to_end((*name, nodes))
+        local, log_w = found[*name, nodes]
+        out = {f"blade/{blade}/local": local, f"blade/{blade}/log_w": log_w}
+        return out if column is None else out | {f"column/{blade}": column}
+
+    def state(
+        self,
+        own: Mapping[str, Array],
+        arrays: Arrays,
+        key: bytes,
+        log_w: Array,
+        *,
+        sealed: bool,
+        thin: set[str],
+    ) -> RotorState:
+        """The value with its description."""
+        for value in own.values():
+            value.flags.writeable = False
+        nodes = len(log_w)
+        meta: dict[str, Any] = {
+            "algorithm_version": ALGORITHM,
+            "model": self.model.digest,
+            "rotor": self.rotor.id,
+            "seed": self.rotor.seed,
+            "particles": self.per_node(nodes, self.rotor.particles) * nodes,
+            "sealed": sealed,
+            "provisional": sorted(thin),
+            "events_digest": self.events_digest,
+            "events": self.events,
+            "readings": self.readings,
+            "placement": key.hex(),
+            "shared": list(self.space.names),
+            "local": [p.name for p in locals_of(self.model)],
+            "blades": list(self.rotor.blades),
+            "log_evidence": log_sum_exp(log_w) - float(np.log(nodes)),
+            "health": health(log_w, MESSAGE_ERROR * float(np.sqrt(max(len(self.messages), 1)))),
+            "arrays": sorted(arrays),
+        }
+        return RotorState(meta, arrays, frozenset(own))
 
 
 __all__ = ["RotorSpec", "RotorState", "Workspace", "node_count", "update"]

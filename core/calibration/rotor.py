@@ -3,10 +3,9 @@
     log p(s, D) = log p(s) + Σ_b log m_b(s)
 
 The shared nodes are placed in two steps. A descent on rough messages finds where the posterior is
-(`core.smc.placement`); then the exact messages, interpolated per blade on the box that holds the
-nodes or computed at each node, give the weights, and the nodes move once or twice more until the
-weights are even. Everything is a function of the set of readings; the columns are kept, so that
-a new reading costs one blade's columns as long as the boxes stay.
+(`core.smc.placement`); then the exact messages at the nodes give the weights, and the nodes move
+once or twice more until the weights are even. Everything is a function of the set of readings;
+the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
 """
 
 from __future__ import annotations
@@ -28,21 +27,21 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Columns:
-    """Messages already computed: (blade's digest, nodes' key) → column. Bounded, oldest out."""
+    """Messages already computed, by what they rest on. Bounded, oldest out."""
 
-    kept: dict[tuple[str, bytes], Array] = field(default_factory=dict)
+    kept: dict[tuple[str, str, int, bytes], Array] = field(default_factory=dict)
     limit: int = 20_000
     computed: int = 0
 
     def of(self, message: BladeMessage, key: bytes, unit: Array, how: str) -> Array:
-        count = f"{how} {len(unit)} ".encode()  # a proposal's scouts are fewer than its nodes
-        place = (message.rows.digest + repr(sorted(message.fixed.items())), count + key)
+        # a proposal's scouts are fewer than its nodes: their number is part of the name
+        place = (message.name, how, len(unit), key)
         if place not in self.kept:
             if len(self.kept) >= self.limit:
                 for old in list(self.kept)[: self.limit // 2]:
                     del self.kept[old]
             self.computed += 1
-            column = self._compute(message, unit, how)
+            column = message.column(unit, rough=how == "rough")
             if np.isnan(column).any():
                 raise CalibrationError(
                     f"a blade's message is not a number at {int(np.isnan(column).sum())} of "
@@ -50,17 +49,6 @@ class Columns:
                 )
             self.kept[place] = column
         return self.kept[place]
-
-    @staticmethod
-    def _compute(message: BladeMessage, unit: Array, how: str) -> Array:
-        if how == "rough":
-            return message.column(unit, rough=True)
-        if len(unit) > 24:
-            low, high = unit.min(axis=0), unit.max(axis=0)
-            found = message.interpolant(low, high, spend=len(unit))
-            if found is not None:
-                return found(unit)
-        return message.column(unit)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,27 +10,27 @@ Arrays (float64):
 
     shared/unit (K, d)     nodes on the unit box        shared/log_w (K,)   log weights, normalised
     shared/x    (K, d)     nodes, natural units         shared/log_q (K,)   log placement density
+    shared/log_p (K,)      log target at the nodes
     column/<b>  (K,)       log message of blade b       blade/<b>/log_w (K, m)
     blade/<b>/local (K, m, L)
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from hashlib import sha256
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from core.digest import array_digest, state_digest
 from core.errors import ModelError
 from core.smc.particles import Particles, ess, normalised
 
 Array = NDArray[np.float64]
 Get = Callable[[str], Array]
-ALGORITHM = "panels-1"
+ALGORITHM = "panels-2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,59 @@ class RotorSpec:
     known: Mapping[str, Mapping[str, float]] | None = None
 
 
+class Arrays(Mapping[str, Array]):
+    """The arrays of a state by name: its own ones, and below them those of a stored state.
+
+    What lies below is fetched when it is first looked at: an update that touches one blade reads
+    and writes what that blade needs, whatever the size of the rotor.
+    """
+
+    EMPTY: ClassVar[Arrays]
+
+    def __init__(self, names: Iterable[str], own: Mapping[str, Array], get: Get) -> None:
+        self._names = frozenset(names)
+        self._found = {n: a for n, a in own.items() if n in self._names}
+        self._get = get
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._found:
+            if name not in self._names:
+                raise KeyError(name)
+            self._found[name] = self._get(name)
+        return self._found[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(self._names))
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def over(self, own: Mapping[str, Array], kept: Iterable[str]) -> Arrays:
+        """The arrays of the next state: its `own`, and the `kept` ones of this state."""
+        kept = frozenset(kept)
+        missing = kept - self._names
+        if missing:
+            raise KeyError(f"no such arrays in the state before: {sorted(missing)[:5]}")
+        return Arrays(kept | own.keys(), {**self._found, **own}, self._get)
+
+
+def _nothing(name: str) -> Array:
+    raise KeyError(name)
+
+
+Arrays.EMPTY = Arrays((), {}, _nothing)
+
+
 @dataclass(frozen=True)
 class RotorState:
-    """One version of a rotor's joint posterior."""
+    """One version of a rotor's joint posterior.
+
+    fresh   names of the arrays that the update made; all others are those of the state before it
+    """
 
     meta: Mapping[str, Any]
-    arrays: Mapping[str, Array]
+    arrays: Arrays
+    fresh: frozenset[str] = field(default=frozenset(), compare=False)
 
     @property
     def sealed(self) -> bool:
@@ -62,21 +109,18 @@ class RotorState:
 
     @property
     def digest(self) -> str:
-        """SHA-256 over the description and every array."""
-        made = sha256(json.dumps(dict(self.meta), sort_keys=True).encode())
-        for name in sorted(self.arrays):
-            made.update(name.encode() + np.ascontiguousarray(self.arrays[name]).tobytes())
-        return made.hexdigest()
+        """SHA-256 over the description and every array (which loads them all)."""
+        return state_digest(self.meta, {n: array_digest(a) for n, a in self.arrays.items()})
 
     @staticmethod
     def restore(meta: Mapping[str, Any], get: Get) -> RotorState:
-        """A stored state; arrays are fetched by name."""
+        """A stored state; arrays are fetched by name when they are looked at."""
         if meta.get("algorithm_version") != ALGORITHM:
             raise ModelError(
                 f"state of algorithm {meta.get('algorithm_version')!r}, expected {ALGORITHM!r}; "
                 "rebuild it from the log"
             )
-        return RotorState(meta, {name: get(name) for name in meta["arrays"]})
+        return RotorState(meta, Arrays(meta["arrays"], {}, get))
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from core.digest import npy_bytes
 from core.errors import ModelError
 
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -53,9 +54,7 @@ def encode(array: Array) -> Encoded:
     array = np.ascontiguousarray(array) if array.ndim else array
     if array.dtype.kind not in "biuf":
         raise ModelError(f"an array of dtype {array.dtype} is not stored; convert it to numbers")
-    buffer = BytesIO()
-    np.lib.format.write_array(buffer, array, allow_pickle=False)
-    data = buffer.getvalue()
+    data = npy_bytes(array)
     digest = sha256(data).hexdigest()
     return Encoded(ENCODING, array.dtype.str, shape_text(array.shape), digest, data)
 

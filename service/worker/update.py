@@ -14,16 +14,17 @@ import json
 import logging
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from sqlalchemy import Engine
 
+from core.digest import state_digest
 from core.errors import CalibrationError
 from core.observation import Entry, Inspection, effective
 from service.errors import LostLeaseError, StoreAwayError
-from service.ports import Array, Event, ModelCard, RotorSpec, RotorState, Science, StateRecord
+from service.ports import Event, ModelCard, RotorSpec, RotorState, Science, StateRecord
 from service.settings import Settings
 from service.store.encoding import Encoded, encode
 from service.store.engine import transaction
@@ -41,16 +42,11 @@ Change = tuple[dict[str, str], dict[str, Encoded | None]]
 
 @dataclass(slots=True)
 class Memory:
-    """What a worker remembers of a rotor: valid for one version only.
-
-    arrays are those that this worker wrote, or has looked at since it restored the state: one that
-    comes back as the same object is not hashed again.
-    """
+    """What a worker remembers of a rotor: valid for one version only."""
 
     version: int
     through: int
     state: RotorState | None
-    arrays: Mapping[str, Array]
     sha256: dict[str, str]
     entries: list[Entry]
 
@@ -165,17 +161,12 @@ class Updater:
         events = read_entries(tx.connection, lease.rotor_id, known, lease.applied_seq)
         entries = entries + entries_of(events)
         if lease.version == 0:
-            return Memory(0, 0, None, {}, {}, entries)
+            return Memory(0, 0, None, {}, entries)
         record = tx.states.get(lease.rotor_id, lease.version)
         sha256 = digests(tx.connection, lease.rotor_id)
-        stored = self.store.arrays(lease.rotor_id, lease.version)
-        looked_at: dict[str, Array] = {}
-
-        def get(name: str) -> Array:
-            return looked_at.setdefault(name, stored(name))
-
-        state = self.science.restore(record.meta, get)
-        return Memory(lease.version, lease.applied_seq, state, looked_at, sha256, entries)
+        arrays = self.store.arrays(lease.rotor_id, lease.version)
+        state = self.science.restore(record.meta, arrays)
+        return Memory(lease.version, lease.applied_seq, state, sha256, entries)
 
     def compute(self, task: Task, *, quick: bool) -> RotorState:
         """The new posterior: quick when entries were pending, else sealed."""
@@ -184,18 +175,18 @@ class Updater:
 
     def change(self, task: Task, state: RotorState) -> Change:
         """The arrays that the new version has to write, and the digest of each that it has."""
-        memory = task.memory
+        before = task.memory.sha256
         sha256: dict[str, str] = {}
         changed: dict[str, Encoded | None] = {}
-        for name, array in state.arrays.items():
-            if memory.arrays.get(name) is array:
-                sha256[name] = memory.sha256[name]
+        for name in state.arrays:
+            if name not in state.fresh:
+                sha256[name] = before[name]
                 continue
-            encoded = encode(array)
+            encoded = encode(state.arrays[name])
             sha256[name] = encoded.sha256
-            if memory.sha256.get(name) != encoded.sha256:
+            if before.get(name) != encoded.sha256:
                 changed[name] = encoded
-        return sha256, changed | dict.fromkeys(memory.sha256.keys() - sha256.keys())
+        return sha256, changed | dict.fromkeys(before.keys() - sha256.keys())
 
     def commit(self, lease: Lease, task: Task, state: RotorState, change: Change) -> None:
         """State and cursor in one transaction; LostLeaseError leaves the database as it was."""
@@ -211,7 +202,7 @@ class Updater:
                 model_version=task.card.version,
                 algorithm_version=str(state.meta["algorithm_version"]),
                 sealed=sealed,
-                digest=state.digest,
+                digest=state_digest(state.meta, sha256),
                 events_digest=str(state.meta["events_digest"]),
                 meta=dict(state.meta),
                 created_at=0.0,
@@ -220,8 +211,7 @@ class Updater:
             if version % THIN_EVERY == 0:
                 keep, every = self.settings.keep_versions, self.settings.checkpoint_every
                 thin(connection, lease.rotor_id, version, keep, every)
-        arrays = dict(state.arrays)
-        memory = Memory(version, task.through, state, arrays, sha256, task.entries)
+        memory = Memory(version, task.through, state, sha256, task.entries)
         self._memory[lease.rotor_id] = memory
         self._memory.move_to_end(lease.rotor_id)
         while len(self._memory) > self.settings.rotors_in_memory:

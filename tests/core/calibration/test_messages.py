@@ -110,21 +110,3 @@ def test_draws_estimate_the_message_and_stay_in_the_box() -> None:
     _, wrong = message.draws(unit, 1200, np.random.default_rng(3), column + 0.2)
     off = np.exp(wrong).sum(axis=1).mean() - 1
     assert abs(off) > 4 * np.sqrt(np.mean(error**2) / 16), "negative control"
-
-
-def test_interpolated_messages_agree_with_exact_ones() -> None:
-    model, sigma = bar(), 0.02
-    x = np.array([[1.1, 0.93, 0.4, -0.8]])
-    readings = [
-        Inspection(f"i{t}", "b", "y", t, creep(x, t), sigma=None) for t in (8e3, 16e3, 24e3)
-    ]
-    rows = assemble(model, readings)
-    assert rows is not None
-    space = shared_space(model, [rows])
-    message = BladeMessage(model, rows, space, {})
-    centre = np.array([0.65, (np.log(sigma) - np.log(1e-3)) / np.log(200)])
-    low, high = centre - 0.04, centre + 0.04
-    made = message.interpolant(low, high, spend=64)
-    assert made is not None
-    unit = low + np.random.default_rng(0).random((40, 2)) * (high - low)
-    assert made(unit) == pytest.approx(message.column(unit), abs=0.01)
