@@ -8,33 +8,8 @@ import pytest
 from core.calibration.draws import SHARE
 from core.calibration.message import BladeMessage
 from core.calibration.target import assemble, shared_space
-from core.model import Model
-from core.network import Network, Parameter, Prior, Quantity
 from core.observation import Inspection
-from core.validation.formula import FormulaInput, FormulaModel
-
-LOCAL = (("tbc", 2 / 3, 4 / 3), ("alpha", -3.0, 3.0), ("gamma", -3.0, 3.0))
-
-
-def creep(x: np.ndarray, t: float) -> np.ndarray:
-    """Primary + secondary creep of a bar at a metal temperature set by rate and coating [mm]."""
-    tbc, rate, alpha, gamma = x.T
-    kelvin = 300 * (rate - 0.9) - 66 * (tbc - 1)
-    steady = 1.4e-8 * np.exp(0.033 * kelvin)
-    primary = 1e-3 * np.exp(0.35 * alpha) * (1 - np.exp(-t * steady / 2e-4))
-    return np.asarray(180 * (0.6 * primary + steady * np.exp(0.35 * gamma) * t))
-
-
-def bar() -> Model:
-    shared = Parameter("rate", "shared", Prior("uniform", 0.8, 1.0))
-    local = [Parameter(n, "local", Prior("uniform", a, b)) for n, a, b in LOCAL]
-    order = (local[0], shared, local[1], local[2])
-    inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in order)
-    quantity = Quantity("y", "mm", "scalar", Prior("log_uniform", 1e-3, 0.2), -5.0, 50.0)
-    return Model(
-        Network("bar", order, (quantity,)),
-        FormulaModel(inputs, {"y": creep}, "bar", positive=("y",)),
-    )
+from tests.core.calibration.bar import LOCAL, bar, creep
 
 
 def dense(message: BladeMessage, rate: float, sigma: float, n: int) -> float:

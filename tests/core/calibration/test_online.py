@@ -1,0 +1,125 @@
+"""The online update: what it reads, what it may differ in, and what it must never."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.calibration import online
+from core.calibration.online import RotorSpec, RotorState, Workspace, update
+from core.errors import InputError
+from core.observation import Inspection
+from tests.core.calibration.bar import bar, measured
+
+MODEL = bar()
+BLADES = 6
+SPEC = RotorSpec("r", tuple(f"b{i}" for i in range(BLADES)), 6000, 3)
+READINGS = measured(BLADES, (8e3, 16e3), 0)
+LATE = measured(BLADES, (24e3,), 1)[2]
+
+
+@pytest.fixture(scope="module")
+def before() -> RotorState:
+    return update(MODEL, SPEC, READINGS)
+
+
+def stored(state: RotorState, asked: list[str]) -> RotorState:
+    """The state as another process finds it: arrays are fetched by name."""
+
+    def get(name: str) -> np.ndarray:
+        asked.append(name)
+        return state.arrays[name]
+
+    return RotorState.restore(state.meta, get)
+
+
+def test_a_quick_update_reads_and_makes_the_touched_blade_only(before: RotorState) -> None:
+    asked: list[str] = []
+    state = update(MODEL, SPEC, [*READINGS, LATE], stored(before, asked), quick=True)
+    assert not state.sealed
+    assert state.meta["provisional"] == [LATE.blade]
+    shared = {"shared/unit", "shared/log_p", "shared/log_q"}
+    assert set(asked) == shared | {f"column/{LATE.blade}"}
+    own = {f"column/{LATE.blade}", f"blade/{LATE.blade}/local", f"blade/{LATE.blade}/log_w"}
+    assert state.fresh == own | {"shared/log_p", "shared/log_w"}
+    assert set(state.meta["arrays"]) == set(state.arrays) == set(before.arrays)
+
+
+def test_a_quick_update_weighs_as_if_every_message_were_new(before: RotorState) -> None:
+    """Differences of columns lead where the sum of all columns leads."""
+    late = measured(BLADES, (32e3,), 2)[:3]
+    state = before
+    for i in range(3):
+        state = update(MODEL, SPEC, [*READINGS, *late[: i + 1]], stored(state, []), quick=True)
+        assert not state.sealed
+    total = sum(state.arrays[f"column/{b}"] for b in SPEC.blades)
+    space_prior = before.arrays["shared/log_p"] - sum(
+        before.arrays[f"column/{b}"] for b in SPEC.blades
+    )
+    assert state.arrays["shared/log_p"] == pytest.approx(total + space_prior, abs=1e-9)
+
+
+def test_sealed_states_remember_no_path(before: RotorState) -> None:
+    """Late, shuffled, over quick states of fewer draws, from another process: bit-identical."""
+    readings = [*READINGS, LATE]
+    alone = update(MODEL, SPEC, readings)
+    quick = update(MODEL, SPEC, readings, before, quick=True)
+    assert alone.meta["provisional"] == []
+    shuffled = [readings[i] for i in np.random.default_rng(5).permutation(len(readings))]
+    work = Workspace()
+    for previous in (quick, stored(quick, []), before, None):
+        again = update(MODEL, SPEC, shuffled, previous, workspace=work)
+        assert again.sealed
+        assert again.digest == alone.digest
+    retracted = update(MODEL, SPEC, READINGS, alone)
+    assert retracted.digest == before.digest
+
+
+def test_draws_of_a_provisional_blade_are_not_sealed_in(before: RotorState) -> None:
+    """The mutant takes over every draw at the same nodes: the digest shows it."""
+    readings = [*READINGS, replace(LATE, sigma=0.5)]  # hardly moves the nodes
+    alone = update(MODEL, SPEC, readings)
+    quick = update(MODEL, SPEC, readings, before, quick=True)
+    assert alone.meta["placement"] == quick.meta["placement"], "the case needs unmoved nodes"
+    assert update(MODEL, SPEC, readings, quick).digest == alone.digest
+    mutant = RotorState({**quick.meta, "provisional": []}, quick.arrays)
+    assert update(MODEL, SPEC, readings, mutant).digest != alone.digest
+
+
+def test_a_reading_that_too_few_nodes_carry_is_sealed_at_once(before: RotorState) -> None:
+    far = [replace(r, values=r.values * 1.12) for r in measured(BLADES, (24e3,), 0)]
+    state = update(MODEL, SPEC, [*READINGS, *far], before, quick=True)
+    assert state.sealed
+    assert state.meta["health"]["ess_ratio"] >= 0.3
+
+
+def test_a_state_of_another_algorithm_is_not_built_upon(before: RotorState) -> None:
+    old = RotorState({**before.meta, "algorithm_version": "older"}, before.arrays)
+    state = update(MODEL, SPEC, [*READINGS, LATE], old, quick=True)
+    assert state.digest == update(MODEL, SPEC, [*READINGS, LATE]).digest
+
+
+def test_a_blade_that_joins_gets_its_prior_and_what_the_others_told(before: RotorState) -> None:
+    more = replace(SPEC, blades=(*SPEC.blades, "new"))
+    state = update(MODEL, more, READINGS, before, quick=True)
+    assert state.arrays["blade/new/local"].shape[0] == len(before.arrays["shared/log_w"])
+    assert np.array_equal(state.arrays["shared/log_w"], before.arrays["shared/log_w"])
+    sealed = update(MODEL, more, READINGS, state)
+    assert sealed.digest == update(MODEL, more, READINGS).digest
+
+
+def test_particles_are_at_least_as_many_as_asked_for(before: RotorState) -> None:
+    k, m, dim = before.arrays["blade/b0/local"].shape
+    assert dim == 3
+    assert k * m == before.meta["particles"] >= SPEC.particles
+    quick = update(MODEL, SPEC, [*READINGS, LATE], before, quick=True)
+    k, m, _ = quick.arrays[f"blade/{LATE.blade}/local"].shape
+    assert online.PROVISIONAL <= k * m < SPEC.particles
+
+
+def test_a_reading_of_an_unknown_blade_is_refused() -> None:
+    stray = Inspection("x", "b99", "y", 8e3, np.array([0.1]))
+    with pytest.raises(InputError, match="b99"):
+        update(MODEL, SPEC, [stray])
