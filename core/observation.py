@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Any, Literal, Protocol
 
@@ -44,6 +44,7 @@ class Inspection:
     campaign: str | None = None
     observed_at: str | None = None
     replaces: str | None = None
+    _digest: str = field(default="", init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=np.float64)
@@ -82,11 +83,14 @@ class Inspection:
 
     def digest(self) -> str:
         """128 bits over everything the reading says, as hex; equal exactly for equal readings."""
+        if self._digest:
+            return self._digest
         made = blake2b(json.dumps(self._head(), sort_keys=True).encode(), digest_size=16)
         made.update(repr(self.values.shape).encode() + self.values.astype("<f8").tobytes())
         if self.nodes is not None:
             made.update(self.nodes.astype("<i8").tobytes())
-        return made.hexdigest()
+        object.__setattr__(self, "_digest", made.hexdigest())
+        return self._digest
 
 
 class Covers(Protocol):

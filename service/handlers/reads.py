@@ -45,7 +45,7 @@ def basis(store: Store, rotor_id: str, version: int | None, blade: str | None = 
     """The newest version, or the one asked for; the blade, if named, must exist."""
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
-        if blade is not None and all(b.id != blade for b in tx.records.blades(rotor_id)):
+        if blade is not None and not tx.records.has_blade(rotor_id, blade):
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
         state = tx.states.get(rotor_id, version)
         return Basis(state, tx.records.model(rotor.model_id, state.model_version))
@@ -53,13 +53,14 @@ def basis(store: Store, rotor_id: str, version: int | None, blade: str | None = 
 
 def posterior(store: Store, science: Science, found: Basis, blade: str | None) -> Json:
     """Mean, sd, quantiles, correlations and ESS of the shared or of one blade's parameters."""
-    state = found.state
-    get = store.arrays(state.rotor_id, state.version)
-    if blade is None:
-        draws = science.shared_draws(state.meta, get)
-    else:
-        draws = science.blade_draws(state.meta, get, blade)
-    return summary(draws) | {"health": state.meta["health"]}
+    meta = found.state.meta
+    with store.read() as tx:
+        get = tx.states.reader(found.state)
+        if blade is None:
+            draws = science.shared_draws(meta, get)
+        else:
+            draws = science.blade_draws(meta, get, blade)
+    return summary(draws) | {"health": meta["health"]}
 
 
 def summary(draws: Draws) -> Json:
@@ -163,18 +164,17 @@ def _node(card: ModelCard, kind: str, node: str | None) -> int | None:
 
 def predict(store: Store, science: Science, found: Basis, blade: str, asked: Question) -> Json:
     """Bands by source, as plain lists."""
-    state = found.state
-    get = store.arrays(state.rotor_id, state.version)
-    bands: Prediction = science.predict(
-        found.card,
-        state.meta,
-        get,
-        blade,
-        asked.quantity,
-        asked.times,
-        asked.node,
-        asked.probability,
-    )
+    with store.read() as tx:
+        bands: Prediction = science.predict(
+            found.card,
+            found.state.meta,
+            tx.states.reader(found.state),
+            blade,
+            asked.quantity,
+            asked.times,
+            asked.node,
+            asked.probability,
+        )
     return {
         "blade": blade,
         "quantity": asked.quantity,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Connection, Row, insert, select, update
@@ -54,7 +55,7 @@ class SqlRecords:
         text = self._connection.execute(query.order_by(t.model.c.created_at.desc())).scalar()
         if text is None:
             raise NotFoundError("model", model_id, "GET /v1/models lists those that exist")
-        return ModelCard.from_json(json.loads(text))
+        return _card(text)
 
     def models(self, after: str, limit: int) -> list[ModelCard]:
         ids = select(t.model.c.id).where(t.model.c.id > after).distinct().order_by(t.model.c.id)
@@ -130,12 +131,22 @@ class SqlRecords:
         query = select(*columns).where(t.blade.c.rotor_id == rotor_id).order_by(t.blade.c.id)
         return [BladeRecord(**row._mapping) for row in self._connection.execute(query)]
 
+    def has_blade(self, rotor_id: str, blade_id: str) -> bool:
+        key = (t.blade.c.rotor_id == rotor_id) & (t.blade.c.id == blade_id)
+        return self._connection.execute(select(t.blade.c.id).where(key)).first() is not None
+
     def put_blade(self, rotor_id: str, blade: BladeRecord) -> None:
         self._connection.execute(insert(t.blade).values(rotor_id=rotor_id, **asdict(blade)))
 
     def retire_blade(self, rotor_id: str, blade_id: str, seq: int) -> None:
         key = (t.blade.c.rotor_id == rotor_id) & (t.blade.c.id == blade_id)
         self._connection.execute(update(t.blade).where(key).values(retired_seq=seq))
+
+
+@lru_cache(maxsize=64)
+def _card(text: str) -> ModelCard:
+    """Cards never change, and every read looks at one."""
+    return ModelCard.from_json(json.loads(text))
 
 
 def _rotor(row: Row[Any]) -> RotorRecord:

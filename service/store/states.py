@@ -17,7 +17,7 @@ from sqlalchemy import Connection, delete, exists, func, insert, select
 
 from core.errors import ModelError
 from service.errors import GoneError, NotFoundError, NotYetError
-from service.ports import Array, StateRecord
+from service.ports import Array, Get, StateRecord
 from service.store import tables as t
 from service.store.encoding import Encoded, decode
 from service.store.engine import now_s
@@ -82,6 +82,10 @@ class SqlStates:
                 f"ask for the newest, {last}, or raise BLADETWIN_KEEP_VERSIONS",
             )
         raise NotFoundError("version", str(version), f"the newest one is {last}")
+
+    def reader(self, state: StateRecord) -> Get:
+        """The arrays of a version by name, inside this transaction."""
+        return lambda name: self.array((state.rotor_id, state.version, name))
 
     def array(self, key: Key) -> Array:
         """One array of one version, from the cache or the database."""

@@ -17,6 +17,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from time import perf_counter
 
 from sqlalchemy import Engine
 
@@ -116,9 +117,12 @@ class Updater:
         with self.heartbeats(lease):
             task: Task | None = None
             try:
+                begun = perf_counter()
                 task = self.read(lease)
+                read = perf_counter()
                 state = self.compute(task, quick=not lease.sealing)
                 change = self.change(task, state)
+                computed = perf_counter()
             except Exception as error:
                 self.give_back(lease, task, error)
                 return True
@@ -127,6 +131,17 @@ class Updater:
         except LostLeaseError as error:
             self._memory.pop(lease.rotor_id, None)
             log.warning("%s", error)
+            return True
+        log.debug(
+            "rotor %s: through %d, %d new, sealed %s; read %.1f, update %.1f, commit %.1f ms",
+            lease.rotor_id,
+            task.through,
+            task.pending,
+            state.meta["sealed"],
+            1e3 * (read - begun),
+            1e3 * (computed - read),
+            1e3 * (perf_counter() - computed),
+        )
         return True
 
     def read(self, lease: Lease) -> Task:
@@ -216,14 +231,6 @@ class Updater:
         self._memory.move_to_end(lease.rotor_id)
         while len(self._memory) > self.settings.rotors_in_memory:
             self._memory.popitem(last=False)
-        log.debug(
-            "rotor %s: version %d through %d, %d new entries, sealed %s",
-            lease.rotor_id,
-            version,
-            task.through,
-            task.pending,
-            sealed,
-        )
 
     def give_back(self, lease: Lease, task: Task | None, error: Exception) -> None:
         """Pause and try again, or block the rotor and name the entry that stops it."""
