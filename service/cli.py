@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
@@ -92,6 +93,24 @@ def migrate(as_json: Json = False) -> None:
     finally:
         store.close()
     say({"revision": revision}, f"schema is at revision {revision}", as_json=as_json)
+
+
+@app.command("compile")
+def compile_kernels(as_json: Json = False) -> None:
+    """Compile the kernels for this machine ahead of the first start, which would do it else.
+
+    The machine code is kept beside the installed package, or in the user's cache folder where that
+    cannot be written to.
+    """
+    from service.science import NAME, CoreScience
+
+    start = time.monotonic()
+    science = CoreScience(Settings.load().model_dir)
+    with bar("compiling", 1, quiet=as_json) as shown:
+        science.warm(science.builtin(NAME))
+        shown(1)
+    seconds = round(time.monotonic() - start, 1)
+    say({"seconds": seconds}, f"kernels are compiled ({seconds:g} s)", as_json=as_json)
 
 
 @app.command()

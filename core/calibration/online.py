@@ -45,6 +45,7 @@ from core.smc.particles import ess, log_sum_exp
 Array = NDArray[np.float64]
 QUICK_ESS = 0.1
 MESSAGE_ERROR = 0.0005  # nat, root mean square against a dense reference
+MANY = 4  # touched blades for which a rough look comes first
 PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
 
 
@@ -144,25 +145,25 @@ class _Update:
         """log p at the nodes of the state before, and the touched blades' columns.
 
         log p moves by the difference of these columns: no other blade is looked at. None where
-        the shared parameters are others now, or too few nodes would carry the weight.
+        the shared parameters are others now, or too few nodes would carry the weight; where many
+        blades are touched, rough messages tell that first.
         """
         if not self.fits(previous):
             return None
         old, unread = previous.arrays, self.unread(previous)
         unit, key = old["shared/unit"], bytes.fromhex(previous.meta["placement"])
-        columns = {
-            b: self.work.columns.of(m, key, unit, "exact")
-            for b, m in self.messages.items()
-            if b not in unread
-        }
-        log_p = old["shared/log_p"].copy()
+        touched = [b for b in sorted(self.messages) if b not in unread]
+        rest = old["shared/log_p"].copy()
         for blade in sorted(previous.meta["readings"]):
             if blade not in unread:
-                log_p -= old[f"column/{blade}"]
-        for blade in sorted(columns):
-            log_p += columns[blade]
-        carries = ess(log_p - old["shared/log_q"]) >= QUICK_ESS * len(unit)
-        return (log_p, columns) if carries else None  # a NaN does not carry either
+                rest -= old[f"column/{blade}"]
+        log_p, columns = rest, dict[str, Array]()
+        for how in ("rough", "exact") if len(touched) > MANY else ("exact",):
+            columns = {b: self.work.columns.of(self.messages[b], key, unit, how) for b in touched}
+            log_p = rest + sum(columns.values(), np.zeros(len(unit)))
+            if not ess(log_p - old["shared/log_q"]) >= QUICK_ESS * len(unit):  # or not a number
+                return None
+        return log_p, columns
 
     def provisional(
         self, previous: RotorState, found: tuple[Array, dict[str, Array]]

@@ -3,14 +3,15 @@
     log p(s, D) = log p(s) + Σ_b log m_b(s)
 
 The shared nodes are placed in two steps. A descent on rough messages finds where the posterior is
-(`core.smc.placement`); then the exact messages at the nodes give the weights, and the nodes move
-once or twice more until the weights are even. Everything is a function of the set of readings;
+(`core.smc.placement`). What the rough messages miss is smooth: a quadratic through the difference
+at a few places mends them, and a second descent ends where the exact messages at the nodes give
+even weights; else the nodes move once more. Everything is a function of the set of readings;
 the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +20,8 @@ from numpy.typing import NDArray
 from core.calibration.message import BladeMessage
 from core.calibration.target import SharedSpace
 from core.errors import CalibrationError
-from core.smc.particles import ess
+from core.response import monomials
+from core.smc.particles import ess, normalised, tempering_exponent
 from core.smc.placement import Proposal, descend, improved, sobol
 
 Array = NDArray[np.float64]
@@ -55,7 +57,7 @@ class Columns:
 class Weighed:
     """Shared nodes on the unit box with their weights.
 
-    unit (K, d), log_q (K,), columns {blade: (K,)}, log_prior (K,); levels of the descent.
+    unit (K, d), log_q (K,), columns {blade: (K,)}, log_prior (K,).
     """
 
     unit: Array
@@ -63,7 +65,6 @@ class Weighed:
     log_prior: Array
     columns: Mapping[str, Array]
     key: bytes
-    levels: int
 
     @property
     def log_p(self) -> Array:
@@ -102,6 +103,23 @@ def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Propos
     return Proposal(mean, np.diag(spread))
 
 
+def quadratic(unit: Array, values: Array, log_w: Array) -> Callable[[Array], Array]:
+    """The quadratic through values at nodes (n, d), by least squares.
+
+    Nodes count by their weights `log_w`, tempered until half of them do.
+    """
+    known = np.isfinite(values) & np.isfinite(log_w)
+    unit, values, log_w = unit[known], values[known], log_w[known]
+    middle, spread = unit.mean(axis=0), unit.std(axis=0) + 1e-12
+
+    def basis(at: Array) -> Array:
+        return monomials((at - middle) / spread, 2)
+
+    root = np.sqrt(normalised(tempering_exponent(log_w, 0.5 * len(unit)) * log_w))
+    coefficients = np.linalg.lstsq(basis(unit) * root[:, None], values * root, rcond=1e-8)[0]
+    return lambda at: basis(at) @ coefficients
+
+
 def weigh(
     space: SharedSpace,
     messages: Mapping[str, BladeMessage],
@@ -122,21 +140,25 @@ def weigh(
         return out
 
     scouts = 32 if d <= 2 else 64
-    proposal, levels = descend(
+    proposal = descend(
         lambda unit, key: total(unit, key, "rough"), start_of(space, messages), scouts, seed
     )
     assert proposal.chol is not None
     wide = Proposal(proposal.mean, proposal.chol * 1.5)
+    unit, log_q = wide.nodes(sobol(32, d, seed + 2))
+    exact, rough = (total(unit, wide.key, how) for how in ("exact", "rough"))
+    missing = quadratic(unit, exact - rough, exact - log_q)
+    wide = descend(lambda unit, key: total(unit, key, "rough") + missing(unit), wide, scouts, seed)
     n = node_count(d)
     base = sobol(n, d, seed + 1)
     best: tuple[float, Proposal] | None = None
-    for step in range(rounds):
+    for _ in range(rounds):
         unit, log_q = wide.nodes(base)
         log_p = total(unit, wide.key, "exact")
         ratio = ess(log_p - log_q) / n
         if best is None or ratio > best[0]:
             best = (ratio, wide)
-        if step > 0 and ratio >= enough:
+        if ratio >= enough:
             break
         wide = improved(unit, log_p, log_q, 0.3)
     assert best is not None
@@ -148,5 +170,4 @@ def weigh(
         space.log_prior(unit),
         {b: columns.of(messages[b], wide.key, unit, "exact") for b in blades},
         wide.key,
-        levels + step,
     )

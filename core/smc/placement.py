@@ -136,8 +136,8 @@ def descend(
     *,
     max_levels: int = 12,
     enough: float = 0.3,
-) -> tuple[Proposal, int]:
-    """Find a proposal that fits `target`; returns it and the number of levels.
+) -> Proposal:
+    """Find a proposal that fits `target`.
 
     target   log p(u, D) at nodes u (n, d); its second argument names the nodes, so that a caller
              can keep what it computed there
@@ -146,14 +146,14 @@ def descend(
     """
     base = sobol(scouts, len(start.mean), seed)
     proposal = start
-    for level in range(max_levels):
+    for _ in range(max_levels):
         u, log_q = proposal.nodes(base)
         log_p = target(u, proposal.key)
         fits = ess(floored(log_p) - log_q) >= enough * scouts
         proposal = improved(u, log_p, log_q, enough)
         if fits:
-            return proposal, level + 1
-    return proposal, max_levels
+            break
+    return proposal
 
 
 def floored(log_p: Array) -> Array:

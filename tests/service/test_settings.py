@@ -35,6 +35,12 @@ def test_a_child_process_gets_the_same_settings() -> None:
     assert Settings.load(settings.environ()) == settings
 
 
+def test_kernels_are_compiled_on_demand() -> None:
+    done = CliRunner().invoke(app, ["compile", "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["seconds"] > 0
+
+
 def test_the_help_of_serve_lists_every_setting() -> None:
     shown = CliRunner().invoke(app, ["serve", "--help"]).output
     assert [name for name in names() if name not in shown] == []
