@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-from service.settings import table
+import typer
+
+from service.bootstrap import make_app, make_store, prepare
+from service.cli import app as commands
+from service.fake import FakeScience
+from service.settings import Settings, table
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 
@@ -21,3 +27,28 @@ def test_every_setting_is_named_with_its_default() -> None:
 def test_the_two_commands_stand_in_the_readme() -> None:
     assert README.count("python3 -m venv") == 2
     assert "<!-- test command -->" in README
+
+
+def test_every_route_is_named_and_no_other(tmp_path: Path) -> None:
+    settings = Settings(database_url=f"sqlite:///{tmp_path / 'x.db'}")
+    store = make_store(settings)
+    prepare(store, settings)
+    paths = make_app(store, FakeScience(), settings).openapi()["paths"]
+    store.close()
+    served = {f"{method.upper()} {path}" for path, methods in paths.items() for method in methods}
+    assert set(re.findall(r"`((?:GET|POST|PUT|PATCH|DELETE) /[^`?]*)`", README)) == served
+
+
+def test_every_command_is_named_and_no_other() -> None:
+    def words(group: typer.Typer, before: str) -> set[str]:
+        found = set()
+        for command in group.registered_commands:
+            assert command.callback is not None
+            found.add(f"{before} {command.name or command.callback.__name__}")
+        for inner in group.registered_groups:
+            assert inner.typer_instance is not None
+            found |= words(inner.typer_instance, f"{before} {inner.name}")
+        return found
+
+    table_rows = re.findall(r"^\| `(bladetwin(?: [a-z]+)+)", README, re.MULTILINE)
+    assert {" ".join(row.split()[:3]) for row in table_rows} == words(commands, "bladetwin")

@@ -1,4 +1,4 @@
-"""The 66 training runs of the rotor blade at the default mesh, as `bladetwin model build` does them.
+"""The 66 training runs of the rotor blade, as `bladetwin model build` makes them.
 
     python tests/benchmarks/bench_campaign.py FOLDER [RUNS] [WORKERS]
 
