@@ -30,7 +30,7 @@ def main(folder: Path, runs: int, workers: int) -> None:
         )
     wall = time.monotonic() - start
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    size = sum(file.stat().st_size for file in archive.directory.rglob("*") if file.is_file())
+    size = sum(file.stat().st_size for file in archive.path.rglob("*") if file.is_file())
     print(
         f"{runs - before} runs, {workers} processes: {wall / 60:.1f} min wall, "
         f"{(used.ru_utime + used.ru_stime) / 60:.1f} min processor time, "
