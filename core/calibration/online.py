@@ -8,9 +8,11 @@ blade's readings only, and is kept.
 
 Quick (``quick=True``), the shared nodes stay where the previous state has them, the touched blades'
 messages are exact at these nodes, and every other blade moves through the weights. That is the
-classical particle-filter step; it is refused where too few nodes would carry the weight, and the
-state says that it is provisional until a sealed one follows, and which blades carry fewer draws
-until then. It reads and writes the touched blades' arrays only.
+classical particle-filter step. Where too few nodes would carry the weight it is tempered, so that
+the shared parameters are rather too wide than too sharp; where even that would not do, the nodes
+are placed anew at once. The state says that it is provisional until a sealed one follows, how far
+it is tempered, and which blades carry fewer draws until then. It reads and writes the touched
+blades' arrays only.
 """
 
 from __future__ import annotations
@@ -40,10 +42,11 @@ from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection, digest_of
 from core.rng import seed_of, stream
-from core.smc.particles import ess, log_sum_exp
+from core.smc.particles import log_sum_exp, tempering_exponent
 
 Array = NDArray[np.float64]
-QUICK_ESS = 0.1
+QUICK_ESS = 0.1  # share of the nodes that must carry the weight, tempered if need be
+LEAST_TEMPERING = 0.2  # below this exponent the nodes are placed anew at once
 MESSAGE_ERROR = 0.0005  # nat, root mean square against a dense reference
 MANY = 4  # touched blades for which a rough look comes first
 PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
@@ -66,6 +69,13 @@ class Workspace:
             while len(self.rows) > 2000:
                 self.rows.popitem(last=False)
         return self.rows[key]
+
+
+def tempering(log_w: Array) -> float:
+    """The exponent in [0, 1] that leaves `QUICK_ESS` of the nodes effective; NaN stays NaN."""
+    if np.isnan(log_w).any():
+        return float("nan")
+    return tempering_exponent(log_w, QUICK_ESS * len(log_w))
 
 
 def update(
@@ -146,7 +156,7 @@ class _Update:
 
         log p moves by the difference of these columns: no other blade is looked at. None where
         the shared parameters are others now, or too few nodes would carry the weight; where many
-        blades are touched, rough messages tell that first.
+        blades are touched, rough messages tell that first, and nothing is tempered.
         """
         if not self.fits(previous):
             return None
@@ -157,11 +167,13 @@ class _Update:
         for blade in sorted(previous.meta["readings"]):
             if blade not in unread:
                 rest -= old[f"column/{blade}"]
+        many = len(touched) > MANY
         log_p, columns = rest, dict[str, Array]()
-        for how in ("rough", "exact") if len(touched) > MANY else ("exact",):
+        for how in ("rough", "exact") if many else ("exact",):
             columns = {b: self.work.columns.of(self.messages[b], key, unit, how) for b in touched}
             log_p = rest + sum(columns.values(), np.zeros(len(unit)))
-            if not ess(log_p - old["shared/log_q"]) >= QUICK_ESS * len(unit):  # or not a number
+            beta = tempering(log_p - old["shared/log_q"])
+            if not beta >= (1.0 if many else LEAST_TEMPERING):  # or not a number
                 return None
         return log_p, columns
 
@@ -171,6 +183,8 @@ class _Update:
         """The state on the nodes of the one before; touched blades get fewer draws for now."""
         (log_p, columns), old, unread = found, previous.arrays, self.unread(previous)
         log_w = log_p - old["shared/log_q"]
+        beta = tempering(log_w)
+        log_w = beta * log_w
         unit, key = old["shared/unit"], bytes.fromhex(previous.meta["placement"])
         own = {"shared/log_p": log_p, "shared/log_w": log_w - log_sum_exp(log_w)}
         kept = {"shared/unit", "shared/x", "shared/log_q"}
@@ -184,7 +198,8 @@ class _Update:
                 continue
             own |= self.draws(blade, unit, key, count, columns.get(blade))
             thin.add(blade)
-        return self.state(own, old.over(own, kept), key, log_w, sealed=False, thin=thin)
+        arrays = old.over(own, kept)
+        return self.state(own, arrays, key, log_w, sealed=False, thin=thin, tempered=beta)
 
     def sealed(self, previous: RotorState | None) -> RotorState:
         """The state as a function of the readings alone; equal draws are taken from the last."""
@@ -246,6 +261,7 @@ class _Update:
         *,
         sealed: bool,
         thin: set[str],
+        tempered: float = 1.0,
     ) -> RotorState:
         """The value with its description."""
         for value in own.values():
@@ -267,7 +283,8 @@ class _Update:
             "local": [p.name for p in locals_of(self.model)],
             "blades": list(self.rotor.blades),
             "log_evidence": log_sum_exp(log_w) - float(np.log(nodes)),
-            "health": health(log_w, MESSAGE_ERROR * float(np.sqrt(max(len(self.messages), 1)))),
+            "health": health(log_w, MESSAGE_ERROR * float(np.sqrt(max(len(self.messages), 1))))
+            | {"tempered": round(tempered, 4)},
             "arrays": sorted(arrays),
         }
         return RotorState(meta, arrays, frozenset(own))

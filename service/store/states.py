@@ -13,14 +13,14 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from sqlalchemy import Connection, delete, exists, func, insert, select
+from sqlalchemy import Connection, Engine, delete, exists, func, insert, select, tuple_
 
 from core.errors import ModelError
 from service.errors import GoneError, NotFoundError, NotYetError
 from service.ports import Array, Get, StateRecord
 from service.store import tables as t
 from service.store.encoding import Encoded, decode
-from service.store.engine import now_s
+from service.store.engine import now_s, transaction
 
 Key = tuple[str, int, str]
 ENDED = Encoded("npy", "", "", "", b"")
@@ -137,14 +137,13 @@ def write_state(
         connection.execute(insert(t.state_array), rows)
 
 
-def thin(connection: Connection, rotor_id: str, newest: int, keep: int, every: int) -> None:
+def thin(engine: Engine, rotor_id: str, keep: int, every: int, chunk: int = 8) -> int:
     """Keep the `keep` newest versions and every `every`-th older one; drop what only others used.
 
     An array row of version a, replaced at version b, is needed while a kept version lies in
-    a … b-1. The log is never deleted.
+    a … b-1. Rows go in short transactions of `chunk`, so that no writer waits long; a thinning that
+    is cut goes on with the next. The log is never deleted. Returns the number of rows dropped.
     """
-    old = (t.state.c.rotor_id == rotor_id) & (t.state.c.version <= newest - keep)
-    connection.execute(delete(t.state).where(old, t.state.c.version % every != 0))
     row = t.state_array
     later = row.alias("later")
     replaced_at = (
@@ -162,6 +161,18 @@ def thin(connection: Connection, rotor_id: str, newest: int, keep: int, every: i
         t.state.c.version >= row.c.version,
         t.state.c.version < replaced_at,
     )
-    connection.execute(
-        delete(row).where(row.c.rotor_id == rotor_id, replaced_at.is_not(None), ~needed)
+    unneeded = select(row.c.name, row.c.version).where(
+        row.c.rotor_id == rotor_id, replaced_at.is_not(None), ~needed
     )
+    newest = select(func.max(t.state.c.version)).where(t.state.c.rotor_id == rotor_id)
+    old = (t.state.c.rotor_id == rotor_id) & (t.state.c.version % every != 0)
+    with transaction(engine, write=True) as connection:
+        last = connection.execute(newest).scalar() or 0
+        connection.execute(delete(t.state).where(old, t.state.c.version <= last - keep))
+    with transaction(engine, write=False) as connection:
+        doomed = [(r.name, r.version) for r in connection.execute(unneeded)]
+    for first in range(0, len(doomed), chunk):
+        keys = tuple_(row.c.name, row.c.version).in_(doomed[first : first + chunk])
+        with transaction(engine, write=True) as connection:
+            connection.execute(delete(row).where(row.c.rotor_id == rotor_id, keys))
+    return len(doomed)

@@ -94,6 +94,7 @@ class Updater:
         self.owner = owner
         self.role = role
         self._memory: OrderedDict[str, Memory] = OrderedDict()
+        self._thinned: dict[str, int] = {}
 
     @property
     def engine(self) -> Engine:
@@ -127,7 +128,7 @@ class Updater:
                 self.give_back(lease, task, error)
                 return True
         try:
-            self.commit(lease, task, state, change)
+            version = self.commit(lease, task, state, change)
         except LostLeaseError as error:
             self._memory.pop(lease.rotor_id, None)
             log.warning("%s", error)
@@ -142,6 +143,8 @@ class Updater:
             1e3 * (computed - read),
             1e3 * (perf_counter() - computed),
         )
+        if state.meta["sealed"]:
+            self.thin(lease.rotor_id, version)
         return True
 
     def read(self, lease: Lease) -> Task:
@@ -203,7 +206,13 @@ class Updater:
                 changed[name] = encoded
         return sha256, changed | dict.fromkeys(before.keys() - sha256.keys())
 
-    def commit(self, lease: Lease, task: Task, state: RotorState, change: Change) -> None:
+    def thin(self, rotor_id: str, version: int) -> None:
+        """Drop what no kept version needs, now and then; after a commit, for it may take long."""
+        if version - self._thinned.get(rotor_id, 0) >= THIN_EVERY:
+            self._thinned[rotor_id] = version
+            thin(self.engine, rotor_id, self.settings.keep_versions, self.settings.checkpoint_every)
+
+    def commit(self, lease: Lease, task: Task, state: RotorState, change: Change) -> int:
         """State and cursor in one transaction; LostLeaseError leaves the database as it was."""
         sha256, changed = change
         sealed = bool(state.meta["sealed"])
@@ -223,14 +232,12 @@ class Updater:
                 created_at=0.0,
             )
             write_state(connection, record, changed)
-            if version % THIN_EVERY == 0:
-                keep, every = self.settings.keep_versions, self.settings.checkpoint_every
-                thin(connection, lease.rotor_id, version, keep, every)
         memory = Memory(version, task.through, state, sha256, task.entries)
         self._memory[lease.rotor_id] = memory
         self._memory.move_to_end(lease.rotor_id)
         while len(self._memory) > self.settings.rotors_in_memory:
             self._memory.popitem(last=False)
+        return version
 
     def give_back(self, lease: Lease, task: Task | None, error: Exception) -> None:
         """Pause and try again, or block the rotor and name the entry that stops it."""

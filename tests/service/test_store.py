@@ -135,8 +135,9 @@ def test_thinning_keeps_new_versions_checkpoints_and_all_that_they_need(
     for version in range(1, 13):
         changed = {"always": float(version)} | ({"once": 7.5} if version == 2 else {})
         _write(store, version, **changed)
-    with store.write() as tx:
-        thin(tx.connection, rotor, newest=12, keep=3, every=4)
+    assert thin(store.engine, rotor, keep=3, every=4, chunk=2) == 7
+    assert thin(store.engine, rotor, keep=3, every=4) == 0
+    with store.read() as tx:
         kept = tx.connection.execute(select(t.state.c.version).order_by(t.state.c.version))
         assert list(kept.scalars()) == [4, 8, 10, 11, 12]
         rows = (

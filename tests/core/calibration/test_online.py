@@ -9,6 +9,7 @@ import pytest
 
 from core.calibration import online
 from core.calibration.online import RotorSpec, RotorState, Workspace, update
+from core.calibration.state import shared_posterior
 from core.errors import InputError
 from core.observation import Inspection
 from tests.core.calibration.bar import bar, measured
@@ -93,6 +94,29 @@ def test_a_reading_that_too_few_nodes_carry_is_sealed_at_once(before: RotorState
     state = update(MODEL, SPEC, [*READINGS, *far], before, quick=True)
     assert state.sealed
     assert state.meta["health"]["ess_ratio"] >= 0.3
+
+
+def test_a_surprising_reading_tempers_the_shared_level_until_it_is_sealed(
+    before: RotorState,
+) -> None:
+    surprise = replace(LATE, values=LATE.values * 0.77)
+    readings = [*READINGS, surprise]
+    state = update(MODEL, SPEC, readings, before, quick=True)
+    assert not state.sealed
+    health = state.meta["health"]
+    assert 0.2 <= health["tempered"] < 1.0
+    assert health["ess_ratio"] == pytest.approx(online.QUICK_ESS, abs=0.01)
+    exact = update(MODEL, SPEC, readings)
+    assert exact.meta["health"]["tempered"] == 1.0
+    assert update(MODEL, SPEC, readings, state).digest == exact.digest
+
+    def moments(of: RotorState) -> tuple[float, float]:
+        shared = shared_posterior(of.meta, of.arrays.__getitem__).particles
+        return float(shared.mean[0]), float(np.sqrt(shared.covariance[0, 0]))
+
+    (mean, sd), (true_mean, true_sd) = moments(state), moments(exact)
+    assert sd > 0.8 * true_sd, "tempered: not falsely sharp"
+    assert abs(mean - true_mean) < 3 * sd
 
 
 def test_a_state_of_another_algorithm_is_not_built_upon(before: RotorState) -> None:
