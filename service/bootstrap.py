@@ -82,7 +82,7 @@ def make_worker(
 
 def worker_command(owner: str, role: Role) -> list[str]:
     """The command line of a worker that ends with its parent."""
-    command = [sys.executable, "-m", "service.cli", "worker", "--role", role]
+    command = [sys.executable, "-P", "-m", "service.cli", "worker", "--role", role]
     return [*command, "--owner", owner, "--end-with-parent"]
 
 

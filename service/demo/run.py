@@ -30,6 +30,7 @@ from service.client import Client
 from service.demo.result import Result, collect
 from service.demo.stream import steps
 from service.progress import bar
+from service.worker.supervise import same_code
 
 ROTOR = "demo"
 console = Console(stderr=True)
@@ -60,8 +61,8 @@ def service(folder: Path, port: int | None = None) -> Iterator[Running]:
     environment["BLADETWIN_DATABASE_URL"] = f"sqlite:///{folder / 'bladetwin.db'}"
     with log.open("wb") as out:
         process = subprocess.Popen(
-            [sys.executable, "-m", "service.cli", "serve", "--port", str(chosen)],
-            env=environment,
+            [sys.executable, "-P", "-m", "service.cli", "serve", "--port", str(chosen)],
+            env=same_code(environment),
             stdout=out,
             stderr=out,
         )

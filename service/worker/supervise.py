@@ -15,9 +15,11 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from sqlalchemy import Engine
 
+import service
 from service.errors import StoreAwayError
 from service.worker.lease import Role, release
 from service.worker.loop import owner_name
@@ -25,6 +27,17 @@ from service.worker.loop import owner_name
 log = logging.getLogger("bladetwin.supervisor")
 HEALTHY_S = 5.0
 LONGEST_PAUSE_S = 10.0
+
+
+def same_code(environ: Mapping[str, str]) -> dict[str, str]:
+    """The environment of a child that runs this very code, wherever it is started from.
+
+    Python puts the current folder first, which may hold another copy (a checkout, say) with
+    kernels of its own still to be compiled; children are started with ``-P`` and this path.
+    """
+    root = str(Path(service.__file__).parent.parent)
+    paths = [root, *filter(None, environ.get("PYTHONPATH", "").split(os.pathsep))]
+    return {**environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
 
 
 @dataclass(slots=True)
@@ -50,7 +63,7 @@ class Supervisor:
         self._engine = engine
         self._roles = tuple(roles)
         self._command = command
-        self._environ = {**os.environ, **environ}
+        self._environ = same_code({**os.environ, **environ})
         self._children: list[Child] = []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="supervisor", daemon=True)

@@ -5,14 +5,20 @@ from __future__ import annotations
 import io
 import json
 import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+import service
 from core.errors import InputError
 from service.cli import app, main
 from service.settings import Settings, names
 from service.telemetry import JsonLines
+from service.worker.supervise import same_code
 
 
 def test_a_setting_comes_from_the_environment_and_an_argument_overrides_it() -> None:
@@ -79,3 +85,19 @@ def test_every_command_has_help_and_a_wrong_setting_is_one_line(
     told = capsys.readouterr().err
     assert told.startswith("bladetwin: BLADETWIN_PROT")
     assert told.count("\n") == 1
+
+
+def test_a_child_runs_the_code_of_its_parent_wherever_it_starts(tmp_path: Path) -> None:
+    """A folder that holds another `service` does not come first; without the path it would."""
+    (tmp_path / "service").mkdir()
+    (tmp_path / "service" / "__init__.py").write_text("raise SystemExit('another copy')\n")
+
+    def told(flags: list[str], environ: dict[str, str]) -> str:
+        command = [sys.executable, *flags, "-c", "import service; print(service.__file__)"]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False
+        )
+        return done.stdout.strip() or done.stderr.strip()
+
+    assert told(["-P"], same_code(dict(os.environ))) == service.__file__
+    assert told([], dict(os.environ)) == "another copy", "negative control"
