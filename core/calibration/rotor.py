@@ -5,7 +5,8 @@
 The shared nodes are placed in two steps. A descent on rough messages finds where the posterior is
 (`core.smc.placement`). What the rough messages miss is smooth: a quadratic through the difference
 at a few places mends them, and a second descent ends where the exact messages at the nodes give
-even weights; else the nodes move once more. Everything is a function of the set of readings;
+even weights. Where that fails (small noise, on which rough messages are worst), the nodes start
+again where the first descent ended, and at last from a descent on the exact messages. Everything is a function of the set of readings;
 the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
 """
 
@@ -144,24 +145,36 @@ def weigh(
         lambda unit, key: total(unit, key, "rough"), start_of(space, messages), scouts, seed
     )
     assert proposal.chol is not None
-    wide = Proposal(proposal.mean, proposal.chol * 1.5)
-    unit, log_q = wide.nodes(sobol(32, d, seed + 2))
-    exact, rough = (total(unit, wide.key, how) for how in ("exact", "rough"))
+    rough_end = Proposal(proposal.mean, proposal.chol * 1.5)
+    unit, log_q = rough_end.nodes(sobol(32, d, seed + 2))
+    exact, rough = (total(unit, rough_end.key, how) for how in ("exact", "rough"))
     missing = quadratic(unit, exact - rough, exact - log_q)
-    wide = descend(lambda unit, key: total(unit, key, "rough") + missing(unit), wide, scouts, seed)
+    wide = descend(
+        lambda unit, key: total(unit, key, "rough") + missing(unit), rough_end, scouts, seed
+    )
     n = node_count(d)
     base = sobol(n, d, seed + 1)
-    best: tuple[float, Proposal] | None = None
-    for _ in range(rounds):
-        unit, log_q = wide.nodes(base)
-        log_p = total(unit, wide.key, "exact")
-        ratio = ess(log_p - log_q) / n
-        if best is None or ratio > best[0]:
-            best = (ratio, wide)
-        if ratio >= enough:
-            break
-        wide = improved(unit, log_p, log_q, 0.3)
-    assert best is not None
+
+    def settled(start: Proposal, turns: int) -> tuple[float, Proposal]:
+        """The best share of effective nodes on the way from `start`, and its proposal."""
+        best = (-1.0, start)
+        for _ in range(turns):
+            unit, log_q = start.nodes(base)
+            log_p = total(unit, start.key, "exact")
+            best = max(best, (ess(log_p - log_q) / n, start), key=lambda found: found[0])
+            if best[0] >= enough:
+                break
+            start = improved(unit, log_p, log_q, 0.3)
+        return best
+
+    best = settled(wide, 3)
+    if best[0] < enough:  # the rough messages misled: start where they alone led
+        best = max(best, settled(rough_end, rounds), key=lambda found: found[0])
+    if best[0] < enough:  # or look at nothing but the exact messages
+        exactly = descend(
+            lambda unit, key: total(unit, key, "exact"), start_of(space, messages), scouts, seed
+        )
+        best = max(best, settled(exactly, rounds), key=lambda found: found[0])
     wide = best[1]
     unit, log_q = wide.nodes(base)
     return Weighed(

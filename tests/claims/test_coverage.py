@@ -21,6 +21,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say_and_a_wrong_spread_does_n
     for name, values in study.pit.items():
         far = 4 * study.spread(name, 0.68)
         assert abs(study.share(name, 0.68) - 0.68) < far, (name, len(values))
+    assert study.ess_ratio.min() >= 0.3
     narrow = run(model, rotors=8, blades=10, times=TIMES_H, seed=20, particles=1000, exaggerate=0.4)
     locals_ = [p.name for p in model.network.of_level("local")]
     shares = [narrow.share(name, 0.68) for name in locals_]
@@ -31,6 +32,7 @@ def test_the_kept_study_covers() -> None:
     """The study that is kept: every share within three standard errors, no rotor dropped."""
     kept = json.loads(RESULT.read_text())
     assert kept["rotors"] >= 60
+    assert kept["least_ess_ratio"] >= 0.3
     for name, row in kept["coverage"].items():
         assert row["truths"] in (kept["rotors"], kept["rotors"] * kept["blades"]), name
     for name in ("t1t_rate", "sigma_obs.elongation"):
