@@ -6,8 +6,9 @@ The shared nodes are placed in two steps. A descent on rough messages finds wher
 (`core.smc.placement`). What the rough messages miss is smooth: a quadratic through the difference
 at a few places mends them, and a second descent ends where the exact messages at the nodes give
 even weights. Where that fails (small noise, on which rough messages are worst), the nodes start
-again where the first descent ended, and at last from a descent on the exact messages. Everything is a function of the set of readings;
-the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
+again where the first descent ended, and at last from a descent on the exact messages. Everything
+is a function of the set of readings; the columns are kept, so that a new reading costs one blade's
+columns as long as the nodes stay.
 """
 
 from __future__ import annotations
