@@ -183,4 +183,4 @@ def draws(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, u, z, out, log_w): 
         collapse_shared(a, exponents, factors[k], ca)
         collapse_shared(b, exponents, factors[k], cb)
         collapse_shared(v, exponents, factors[k], cv)
-        draw(ca, cb, cv, y, s2[k], ka2, kb2, dim, u[k], z[k], out[k], log_w[k])
+        draw(ca, cb, cv, y[k], s2[k], ka2, kb2, dim, u[k], z[k], out[k], log_w[k])

@@ -60,7 +60,7 @@ def message(a, b, v, y, s2, ka2, kb2, dim, rough):  # type: ignore[no-untyped-de
 def messages(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, rough, out):  # type: ignore[no-untyped-def]
     """Messages at K values of the shared parameters.
 
-    a, b, v (R, M); factors (K, M); s2 (K, R) noise variances; out (K,).
+    a, b, v (R, M); factors (K, M); y and s2 (K, R) readings and noise variances; out (K,).
     """
     rows, p = a.shape[0], 0
     for q in range(exponents.shape[0]):
@@ -73,4 +73,4 @@ def messages(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, rough, out):  # 
         collapse_shared(a, exponents, factors[k], ca)
         collapse_shared(b, exponents, factors[k], cb)
         collapse_shared(v, exponents, factors[k], cv)
-        out[k] = message(ca, cb, cv, y, s2[k], ka2, kb2, dim, rough)
+        out[k] = message(ca, cb, cv, y[k], s2[k], ka2, kb2, dim, rough)

@@ -35,7 +35,6 @@ class Packed:
     a: Array
     b: Array
     v: Array
-    y: Array
     ka2: Array
     kb2: Array
     exponents: NDArray[np.int64]
@@ -57,7 +56,6 @@ def pack(model: Model, rows: BladeRows) -> Packed:
         np.ascontiguousarray(response.a),
         np.ascontiguousarray(response.b),
         np.ascontiguousarray(response.log_v),
-        rows.y,
         response.ka**2,
         response.kb**2,
         exponents,
@@ -85,8 +83,12 @@ def _factors(
     return out
 
 
-def _noise(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Array]:
-    """Noise variances (n, R), and the log density of the scans' remainders (n,)."""
+def _readings(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Array, Array]:
+    """Readings (n, R), their noise variances (n, R), and what no local parameter moves (n,).
+
+    The last is the log density of the scans' remainders.
+    """
+    y = np.tile(rows.y, (len(x), 1))
     s2 = np.empty((len(x), len(rows.sigma)))
     for r, sigma in enumerate(rows.sigma):
         s2[:, r] = (x[:, space.names.index(sigma)] if isinstance(sigma, str) else sigma) ** 2
@@ -99,7 +101,7 @@ def _noise(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Array]
             else np.full(len(x), d.sigma)
         )
         rest -= 0.5 * d.rss / s**2 + 0.5 * d.dof * np.log(2 * np.pi * s**2)
-    return s2, rest
+    return y, s2, rest
 
 
 def _split(n: int) -> list[slice]:
@@ -151,7 +153,7 @@ class BladeMessage:
         u[:, :, 0] = np.repeat(strata, share, axis=1)
         out, log_w = np.empty((k, per_node, 3)), np.empty((k, per_node))
         rest = self._at(unit, drawing.draws, (), (u, z, out, log_w))
-        constant = p.offset - 0.5 * len(p.y) * math.log(2 * math.pi) - p.dim * math.log(2.0)
+        constant = p.offset - 0.5 * len(self.rows.y) * math.log(2 * math.pi) - p.dim * math.log(2.0)
         log_w += constant - math.log(per_node) + (rest - column)[:, None]
         if not np.all(log_w < np.inf):  # neither NaN nor an unbounded weight
             raise CalibrationError(
@@ -174,12 +176,12 @@ class BladeMessage:
         """
         x, p = self.space.to_x(unit), self.packed
         factors = _factors(self.model, self.rows, self.space, x, self.fixed)
-        s2, rest = _noise(self.rows, self.space, x)
+        y, s2, rest = _readings(self.rows, self.space, x)
         rows = (p.a, p.b, p.v, p.exponents)
 
         def work(part: slice) -> None:
             own = (array[part] for array in per_node)
-            function(*rows, factors[part], p.y, s2[part], p.ka2, p.kb2, p.dim, *options, *own)
+            function(*rows, factors[part], y[part], s2[part], p.ka2, p.kb2, p.dim, *options, *own)
 
         list(_POOL.map(work, _split(len(x))))
         return rest
