@@ -30,6 +30,7 @@ from core.errors import InputError
 Array = NDArray[np.float64]
 Level = Literal["local", "shared", "known", "dormant"]
 SCHEMA = 1
+MOST_LOCAL = 12  # local parameters of a blade; the rows' polynomials grow too large beyond
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,11 +180,11 @@ class Network:
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
                 raise InputError(what, twice, "are declared twice", "give each name once")
-        if len(self.of_level("local")) > 3:
+        if len(self.of_level("local")) > MOST_LOCAL:
             raise InputError(
                 "local parameters",
                 [p.name for p in self.of_level("local")],
-                "are more than three",
+                f"are more than {MOST_LOCAL}",
                 "declare some as shared, known or dormant",
             )
 

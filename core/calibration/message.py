@@ -47,8 +47,9 @@ def pack(model: Model, rows: BladeRows) -> Packed:
     response = rows.response
     inner = [response.names.index(p.name) for p in locals_of(model)]
     table = multi_indices(len(response.names), response.degree)
-    exponents = np.zeros((len(table), 3), dtype=np.int64)
-    exponents[:, 3 - len(inner) :] = table[:, inner]
+    places = max(3, len(inner))
+    exponents = np.zeros((len(table), places), dtype=np.int64)
+    exponents[:, places - len(inner) :] = table[:, inner]
     offset = sum(
         math.log(p.prior.high - p.prior.low) for p in locals_of(model) if p.prior.kind == "normal"
     )
@@ -160,7 +161,7 @@ class BladeMessage:
                 f"{int(np.sum(~(log_w < np.inf)))} draws of a blade have no weight; its readings: "
                 f"{self.rows.y.tolist()[:12]}"
             )
-        return _natural(self.model, out[:, :, 3 - p.dim :]), log_w
+        return natural(self.model, out[:, :, 3 - p.dim :]), log_w
 
     def _at(
         self,
@@ -203,7 +204,7 @@ def prior_draws(
     )
 
 
-def _natural(model: Model, scaled: Array) -> Array:
+def natural(model: Model, scaled: Array) -> Array:
     low = np.array([p.prior.low for p in locals_of(model)])
     high = np.array([p.prior.high for p in locals_of(model)])
     return np.asarray(low + 0.5 * (scaled + 1) * (high - low))

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.draws import SHARE
+from core.calibration.collapsed import message_of
 from core.calibration.message import BladeMessage, prior_draws
 from core.calibration.rotor import Columns, node_count, weigh
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
@@ -106,7 +107,7 @@ def update(
     space = shared_space(model, rows.values())
     known = rotor.known or {}
     messages = {
-        b: BladeMessage(model, r, space, nominal(model, known.get(b))) for b, r in rows.items()
+        b: message_of(model, r, space, nominal(model, known.get(b))) for b, r in rows.items()
     }
     made = _Update(model, rotor, space, messages, work, digest_of(inspections), len(inspections))
     if quick and previous is not None:

@@ -1,0 +1,281 @@
+"""A blade's message with many local parameters: tempered particles in the quadrature's place.
+
+    m_b(s) = ∫ p(l) L(l, s) dl = E_q [ L(l, s) / q(l | s) ],       l in the box, D parameters
+
+Nested quadrature costs a factor of ten for each parameter. Here the parameters are split, blade by
+blade: *thin* ones t, along which the readings fix the rest to a bell narrower than the box, and
+*broad* ones f. Given f, the bell in t is found and drawn from at each node of the shared parameters
+(`collapsed_kernels`), so that what is left, L / q(t), is a smooth function of f alone: the readings'
+tubes and sheets are collapsed, however thin. The broad parameters come from a proposal that
+tempered particles find for all nodes together (`core.smc.tempered`). Where it fits a node badly,
+such nodes get a split and a proposal of their own.
+
+Points are quasi-random and common to the nodes, so most of what error is left cancels between them.
+The message is the average over `REPLICATES` independently scrambled sets; their scatter is the
+error that the state reports. Everything is seeded by the blade's rows and the nodes. One bell in
+the thin parameters is assumed at each f; the broad ones may have several modes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration import collapsed_kernels as kernels
+from core.calibration.message import BladeMessage, natural
+from core.calibration.target import BladeRows, SharedSpace, locals_of
+from core.errors import CalibrationError
+from core.model import Model
+from core.response import multi_indices
+from core.rng import seed_of
+from core.smc.placement import sobol
+from core.smc.tempered import Kernels, effective, tempered
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+POINTS = 1024  # of each node; a rough message takes a quarter
+REPLICATES = 4
+SCOUTS = 256  # points of each round of tempering
+MEMBERS = 16  # nodes that the tempering looks at
+THIN = 10.0  # curvature, on the box [−1, 1], from which a parameter is thin
+CARRIED = 0.05  # share of effective points below which a node gets a proposal of its own
+TURNS = 6
+_ERRORS: OrderedDict[tuple[str, bytes], float] = OrderedDict()
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Broad and thin parameters, and where each monomial of the rows goes."""
+
+    broad: tuple[int, ...]
+    thin: tuple[int, ...]
+    place: Index
+    starts: Index
+    rise: tuple[Index, Index]
+    tables: tuple[Index, Index, Index, Index]
+
+    @property
+    def options(self) -> tuple[object, ...]:
+        """What the compiled functions need of it."""
+        return self.place, self.starts, self.rise, self.tables
+
+
+def _ladder(table: Index) -> tuple[Index, Index, Index]:
+    """For each monomial a lower one and the variable between; and by variable the lower one."""
+    where = {tuple(e): q for q, e in enumerate(table.tolist())}
+    parent, var = np.zeros(len(table), np.int64), np.zeros(len(table), np.int64)
+    down = np.zeros_like(table)
+    for q, e in enumerate(table.tolist()):
+        for j in range(len(e)):
+            if e[j]:
+                lower = where[(*e[:j], e[j] - 1, *e[j + 1 :])]
+                down[q, j] = parent[q] = lower
+                var[q] = j
+    return parent, var, down
+
+
+@lru_cache(maxsize=64)
+def split_of(exponents: bytes, places: int, thin: tuple[int, ...]) -> Split:
+    """The split for local exponents (M, places), as bytes, and the thin places."""
+    table = np.frombuffer(exponents, dtype=np.int64).reshape(-1, places)
+    broad = tuple(j for j in range(places) if j not in thin)
+    degree = int(table.sum(axis=1).max())
+    of_f, of_t = multi_indices(len(broad), degree), multi_indices(len(thin), degree)
+    left = degree - of_t.sum(axis=1)
+    many = np.array([int(np.sum(of_f.sum(axis=1) <= n)) for n in left])
+    starts = np.concatenate([[0], np.cumsum(many)]).astype(np.int64)
+    where_f = {tuple(e): q for q, e in enumerate(of_f.tolist())}
+    where_t = {tuple(e): q for q, e in enumerate(of_t.tolist())}
+    place = np.array(
+        [
+            starts[where_t[tuple(t)]] + where_f[tuple(f)]
+            for f, t in zip(table[:, list(broad)].tolist(), table[:, list(thin)].tolist())
+        ],
+        dtype=np.int64,
+    )
+    parent_f, var_f, _ = _ladder(of_f)
+    parent_t, var_t, down = _ladder(of_t)
+    return Split(
+        broad, thin, place, starts, (parent_f, var_f), (parent_t, var_t, of_t.copy(), down)
+    )
+
+
+def thin_places(curvature: Array) -> tuple[int, ...]:
+    """Parameters to collapse: pivots of the curvature (D, D), as long as it stays above `THIN`.
+
+    After a pivot, what is left is the curvature of the others once that parameter adapts.
+    """
+    left, found = curvature.copy(), list[int]()
+    for _ in range(len(left)):
+        rest = np.where(np.isin(np.arange(len(left)), found), -np.inf, np.diag(left))
+        j = int(np.argmax(rest))
+        if found and rest[j] < THIN:
+            break
+        found.append(j)
+        left = left - np.outer(left[:, j], left[j]) / left[j, j]
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How the nodes `members` of a column are integrated."""
+
+    members: Index
+    split: Split
+    proposal: Kernels
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A column (K,), the error of each of its values (K,) [nat], and the plans behind it."""
+
+    column: Array
+    error: Array
+    plans: tuple[Plan, ...]
+
+
+class CollapsedMessage(BladeMessage):
+    """The message of one blade's readings where it has many local parameters."""
+
+    @cached_property
+    def _fits(self) -> OrderedDict[tuple[bytes, bool], Fit]:
+        return OrderedDict()
+
+    def column(self, unit: Array, rough: bool = False) -> Array:
+        """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
+        return self.fit(unit, rough).column
+
+    def error(self, unit: Array) -> float:
+        """Root mean square error of the column at these nodes [nat], from its replicates."""
+        key = (self.name, unit.tobytes())
+        if key not in _ERRORS:
+            self.fit(unit)
+        return _ERRORS[key]
+
+    def fit(self, unit: Array, rough: bool = False) -> Fit:
+        """The column with its error and its plans."""
+        key = (unit.tobytes(), rough)
+        if key not in self._fits:
+            self._fits[key] = self._fitted(unit, POINTS // 4 if rough else POINTS)
+            while len(self._fits) > 2:
+                self._fits.popitem(last=False)
+            if not rough:
+                error = self._fits[key].error
+                _ERRORS[self.name, key[0]] = float(np.sqrt(np.mean(error**2)))
+                while len(_ERRORS) > 20_000:
+                    _ERRORS.popitem(last=False)
+        return self._fits[key]
+
+    def draws(
+        self, unit: Array, per_node: int, rng: np.random.Generator, column: Array
+    ) -> tuple[Array, Array]:
+        """Weighted local parameters at each node; see `BladeMessage.draws`."""
+        p = self.packed
+        out, log_w = np.empty((len(unit), per_node, p.dim)), np.empty((len(unit), per_node))
+        base = sobol(2 ** math.ceil(math.log2(per_node)), 1 + p.dim, int(rng.integers(2**63)))
+        shift = rng.random((len(unit), 1, 1 + p.dim))
+        for plan in self.fit(unit).plans:
+            own = np.clip((base[:per_node] + shift[plan.members]) % 1.0, 1e-9, 1 - 1e-9)
+            f, log_q = plan.proposal.points(own.reshape(-1, 1 + p.dim)[:, : 1 + len(plan.split.broad)])
+            f = f.reshape(len(plan.members), per_node, -1)
+            u = np.ascontiguousarray(own[:, :, 1 + len(plan.split.broad) :])
+            t, ratio = self._weighed(unit[plan.members], plan.split, f, u)
+            out[np.ix_(plan.members, range(per_node), plan.split.broad)] = f
+            out[np.ix_(plan.members, range(per_node), plan.split.thin)] = t
+            log_w[plan.members] = ratio - log_q.reshape(ratio.shape)
+        log_w -= math.log(per_node) + column[:, None]
+        if not np.all(log_w < np.inf):  # neither NaN nor an unbounded weight
+            raise CalibrationError(
+                f"{int(np.sum(~(log_w < np.inf)))} draws of a blade have no weight; its readings: "
+                f"{self.rows.y.tolist()[:12]}"
+            )
+        return natural(self.model, out), log_w
+
+    @property
+    def _exponents(self) -> Index:
+        p = self.packed
+        return np.ascontiguousarray(p.exponents[:, p.exponents.shape[1] - p.dim :])
+
+    def _weighed(self, unit: Array, split: Split, f: Array, u: Array) -> tuple[Array, Array]:
+        """Thin parameters t (K, n, T) drawn at f (K, n, F), and log L p / q(t), (K, n)."""
+        t, log_w = np.empty(u.shape), np.empty(u.shape[:2])
+        rest = self._at(unit, kernels.weigh, split.options, (f, u, t, log_w))
+        p = self.packed
+        constant = p.offset - 0.5 * len(self.rows.y) * math.log(2 * math.pi)
+        return t, log_w + (rest + constant - p.dim * math.log(2.0))[:, None]
+
+    def _log_weights(self, unit: Array, split: Split, proposal: Kernels, base: Array) -> Array:
+        """log of L p / q at every node for points of the unit cube (n, 1 + D), (K, n)."""
+        broad, k = len(split.broad), len(unit)
+        f, log_q = proposal.points(base[:, : 1 + broad])
+        u = base[:, 1 + broad :]
+        _, ratio = self._weighed(
+            unit, split, np.repeat(f[None], k, axis=0), np.repeat(u[None], k, axis=0)
+        )
+        return ratio - log_q
+
+    def _split(self, unit: Array) -> Split:
+        """The split at the node nearest to the middle of these."""
+        p, d = self.packed, self.packed.dim
+        middle = np.argmin(np.sum((unit - unit.mean(axis=0)) ** 2, axis=1))
+        exponents = self._exponents
+        every = split_of(exponents.tobytes(), d, tuple(range(d)))
+        mode, curvature = np.zeros((1, d)), np.empty((1, d, d))
+        self._at(unit[middle : middle + 1], kernels.curvatures, every.options, (mode, curvature))
+        assert p.dim == d
+        return split_of(exponents.tobytes(), d, thin_places(curvature[0]))
+
+    def _fitted(self, unit: Array, points: int) -> Fit:
+        d = self.packed.dim
+        seed = seed_of(0, self.name, unit.tobytes().hex()) % 2**62
+        column, error = np.empty(len(unit)), np.empty(len(unit))
+        todo, plans = np.arange(len(unit)), list[Plan]()
+        n = points // REPLICATES
+        base = np.concatenate([sobol(n, 1 + d, seed + 100 + r) for r in range(REPLICATES)])
+        for turn in range(TURNS):
+            split = self._split(unit[todo])
+            broad = len(split.broad)
+            seen = unit[todo[:: -(-len(todo) // MEMBERS)]]
+
+            def target(f: Array, seen: Array = seen, split: Split = split, turn: int = turn) -> Array:
+                u = sobol(len(f), d - len(split.broad), seed + 50 + turn)
+                k = len(seen)
+                return self._weighed(
+                    seen, split, np.repeat(f[None], k, axis=0), np.repeat(u[None], k, axis=0)
+                )[1]
+
+            proposal = Kernels.uniform(broad)
+            if broad:
+                proposal, _ = tempered(target, broad, SCOUTS, seed + 10 * turn)
+            log_w = self._log_weights(unit[todo], split, proposal, base)
+            carried = effective(log_w) >= CARRIED * points
+            if turn == TURNS - 1 or not carried.any():
+                carried[:] = turn == TURNS - 1
+            done = todo[carried]
+            top = log_w[carried].max(axis=1, keepdims=True)
+            parts = np.exp(log_w[carried] - top).reshape(len(done), REPLICATES, n).mean(axis=2)
+            mean = parts.mean(axis=1)
+            column[done] = top[:, 0] + np.log(mean)
+            error[done] = parts.std(axis=1, ddof=1) / mean / math.sqrt(REPLICATES)
+            if len(done):
+                plans.append(Plan(done, split, proposal))
+            todo = todo[~carried]
+            if not len(todo):
+                break
+        return Fit(column, error, tuple(plans))
+
+
+MANY = 4  # local parameters from which particles take the quadrature's place
+
+
+def message_of(
+    model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]
+) -> BladeMessage:
+    """The message of these rows: by quadrature up to three local parameters, else by particles."""
+    kind = CollapsedMessage if len(locals_of(model)) >= MANY else BladeMessage
+    return kind(model, rows, space, fixed)
