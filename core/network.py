@@ -30,7 +30,7 @@ from core.errors import InputError
 Array = NDArray[np.float64]
 Level = Literal["local", "shared", "known", "dormant"]
 SCHEMA = 1
-MOST_LOCAL = 12  # local parameters of a blade; the rows' polynomials grow too large beyond
+MOST_LOCAL = 10  # local parameters of a blade; the rows' polynomials grow too large beyond
 
 
 @dataclass(frozen=True, slots=True)

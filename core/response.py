@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,8 @@ def multi_indices(d: int, degree: int) -> NDArray[np.int64]:
     >>> multi_indices(2, 2).tolist()
     [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
     """
-    found = [e for e in product(range(degree + 1), repeat=d) if sum(e) <= degree]
+    chosen = (c for n in range(degree + 1) for c in combinations_with_replacement(range(d), n))
+    found = [tuple(c.count(j) for j in range(d)) for c in chosen]
     found.sort(key=lambda e: (sum(e), e))
     table = np.array(found, dtype=np.int64).reshape(len(found), d)
     table.flags.writeable = False

@@ -42,7 +42,9 @@ POINTS = 1024  # of each node; a rough message takes a quarter
 REPLICATES = 4
 SCOUTS = 256  # points of each round of tempering
 MEMBERS = 16  # nodes that the tempering looks at
-THIN = 10.0  # curvature, on the box [−1, 1], from which a parameter is thin
+THIN = 4.0  # curvature, on the box [−1, 1], from which a parameter may be thin
+OFF_BELL = 0.4  # nats by which its profile may miss a bell's at `REACH` standard deviations
+REACH = 2.5
 CARRIED = 0.05  # share of effective points below which a node gets a proposal of its own
 TURNS = 6
 _ERRORS: OrderedDict[tuple[str, bytes], float] = OrderedDict()
@@ -105,20 +107,21 @@ def split_of(exponents: bytes, places: int, thin: tuple[int, ...]) -> Split:
     )
 
 
-def thin_places(curvature: Array) -> tuple[int, ...]:
-    """Parameters to collapse: pivots of the curvature (D, D), as long as it stays above `THIN`.
+def pivots(curvature: Array) -> tuple[list[int], list[float]]:
+    """Parameters by falling curvature, as long as it stays above `THIN`, and the curvatures.
 
-    After a pivot, what is left is the curvature of the others once that parameter adapts.
+    After a pivot, what is left of (D, D) is the curvature of the others once that one adapts.
     """
-    left, found = curvature.copy(), list[int]()
+    left, found, values = curvature.copy(), list[int](), list[float]()
     for _ in range(len(left)):
         rest = np.where(np.isin(np.arange(len(left)), found), -np.inf, np.diag(left))
         j = int(np.argmax(rest))
         if found and rest[j] < THIN:
             break
         found.append(j)
+        values.append(float(rest[j]))
         left = left - np.outer(left[:, j], left[j]) / left[j, j]
-    return tuple(found)
+    return found, values
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,13 +180,14 @@ class CollapsedMessage(BladeMessage):
         """Weighted local parameters at each node; see `BladeMessage.draws`."""
         p = self.packed
         out, log_w = np.empty((len(unit), per_node, p.dim)), np.empty((len(unit), per_node))
-        base = sobol(2 ** math.ceil(math.log2(per_node)), 1 + p.dim, int(rng.integers(2**63)))
-        shift = rng.random((len(unit), 1, 1 + p.dim))
+        base = sobol(2 ** math.ceil(math.log2(per_node)), p.dim, int(rng.integers(2**63)))
+        shift = rng.random((len(unit), 1, p.dim))
         for plan in self.fit(unit).plans:
             own = np.clip((base[:per_node] + shift[plan.members]) % 1.0, 1e-9, 1 - 1e-9)
-            f, log_q = plan.proposal.points(own.reshape(-1, 1 + p.dim)[:, : 1 + len(plan.split.broad)])
-            f = f.reshape(len(plan.members), per_node, -1)
-            u = np.ascontiguousarray(own[:, :, 1 + len(plan.split.broad) :])
+            broad = len(plan.split.broad)
+            f, log_q = plan.proposal.points(own[:, :, :broad].reshape(-1, broad))
+            f = f.reshape(len(plan.members), per_node, broad)
+            u = np.ascontiguousarray(own[:, :, broad:])
             t, ratio = self._weighed(unit[plan.members], plan.split, f, u)
             out[np.ix_(plan.members, range(per_node), plan.split.broad)] = f
             out[np.ix_(plan.members, range(per_node), plan.split.thin)] = t
@@ -210,10 +214,10 @@ class CollapsedMessage(BladeMessage):
         return t, log_w + (rest + constant - p.dim * math.log(2.0))[:, None]
 
     def _log_weights(self, unit: Array, split: Split, proposal: Kernels, base: Array) -> Array:
-        """log of L p / q at every node for points of the unit cube (n, 1 + D), (K, n)."""
+        """log of L p / q at every node for points of the unit cube (n, D), (K, n)."""
         broad, k = len(split.broad), len(unit)
-        f, log_q = proposal.points(base[:, : 1 + broad])
-        u = base[:, 1 + broad :]
+        f, log_q = proposal.points(base[:, :broad])
+        u = base[:, broad:]
         _, ratio = self._weighed(
             unit, split, np.repeat(f[None], k, axis=0), np.repeat(u[None], k, axis=0)
         )
@@ -227,8 +231,23 @@ class CollapsedMessage(BladeMessage):
         every = split_of(exponents.tobytes(), d, tuple(range(d)))
         mode, curvature = np.zeros((1, d)), np.empty((1, d, d))
         self._at(unit[middle : middle + 1], kernels.curvatures, every.options, (mode, curvature))
-        assert p.dim == d
-        return split_of(exponents.tobytes(), d, thin_places(curvature[0]))
+        thin, sharp = pivots(curvature[0])
+        steps = REACH / 2 * np.array([0.0, -1.0, -2.0, 1.0, 2.0])
+        while len(thin) > 1:  # the widest is thin only if its profile is a bell
+            split, at = split_of(exponents.tobytes(), d, tuple(thin[:-1])), thin[-1]
+            f = np.repeat(mode[:, None, :], len(steps), axis=1)
+            f[0, :, at] += steps / math.sqrt(sharp[-1])
+            inside = np.abs(f[0, :, at]) <= 1.0
+            f = np.ascontiguousarray(np.clip(f, -1.0, 1.0)[:, :, list(split.broad)])
+            u = np.full((1, len(steps), len(split.thin)), 0.5)
+            _, mass = self._weighed(unit[middle : middle + 1], split, f, u)
+            drop = mass[0, 0] - mass[0]
+            near, far = drop[[1, 3]], drop[[2, 4]]
+            off = np.abs(far - 2 * near - REACH**2 / 4)  # a parabola, with a slope at a bound
+            if np.all((off < OFF_BELL) | ~inside[[2, 4]] | (near > 8.0)):
+                break
+            thin, sharp = thin[:-1], sharp[:-1]
+        return split_of(exponents.tobytes(), d, tuple(thin))
 
     def _fitted(self, unit: Array, points: int) -> Fit:
         d = self.packed.dim
@@ -236,7 +255,7 @@ class CollapsedMessage(BladeMessage):
         column, error = np.empty(len(unit)), np.empty(len(unit))
         todo, plans = np.arange(len(unit)), list[Plan]()
         n = points // REPLICATES
-        base = np.concatenate([sobol(n, 1 + d, seed + 100 + r) for r in range(REPLICATES)])
+        base = np.concatenate([sobol(n, d, seed + 100 + r) for r in range(REPLICATES)])
         for turn in range(TURNS):
             split = self._split(unit[todo])
             broad = len(split.broad)

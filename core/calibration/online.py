@@ -48,7 +48,6 @@ from core.smc.particles import log_sum_exp, tempering_exponent
 Array = NDArray[np.float64]
 QUICK_ESS = 0.1  # share of the nodes that must carry the weight, tempered if need be
 LEAST_TEMPERING = 0.2  # below this exponent the nodes are placed anew at once
-MESSAGE_ERROR = 0.0005  # nat, root mean square against a dense reference
 MANY = 4  # touched blades for which a rough look comes first
 PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
 
@@ -200,7 +199,8 @@ class _Update:
             own |= self.draws(blade, unit, key, count, columns.get(blade))
             thin.add(blade)
         arrays = old.over(own, kept)
-        return self.state(own, arrays, key, log_w, sealed=False, thin=thin, tempered=beta)
+        error = self.message_error(unit, previous)
+        return self.state(own, arrays, key, log_w, error, sealed=False, thin=thin, tempered=beta)
 
     def sealed(self, previous: RotorState | None) -> RotorState:
         """The state as a function of the readings alone; equal draws are taken from the last."""
@@ -228,7 +228,8 @@ class _Update:
                 own |= self.draws(blade, weighed.unit, weighed.key, count, column)
         below = previous.arrays if previous is not None else Arrays.EMPTY
         arrays = below.over(own, kept)
-        return self.state(own, arrays, weighed.key, log_w, sealed=True, thin=set())
+        error = self.message_error(weighed.unit)
+        return self.state(own, arrays, weighed.key, log_w, error, sealed=True, thin=set())
 
     def draws(
         self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
@@ -253,12 +254,25 @@ class _Update:
         out = {f"blade/{blade}/local": local, f"blade/{blade}/log_w": log_w}
         return out if column is None else out | {f"column/{blade}": column}
 
+    def message_error(self, unit: Array, previous: RotorState | None = None) -> float:
+        """Root mean square error of log p at the nodes [nat], over all blades' messages.
+
+        The unread blades' share is that of the state before, where one is given.
+        """
+        unread = set() if previous is None else self.unread(previous) & set(self.messages)
+        square = sum(m.error(unit) ** 2 for b, m in self.messages.items() if b not in unread)
+        if previous is not None and unread:
+            before: float = previous.meta["health"]["message_error_nat"]
+            square += before**2 * len(unread) / len(previous.meta["readings"])
+        return float(np.sqrt(square))
+
     def state(
         self,
         own: Mapping[str, Array],
         arrays: Arrays,
         key: bytes,
         log_w: Array,
+        message_error: float,
         *,
         sealed: bool,
         thin: set[str],
@@ -284,7 +298,7 @@ class _Update:
             "local": [p.name for p in locals_of(self.model)],
             "blades": list(self.rotor.blades),
             "log_evidence": log_sum_exp(log_w) - float(np.log(nodes)),
-            "health": health(log_w, MESSAGE_ERROR * float(np.sqrt(max(len(self.messages), 1))))
+            "health": health(log_w, message_error)
             | {"tempered": round(tempered, 4)},
             "arrays": sorted(arrays),
         }

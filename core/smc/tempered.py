@@ -21,84 +21,87 @@ the box is proposed never.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
+from core.smc.particles import weighted_quantile
 from core.smc.placement import sobol
 
 Array = NDArray[np.float64]
 FLOOR = 0.1
+CELLS = 96  # of each coordinate
 LEAST = 0.125  # share of the points that stay effective in each target
 ROUNDS = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Kernels:
-    """Mixture of normal kernels with independent coordinates, each cut at the box [−1, 1]^d.
+    """Mixture of J normal kernels with independent coordinates on the box [−1, 1]^d, in cells.
 
-    centres (J, d), weight (J,) sums to one, width (d,). J = 0 stands for the uniform box.
+    Every coordinate has its own C cells; a kernel is constant inside a cell and has the normal's
+    mass there. So the distribution of a coordinate given those before it is a table, and points of
+    the cube are carried to the box by inverting d such tables (Rosenblatt 1952): a map without
+    jumps, which keeps what quasi-random points are good for.
+
+    weight (J,) sums to one; edges (d, C + 1); mass (d, J, C), each row sums to one.
     """
 
-    centres: Array
     weight: Array
-    width: Array
+    edges: Array
+    mass: Array
 
     @staticmethod
     def uniform(d: int) -> Kernels:
-        return Kernels(np.empty((0, d)), np.empty(0), np.ones(d))
+        return Kernels(np.ones(1), np.tile([-1.0, 1.0], (d, 1)), np.ones((d, 1, 1)))
 
     @staticmethod
     def around(x: Array, weight: Array) -> Kernels:
-        """Kernels at points x (n, d); the widths by Silverman's rule for their effective number."""
+        """Kernels at points x (n, d); the widths by Silverman's rule for their effective number.
+
+        Half of the cells hold equal shares of the points, half are even.
+        """
         d = x.shape[1]
         size = 1.0 / np.sum(weight**2)
         spread = np.sqrt(weight @ (x - weight @ x) ** 2)
-        width = np.maximum(spread, 1e-9) * (4.0 / ((d + 2) * size)) ** (1.0 / (d + 4))
+        width = np.maximum(spread, 1e-6) * (4.0 / ((d + 2) * size)) ** (1.0 / (d + 4))
         kept = np.flatnonzero(weight > 1e-6 * weight.max())
-        kept = kept[np.argsort(x[kept, 0], kind="stable")] if d else kept
-        return Kernels(x[kept], weight[kept] / weight[kept].sum(), width)
-
-    @property
-    def dim(self) -> int:
-        return self.centres.shape[1]
+        x, weight = x[kept], weight[kept] / weight[kept].sum()
+        edges = np.empty((d, CELLS + 1))
+        mass = np.empty((d, len(x) + 1, CELLS))
+        for j in range(d):
+            shares = np.linspace(0.0, 1.0, CELLS // 2 + 1)[1:-1]
+            inner = weighted_quantile(x[:, j], weight, shares)
+            reach = np.sort(np.clip(inner + 1e-9 * np.arange(len(inner)), -1.0, 1.0))
+            even = np.linspace(-1.0, 1.0, CELLS // 2 + 2)
+            edges[j] = np.sort(np.concatenate([even, reach]))
+            f = ndtr((edges[j] - x[:, j, None]) / width[j])
+            own = np.maximum(np.diff(f, axis=1), 0.0)
+            mass[j, 1:] = own / np.maximum(own.sum(axis=1, keepdims=True), 1e-300)
+            mass[j, 0] = 0.5 * np.diff(edges[j])
+        return Kernels(np.concatenate([[FLOOR], (1.0 - FLOOR) * weight]), edges, mass)
 
     def points(self, base: Array) -> tuple[Array, Array]:
-        """Points (n, d) from points of the unit cube (n, 1 + d), and log q at each."""
-        x = 2.0 * base[:, 1:] - 1.0
-        if len(self.centres) and self.dim:
-            mixed = base[:, 0] >= FLOOR
-            place = (base[mixed, 0] - FLOOR) / (1.0 - FLOOR)
-            of = np.minimum(
-                np.searchsorted(np.cumsum(self.weight), place), len(self.weight) - 1
-            )
-            low, high = self._ends()
-            f = low[of] + base[mixed, 1:] * (high[of] - low[of])
-            x[mixed] = np.clip(self.centres[of] + self.width * ndtri(f), -1.0, 1.0)
-        return x, self.log_density(x)
-
-    def log_density(self, x: Array) -> Array:
-        """log q at x (n, d), a density over the box."""
-        flat = -self.dim * math.log(2.0)
-        if not (len(self.centres) and self.dim):
-            return np.full(len(x), flat)
-        low, high = self._ends()
-        scale = self.weight / np.prod((high - low) * self.width * math.sqrt(2 * math.pi), axis=1)
-        square = np.zeros((len(x), len(self.centres)))
-        for j in range(self.dim):
-            square += ((x[:, j, None] - self.centres[:, j]) / self.width[j]) ** 2
-        total: Array = np.exp(-0.5 * square) @ scale
-        return np.asarray(np.log(FLOOR * math.exp(flat) + (1.0 - FLOOR) * total))
-
-    def _ends(self) -> tuple[Array, Array]:
-        return (
-            np.asarray(ndtr((-1.0 - self.centres) / self.width)),
-            np.asarray(ndtr((1.0 - self.centres) / self.width)),
-        )
+        """Points (n, d) from points of the unit cube (n, d), and log q at each, a density."""
+        n, d = base.shape
+        x, log_q = np.empty((n, d)), np.zeros(n)
+        share = np.repeat(self.weight[None], n, axis=0)
+        row = np.arange(n)
+        for j in range(d):
+            up = np.cumsum(share @ self.mass[j], axis=1)
+            aim = base[:, j] * up[:, -1]
+            cell = np.minimum(np.sum(up <= aim[:, None], axis=1), up.shape[1] - 1)
+            below = np.where(cell > 0, up[row, cell - 1], 0.0)
+            here = np.maximum(up[row, cell] - below, 1e-300)
+            low, wide = self.edges[j, cell], np.diff(self.edges[j])[cell]
+            x[:, j] = low + np.clip((aim - below) / here, 0.0, 1.0) * wide
+            log_q += np.log(here / up[:, -1]) - np.log(np.maximum(wide, 1e-300))
+            share = share * self.mass[j][:, cell].T
+            share /= share.sum(axis=1, keepdims=True)
+        return np.clip(x, -1.0, 1.0), log_q
 
 
 def effective(log_w: Array) -> Array:
@@ -128,7 +131,7 @@ def tempered(
     """
     proposal, reached = Kernels.uniform(d), 0
     for turn in range(rounds):
-        x, log_q = proposal.points(sobol(n, 1 + d, seed + turn))
+        x, log_q = proposal.points(sobol(n, d, seed + turn))
         log_w = log_target(x) - log_q
         log_w = np.maximum(log_w, log_w.max(axis=1, keepdims=True) - 1e7)
         beta = temperatures(log_w, LEAST * n)

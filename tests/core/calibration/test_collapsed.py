@@ -1,0 +1,155 @@
+"""Messages of many local parameters by tempered particles, held to the quadrature's 0.01 nat."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.calibration import collapsed
+from core.calibration.collapsed import CollapsedMessage, message_of
+from core.calibration.message import BladeMessage
+from core.calibration.online import update
+from core.calibration.state import RotorSpec, blade_posterior, shared_posterior
+from core.calibration.target import assemble, shared_space
+from core.errors import InputError
+from core.model import Model
+from core.network import Network, Parameter, Prior
+from core.observation import Inspection
+from core.smc.tempered import Kernels
+from tests.core.calibration.bar import bar, creep
+from tests.core.calibration.linear import exact_column, exact_locals, linear
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def linear_readings(times: tuple[float, ...], sigma: float) -> list[Inspection]:
+    rng = np.random.default_rng(5)
+    return [
+        Inspection(f"r{t}", "b0", "y", t, np.array([1.5 + rng.normal()]), sigma=sigma)
+        for t in times
+    ]
+
+
+def message_for(
+    model: Model, data: list[Inspection], kind: type[BladeMessage] = CollapsedMessage
+) -> BladeMessage:
+    rows = assemble(model, data)
+    assert rows is not None
+    return kind(model, rows, shared_space(model, [rows]), {})
+
+
+@pytest.mark.parametrize(("many", "sigma"), [(4, 0.01), (6, 0.15), (8, 0.15)])
+def test_a_linear_network_has_its_exact_message_and_local_moments(many: int, sigma: float) -> None:
+    data = linear_readings((0.2, 0.9, 1.7), sigma)
+    message = message_for(linear(many), data)
+    unit = np.linspace(0.42, 0.6, 32)[:, None]
+    s = 2.0 - 4.0 + 8.0 * unit[:, 0]
+    column = message.column(unit)
+    assert rms(column - exact_column(data, s, many)) < 0.01
+    values, log_w = message.draws(unit[::8], 1200, np.random.default_rng(3), column[::8])
+    for k, at in enumerate(s[::8]):
+        mean, cov = exact_locals(data, float(at), many)
+        w = np.exp(log_w[k])
+        assert w.sum() == pytest.approx(1.0, abs=0.05)
+        size = w.sum() ** 2 / (w @ w)
+        off = (w / w.sum()) @ values[k] - mean
+        assert np.all(np.abs(off) < 4 * np.sqrt(np.diag(cov) / size))
+        spread = (w / w.sum()) @ (values[k] - mean) ** 2
+        assert np.sqrt(spread) == pytest.approx(np.sqrt(np.diag(cov)), rel=0.15)
+
+
+CASES = [
+    ((1.0, 0.0, 0.0), (8e3, 16e3, 24e3), 0.03),
+    ((0.93, -0.37, -0.76), (8e3, 16e3, 24e3, 32e3), 0.0018),  # a thin tube
+    ((0.7, 2.8, -2.5), (8e3, 24e3, 50e3), 0.01),  # at the bounds
+    ((0.99, -1.55, -1.46), (8e3,), 0.0028),  # a thin sheet through the box
+]
+
+
+def creep_message(case: tuple, kind: type[BladeMessage]) -> BladeMessage:
+    truth, times, sigma = case
+    rng, rate = np.random.default_rng(1), 0.93
+    x = np.array([[truth[0], rate, truth[1], truth[2]]])
+    data = [
+        Inspection(f"i{t}", "b", "y", t, creep(x, t) + sigma * rng.standard_normal(1), sigma=sigma)
+        for t in times
+    ]
+    return message_for(MODEL, data, kind)
+
+
+MODEL = bar()
+UNIT = np.linspace(0.6, 0.7, 32)[:, None]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_three_local_parameters_agree_with_the_quadrature(case: tuple) -> None:
+    """Everything that is left, a tilt with s included; a part common to all nodes may be larger."""
+    exact = creep_message(case, BladeMessage).column(UNIT)
+    message = creep_message(case, CollapsedMessage)
+    off = message.column(UNIT) - exact
+    assert rms(off - off.mean()) < 0.01
+    assert rms(off) < 0.02
+    assert rms(off) < 4 * message.error(UNIT) + 0.001
+
+
+def test_particles_that_are_not_moved_do_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Negative control: broad parameters from the prior, and a bell in all parameters at once."""
+    case = CASES[1]
+    exact = creep_message(case, BladeMessage).column(UNIT)
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            collapsed, "tempered", lambda target, d, n, seed: (Kernels.uniform(d), False)
+        )
+        patch.setattr(collapsed, "CARRIED", 0.0)
+        off = creep_message(case, CollapsedMessage).column(UNIT) - exact
+        assert rms(off - off.mean()) > 0.01
+    monkeypatch.setattr(collapsed, "OFF_BELL", np.inf)
+    off = creep_message(case, CollapsedMessage).column(UNIT) - exact
+    assert rms(off) > 0.1
+
+
+def test_a_column_depends_on_readings_and_nodes_alone() -> None:
+    first, other = (creep_message(CASES[0], CollapsedMessage) for _ in range(2))
+    other.column(UNIT[::2])
+    other.draws(UNIT[::2], 24, np.random.default_rng(1), other.column(UNIT[::2]))
+    assert np.array_equal(first.column(UNIT), other.column(UNIT))
+    column = first.column(UNIT)
+    drawn = [m.draws(UNIT, 24, np.random.default_rng(7), column) for m in (first, other)]
+    assert np.array_equal(drawn[0][0], drawn[1][0])
+    assert np.array_equal(drawn[0][1], drawn[1][1])
+
+
+def test_a_rotor_with_six_local_parameters_updates_quick_and_sealed() -> None:
+    model, data = linear(6), linear_readings((0.2, 0.9), 0.15)
+    spec = RotorSpec("r", ("b0", "b1"), particles=2400, seed=3)
+    before = update(model, spec, data[:1])
+    quick = update(model, spec, data, before, quick=True)
+    assert not quick.sealed
+    sealed = update(model, spec, data, quick)
+    assert sealed.digest == update(model, spec, data[::-1]).digest
+    assert 0 < sealed.meta["health"]["message_error_nat"] < 0.02
+    get = sealed.arrays.__getitem__
+    grid = np.linspace(-2.0, 6.0, 4001)
+    log_p = exact_column(data, grid, 6) - 0.5 * ((grid - 2.0) / 0.5) ** 2
+    w = np.exp(log_p - log_p.max()) / np.exp(log_p - log_p.max()).sum()
+    mean = w @ grid
+    sd = np.sqrt(w @ (grid - mean) ** 2)
+    shared = shared_posterior(sealed.meta, get).particles
+    assert abs(shared.mean[0] - mean) < 0.1 * sd
+    assert np.sqrt(shared.covariance[0, 0]) == pytest.approx(sd, rel=0.08)
+    blade = blade_posterior(sealed.meta, get, "b0").particles
+    assert blade.psi.shape[1] == 7
+
+
+def test_the_path_follows_the_number_of_local_parameters() -> None:
+    data = linear_readings((0.2,), 0.15)
+    for many, kind in ((3, BladeMessage), (4, CollapsedMessage)):
+        model = linear(many)
+        rows = assemble(model, data)
+        assert rows is not None
+        assert type(message_of(model, rows, shared_space(model, [rows]), {})) is kind
+    crowd = tuple(Parameter(f"l{j}", "local", Prior("uniform", 0.0, 1.0)) for j in range(11))
+    with pytest.raises(InputError, match="more than 10"):
+        Network("crowd", crowd, ())
