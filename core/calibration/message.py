@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from core.calibration import draws as drawing
 from core.calibration import kernel
 from core.calibration.target import BladeRows, SharedSpace, locals_of
+from core.calibration.vector import LANES
 from core.errors import CalibrationError
 from core.model import Model
 from core.response import multi_indices
@@ -40,6 +40,36 @@ class Packed:
     exponents: NDArray[np.int64]
     dim: int
     offset: float
+
+    @property
+    def rows(self) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+        return self.a, self.b, self.v, self.exponents
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """Shared nodes in blocks of `LANES` that lie close together.
+
+    order    node numbers as the blocks take them; the last one fills the last block
+    factors  (N, M, LANES), y and s2 (N, R, LANES)
+    rest     what no local parameter moves, (n,) in the nodes' own order
+    """
+
+    order: NDArray[np.int64]
+    factors: Array
+    y: Array
+    s2: Array
+    rest: Array
+
+    def of(self, part: slice) -> tuple[Array, Array, Array]:
+        return self.factors[part], self.y[part], self.s2[part]
+
+    def back(self, blocks: Array) -> Array:
+        """Values by block (N, LANES, …) in the nodes' own order (n, …)."""
+        flat = blocks.reshape(-1, *blocks.shape[2:])[: len(self.order)]
+        out = np.empty_like(flat)
+        out[self.order] = flat
+        return out
 
 
 def pack(model: Model, rows: BladeRows) -> Packed:
@@ -131,9 +161,24 @@ class BladeMessage:
 
     def column(self, unit: Array, rough: bool = False) -> Array:
         """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
-        out = np.empty(len(unit))
-        rest = self._at(unit, kernel.messages, (rough,), (out,))
-        return out + rest + self.packed.offset
+        blocks, p = self._blocks(unit), self.packed
+        out = np.empty((len(blocks.factors), LANES))
+
+        def work(part: slice) -> None:
+            given = (*p.rows, *blocks.of(part), p.ka2, p.kb2)
+            if p.dim == 3:
+                kernel.volume_messages(*given, rough, out[part])
+            else:
+                (kernel.plane_messages if p.dim == 2 else kernel.line_messages)(*given, out[part])
+
+        list(_POOL.map(work, _split(len(out))))
+        return blocks.back(out) + blocks.rest + self._constant
+
+    @property
+    def _constant(self) -> float:
+        """Constants of the normal densities and of the uniform priors on [-1, 1]."""
+        p = self.packed
+        return p.offset - 0.5 * len(p.ka2) * math.log(2 * math.pi) - p.dim * math.log(2.0)
 
     def draws(
         self, unit: Array, per_node: int, rng: np.random.Generator, column: Array
@@ -144,47 +189,47 @@ class BladeMessage:
         the exact message `column` (K,), so that a node's weights sum to one on average; dividing by
         their own sum instead would bias every mean by the order of 1 / per_node.
         """
-        k, p = len(unit), self.packed
-        u, z = rng.random((k, per_node, 6)), rng.standard_normal((k, per_node, 2))
+        blocks, p = self._blocks(unit), self.packed
+        n = len(blocks.factors)
+        u = rng.random((n, LANES, per_node, 6))
         share = drawing.SHARE if p.dim == 3 else 1
         groups = per_node // share
         assert groups * share == per_node, "particles per node must be whole groups"
-        strata = (np.arange(groups) + rng.random((k, groups))) / groups
-        u[:, :, 0] = np.repeat(strata, share, axis=1)
-        out, log_w = np.empty((k, per_node, 3)), np.empty((k, per_node))
-        rest = self._at(unit, drawing.draws, (), (u, z, out, log_w))
-        constant = p.offset - 0.5 * len(self.rows.y) * math.log(2 * math.pi) - p.dim * math.log(2.0)
-        log_w += constant - math.log(per_node) + (rest - column)[:, None]
-        if not np.all(log_w < np.inf):  # neither NaN nor an unbounded weight
-            raise CalibrationError(
-                f"{int(np.sum(~(log_w < np.inf)))} draws of a blade have no weight; its readings: "
-                f"{self.rows.y.tolist()[:12]}"
-            )
-        return _natural(self.model, out[:, :, 3 - p.dim :]), log_w
-
-    def _at(
-        self,
-        unit: Array,
-        function: Callable[..., None],
-        options: tuple[object, ...],
-        per_node: tuple[Array, ...],
-    ) -> Array:
-        """Run a compiled function at every node, nodes shared out to threads.
-
-        per_node   arrays that it reads or fills, by node
-        Returns the log density of the scans' remainders at each node, (n,).
-        """
-        x, p = self.space.to_x(unit), self.packed
-        factors = _factors(self.model, self.rows, self.space, x, self.fixed)
-        y, s2, rest = _readings(self.rows, self.space, x)
-        rows = (p.a, p.b, p.v, p.exponents)
+        strata = (np.arange(groups) + rng.random((n, LANES, groups))) / groups
+        u[..., 6 - 2 * p.dim] = np.repeat(strata, share, axis=2)
+        out, log_w = np.empty((n, LANES, per_node, 3)), np.empty((n, LANES, per_node))
 
         def work(part: slice) -> None:
-            own = (array[part] for array in per_node)
-            function(*rows, factors[part], y[part], s2[part], p.ka2, p.kb2, p.dim, *options, *own)
+            given = (*p.rows, *blocks.of(part), p.ka2, p.kb2)
+            if p.dim == 3:
+                kernel.volume_draws(*given, u[part], out[part], log_w[part])
+            else:
+                kernel.fewer_draws(*given, p.dim, u[part], out[part], log_w[part])
 
-        list(_POOL.map(work, _split(len(x))))
-        return rest
+        list(_POOL.map(work, _split(n)))
+        shift = self._constant - math.log(per_node) + (blocks.rest - column)[:, None]
+        weights = blocks.back(log_w) + shift
+        if not np.all(weights < np.inf):  # neither NaN nor an unbounded weight
+            raise CalibrationError(
+                f"{int(np.sum(~(weights < np.inf)))} draws of a blade have no weight; its "
+                f"readings: {self.rows.y.tolist()[:12]}"
+            )
+        return _natural(self.model, blocks.back(out)[:, :, 3 - p.dim :]), weights
+
+    def _blocks(self, unit: Array) -> Blocks:
+        """What the compiled functions need of the nodes, in blocks of like ones."""
+        x = self.space.to_x(unit)
+        factors = _factors(self.model, self.rows, self.space, x, self.fixed)
+        y, s2, rest = _readings(self.rows, self.space, x)
+        order = np.argsort(unit[:, 0], kind="stable")
+        blocks = -(-len(unit) // LANES)
+        padded = np.concatenate([order, np.repeat(order[-1:], blocks * LANES - len(order))])
+
+        def laid(values: Array) -> Array:
+            parts = values[padded].reshape(blocks, LANES, -1)
+            return np.ascontiguousarray(parts.transpose(0, 2, 1))
+
+        return Blocks(order, laid(factors), laid(y), laid(s2), rest)
 
 
 def prior_draws(
