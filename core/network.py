@@ -146,6 +146,8 @@ class Quantity:
     node         node used when a reading of a field names none
     numerical    relative standard error of the simulation itself (mesh, time steps, compiled
                  polynomials): counted as the surrogate's, in likelihood and prediction
+    level        of the network that measures it, from 1: the posterior of a level is the prior of
+                 the next (`core.calibration.levels`)
     """
 
     name: str
@@ -156,6 +158,7 @@ class Quantity:
     high: float
     node: str | None = None
     numerical: float = 0.0
+    level: int = 1
 
     @property
     def sigma_name(self) -> str:
@@ -179,12 +182,11 @@ class Network:
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
                 raise InputError(what, twice, "are declared twice", "give each name once")
-        if len(self.of_level("local")) > 3:
+        levels = {q.level for q in self.quantities}
+        gap = set(range(1, max(levels, default=1))) - levels
+        if gap or min(levels, default=1) < 1:
             raise InputError(
-                "local parameters",
-                [p.name for p in self.of_level("local")],
-                "are more than three",
-                "declare some as shared, known or dormant",
+                "levels", sorted(levels), "leave a level without a quantity", "count from 1 up"
             )
 
     def of_level(self, level: Level) -> tuple[Parameter, ...]:
@@ -210,7 +212,12 @@ class Network:
         )
 
     def to_json(self) -> dict[str, Any]:
-        return {"schema": SCHEMA, **asdict(self)}
+        """A plain dictionary; a level of 1 is left out."""
+        out = {"schema": SCHEMA, **asdict(self)}
+        for quantity in out["quantities"]:
+            if quantity["level"] == 1:
+                del quantity["level"]
+        return out
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Network:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import blake2b
 from itertools import pairwise
 
 import numpy as np
@@ -39,19 +40,23 @@ class Packed:
     kb2: Array
     exponents: NDArray[np.int64]
     dim: int
+    local: tuple[int, ...]
     offset: float
 
 
 def pack(model: Model, rows: BladeRows) -> Packed:
-    """Local inputs in the places (outer, middle, inner), filled from the right."""
+    """Local inputs in the places (outer, middle, inner), filled from the right.
+
+    Those that the rows do not depend on are left out; where none is left, one place is integrated
+    over without effect. `local` are the places of the rest among all local parameters.
+    """
     response = rows.response
-    inner = [response.names.index(p.name) for p in locals_of(model)]
+    touched = locals_of(model, response.names)
+    inner = [response.names.index(p.name) for p in touched]
     table = multi_indices(len(response.names), response.degree)
     exponents = np.zeros((len(table), 3), dtype=np.int64)
     exponents[:, 3 - len(inner) :] = table[:, inner]
-    offset = sum(
-        math.log(p.prior.high - p.prior.low) for p in locals_of(model) if p.prior.kind == "normal"
-    )
+    offset = sum(math.log(p.prior.high - p.prior.low) for p in touched if p.prior.kind == "normal")
     return Packed(
         np.ascontiguousarray(response.a),
         np.ascontiguousarray(response.b),
@@ -59,7 +64,8 @@ def pack(model: Model, rows: BladeRows) -> Packed:
         response.ka**2,
         response.kb**2,
         exponents,
-        len(inner),
+        max(len(inner), 1),
+        tuple(locals_of(model).index(p) for p in touched),
         offset,
     )
 
@@ -125,6 +131,14 @@ class BladeMessage:
         return f"{self.model.digest} {self.rows.digest} {known} {'/'.join(self.space.names)}"
 
     @cached_property
+    def digest(self) -> str:
+        """Of the readings, and of the known inputs where there are any."""
+        if not self.fixed:
+            return self.rows.digest
+        text = self.rows.digest + repr(sorted(self.fixed.items()))
+        return blake2b(text.encode(), digest_size=16).hexdigest()
+
+    @cached_property
     def packed(self) -> Packed:
         """The rows in the compiled functions' layout, made when first needed."""
         return pack(self.model, self.rows)
@@ -160,7 +174,12 @@ class BladeMessage:
                 f"{int(np.sum(~(log_w < np.inf)))} draws of a blade have no weight; its readings: "
                 f"{self.rows.y.tolist()[:12]}"
             )
-        return _natural(self.model, out[:, :, 3 - p.dim :]), log_w
+        touched = _natural(self.model, p.local, out[:, :, 3 - len(p.local) :])
+        if len(p.local) == len(locals_of(self.model)):
+            return touched, log_w
+        values, _ = prior_draws(self.model, k, per_node, rng)
+        values[:, :, p.local] = touched
+        return values, log_w
 
     def _at(
         self,
@@ -196,14 +215,16 @@ def prior_draws(
     n = len(strata)
     for j in range(len(parameters)):
         strata[:, j] = (rng.permutation(n) + strata[:, j]) / n
-    values = np.stack([p.prior.quantile(strata[:, j]) for j, p in enumerate(parameters)], axis=1)
+    values = np.empty_like(strata)
+    for j, p in enumerate(parameters):
+        values[:, j] = p.prior.quantile(strata[:, j])
     return (
         values.reshape(nodes, per_node, len(parameters)),
         np.full((nodes, per_node), -math.log(per_node)),
     )
 
 
-def _natural(model: Model, scaled: Array) -> Array:
-    low = np.array([p.prior.low for p in locals_of(model)])
-    high = np.array([p.prior.high for p in locals_of(model)])
+def _natural(model: Model, places: Sequence[int], scaled: Array) -> Array:
+    priors = [locals_of(model)[j].prior for j in places]
+    low, high = np.array([p.low for p in priors]), np.array([p.high for p in priors])
     return np.asarray(low + 0.5 * (scaled + 1) * (high - low))

@@ -30,6 +30,7 @@ from core.calibration.draws import SHARE
 from core.calibration.message import BladeMessage, prior_draws
 from core.calibration.rotor import Columns, node_count, weigh
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
+from core.calibration.stored import StoredPosterior
 from core.calibration.target import (
     BladeRows,
     SharedSpace,
@@ -86,11 +87,14 @@ def update(
     *,
     quick: bool = False,
     workspace: Workspace | None = None,
+    prior: StoredPosterior | None = None,
 ) -> RotorState:
     """The state after these readings (all that count, in any order).
 
     previous   the state before; only a quick update looks at it
-    Raises InputError for a reading of a blade that the rotor does not have.
+    prior      of shared parameters, from the posterior of another network (`stored`)
+    Raises InputError for a reading of a blade that the rotor does not have, or that the prior has
+    seen.
     """
     work = workspace or Workspace()
     if previous is not None and previous.meta["algorithm_version"] != ALGORITHM:
@@ -103,11 +107,14 @@ def update(
             )
         by_blade.setdefault(reading.blade, []).append(reading)
     rows = {b: work.rows_of(model, by_blade[b]) for b in sorted(by_blade)}
-    space = shared_space(model, rows.values())
+    space = shared_space(model, rows.values(), prior)
     known = rotor.known or {}
     messages = {
-        b: BladeMessage(model, r, space, nominal(model, known.get(b))) for b, r in rows.items()
+        b: BladeMessage(model, r, space, nominal(model, r.response.names, known.get(b)))
+        for b, r in rows.items()
     }
+    if prior is not None:
+        prior.check(model, rotor.id, {b: m.digest for b, m in messages.items()})
     made = _Update(model, rotor, space, messages, work, digest_of(inspections), len(inspections))
     if quick and previous is not None:
         log_w = made.reweighted(previous)
@@ -128,9 +135,15 @@ class _Update:
     events_digest: str
     events: int
 
+    @property
+    def prior(self) -> dict[str, Any] | None:
+        """The stored posterior that is the prior, if one is."""
+        joint = self.space.joint
+        return dict(joint.summary) if joint is not None else None
+
     @cached_property
     def readings(self) -> dict[str, str]:
-        return {b: m.rows.digest for b, m in self.messages.items()}
+        return {b: m.digest for b, m in self.messages.items()}
 
     def per_node(self, nodes: int, particles: int) -> int:
         """Draws at each node: whole groups, so that every stratum counts alike."""
@@ -149,7 +162,8 @@ class _Update:
         """True where the state before speaks of the same rotor, model and shared parameters."""
         same = {"model": self.model.digest, "rotor": self.rotor.id, "seed": self.rotor.seed}
         same |= {"shared": list(self.space.names), "local": [p.name for p in locals_of(self.model)]}
-        return all(previous.meta[name] == value for name, value in same.items())
+        same |= {"prior": self.prior}
+        return all(previous.meta.get(name) == value for name, value in same.items())
 
     def reweighted(self, previous: RotorState) -> tuple[Array, dict[str, Array]] | None:
         """log p at the nodes of the state before, and the touched blades' columns.
@@ -235,7 +249,7 @@ class _Update:
         """The blade's particle set at these nodes, from a stream of its own."""
         found = self.work.draws
         rotor, message = self.rotor, self.messages.get(blade)
-        reading = "" if message is None else message.rows.digest
+        reading = "" if message is None else message.digest
         name = (self.model.digest, rotor.id, str(rotor.seed), blade, reading, str(per_node))
         # a blade without a reading is drawn from its prior, wherever the nodes stand
         nodes = key.hex() + "/".join(self.space.names) if message is not None else str(len(unit))
@@ -287,6 +301,8 @@ class _Update:
             | {"tempered": round(tempered, 4)},
             "arrays": sorted(arrays),
         }
+        if self.prior is not None:
+            meta["prior"] = self.prior
         return RotorState(meta, arrays, frozenset(own))
 
 

@@ -14,13 +14,14 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.scans import Dense, scan_rows
 from core.errors import InputError
-from core.model import Model
+from core.model import Model, Stacked
 from core.network import Parameter, Prior
 from core.observation import Inspection, digest_of
 from core.response import Response, multi_indices
@@ -54,12 +55,23 @@ class BladeRows:
         return tuple(sorted(set(names)))
 
 
+class JointPrior(Protocol):
+    """A prior of several shared parameters together, in place of their own ones."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def summary(self) -> Mapping[str, Any]: ...
+    def log_density(self, unit: Array) -> Array: ...
+
+
 @dataclass(frozen=True, slots=True)
 class SharedSpace:
     """The shared parameters as a unit box: physical ones first, then the noise of each quantity."""
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
+    joint: JointPrior | None = None
 
     @property
     def dim(self) -> int:
@@ -76,20 +88,39 @@ class SharedSpace:
     def log_prior(self, unit: Array) -> Array:
         """Log density with respect to the unit box, (n,)."""
         total = np.zeros(len(unit))
+        together = () if self.joint is None else self.joint.names
+        if self.joint is not None:
+            total += self.joint.log_density(unit[:, [self.names.index(n) for n in together]])
         for j, prior in enumerate(self.priors):
+            if self.names[j] in together:
+                continue
             low, high = prior.box
             total += prior.log_density_u(low + unit[:, j] * (high - low)) + math.log(high - low)
         return total
 
 
-def shared_space(model: Model, rows: Iterable[BladeRows]) -> SharedSpace:
+def shared_prior(model: Model, name: str) -> Prior:
+    """The declared prior of a shared parameter, physical or a noise."""
+    for p in model.network.of_level("shared"):
+        if p.name == name:
+            return p.prior
+    for q in model.network.quantities:
+        if q.sigma_name == name:
+            return q.sigma_obs
+    raise InputError("shared parameter", name, "does not exist here", "declare it, with its bounds")
+
+
+def shared_space(
+    model: Model, rows: Iterable[BladeRows], joint: JointPrior | None = None
+) -> SharedSpace:
     """Shared parameters that the readings can speak of; a noise nobody measured keeps its prior."""
     physical = model.network.of_level("shared")
-    met = {name for r in rows for name in r.shared_sigmas}
+    met = {name for r in rows for name in r.shared_sigmas} | set(joint.names if joint else ())
     noises = [q for q in model.network.quantities if q.sigma_name in met]
     return SharedSpace(
         (*(p.name for p in physical), *(q.sigma_name for q in noises)),
         (*(p.prior for p in physical), *(q.sigma_obs for q in noises)),
+        joint,
     )
 
 
@@ -125,7 +156,7 @@ def _node_of(model: Model, reading: Inspection) -> list[int] | None:
         return None
     if reading.nodes is not None:
         return [int(n) for n in reading.nodes]
-    return [model.surrogate.named[quantity.node or "critical"]]
+    return [model.part(reading.quantity).named[quantity.node or "critical"]]
 
 
 def _gaussian_prior_rows(model: Model, like: Response) -> list[tuple[Response, float, float]]:
@@ -157,10 +188,30 @@ def _gaussian_prior_rows(model: Model, like: Response) -> list[tuple[Response, f
     return found
 
 
+def _inputs(
+    model: Model, readings: Sequence[Inspection]
+) -> tuple[tuple[str, ...], Array, Array] | None:
+    """Inputs that a component's readings depend on, and their boxes; None where that is all."""
+    if not isinstance(model.surrogate, Stacked):
+        return None
+    met = {i.name for r in readings for i in model.part(r.quantity).inputs}
+    inputs = [i for i in model.surrogate.inputs if i.name in met]
+    names = tuple(i.name for i in inputs)
+    model.few_locals(names, f"component {readings[0].blade}")
+    boxes = []
+    for i in inputs:
+        p = model.network.parameter(i.name)
+        calibrated = p.level in ("local", "shared")
+        boxes.append((p.prior.low, p.prior.high) if calibrated else (i.low, i.high))
+    low, high = np.array(boxes).T
+    return names, low, high
+
+
 def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     """The rows of one blade; None where it has no reading."""
     if not readings:
         return None
+    names = _inputs(model, readings)
     parts: list[Response] = []
     y: list[Array] = []
     sigma: list[str | float] = []
@@ -180,13 +231,13 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
             response = _rows(
                 model,
                 key,
-                lambda q=reading.quantity, t=times, n=nodes: model.surrogate.response(
+                lambda q=reading.quantity, t=times, n=nodes: model.part(q).response(
                     q, t, n, degree=DEGREE
                 ),
             )
             values = reading.values
             more = (quantity.numerical * values) ** 2
-        parts.append(response)
+        parts.append(response if names is None else response.over(*names))
         extra.append(more)
         y.append(values)
         sigma += [name] * len(response)
@@ -205,16 +256,19 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     )
 
 
-def locals_of(model: Model) -> tuple[Parameter, ...]:
-    """Local parameters that are inputs of the surrogate, in the surrogate's order."""
-    names = [n for n in model.input_names if model.network.parameter(n).level == "local"]
-    return tuple(model.network.parameter(n) for n in names)
+def locals_of(model: Model, names: Sequence[str] | None = None) -> tuple[Parameter, ...]:
+    """Local parameters among `names` (default: the surrogate's inputs), in their order."""
+    inputs = model.input_names if names is None else names
+    found = [model.network.parameter(n) for n in inputs]
+    return tuple(p for p in found if p.level == "local")
 
 
-def nominal(model: Model, given: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Values of the inputs that are not calibrated: known ones as given, the rest nominal."""
+def nominal(
+    model: Model, names: Sequence[str], given: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Values of the inputs `names` that are not calibrated: known ones as given, else nominal."""
     out = {}
-    for name in model.input_names:
+    for name in names:
         parameter = model.network.parameter(name)
         if parameter.level in ("known", "dormant"):
             value = (given or {}).get(name, parameter.nominal)
