@@ -23,6 +23,7 @@ from core.calibration import kernel
 from core.calibration.target import BladeRows, SharedSpace, locals_of
 from core.errors import CalibrationError
 from core.model import Model
+from core.network import Parameter, cut_mass, cut_quantile
 from core.response import multi_indices
 
 Array = NDArray[np.float64]
@@ -56,7 +57,7 @@ def pack(model: Model, rows: BladeRows) -> Packed:
     table = multi_indices(len(response.names), response.degree)
     exponents = np.zeros((len(table), 3), dtype=np.int64)
     exponents[:, 3 - len(inner) :] = table[:, inner]
-    offset = sum(math.log(p.prior.high - p.prior.low) for p in touched if p.prior.kind == "normal")
+    offset = sum(_cut_offset(p) for p in touched)
     return Packed(
         np.ascontiguousarray(response.a),
         np.ascontiguousarray(response.b),
@@ -68,6 +69,17 @@ def pack(model: Model, rows: BladeRows) -> Packed:
         tuple(locals_of(model).index(p) for p in touched),
         offset,
     )
+
+
+def _cut_offset(parameter: Parameter) -> float:
+    """log of what the row of a normal prior lacks: the box's size, and the mass inside it."""
+    prior = parameter.prior
+    size = math.log(prior.high - prior.low)
+    if parameter.population is not None:
+        return size
+    if prior.kind != "normal":
+        return 0.0
+    return size - float(np.log(cut_mass(prior.mean, prior.sd, prior.low, prior.high)))
 
 
 def _factors(
@@ -98,8 +110,11 @@ def _readings(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Arr
     s2 = np.empty((len(x), len(rows.sigma)))
     for r, sigma in enumerate(rows.sigma):
         s2[:, r] = (x[:, space.names.index(sigma)] if isinstance(sigma, str) else sigma) ** 2
-    s2 += rows.extra
+    s2 = (s2 + rows.extra) * rows.discount
     rest = np.zeros(len(x))
+    for r, name, low, high in rows.populations:
+        y[:, r] = x[:, space.names.index(name)]
+        rest -= np.log(cut_mass(y[:, r], np.sqrt(s2[:, r]), low, high))
     for d in rows.dense:
         s = (
             x[:, space.names.index(d.sigma)]
@@ -143,6 +158,10 @@ class BladeMessage:
         """The rows in the compiled functions' layout, made when first needed."""
         return pack(self.model, self.rows)
 
+    def readings(self, unit: Array) -> tuple[Array, Array, Array]:
+        """Readings (n, R), noise variances (n, R) and what no local parameter moves (n,)."""
+        return _readings(self.rows, self.space, self.space.to_x(unit))
+
     def column(self, unit: Array, rough: bool = False) -> Array:
         """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
         out = np.empty(len(unit))
@@ -177,7 +196,7 @@ class BladeMessage:
         touched = _natural(self.model, p.local, out[:, :, 3 - len(p.local) :])
         if len(p.local) == len(locals_of(self.model)):
             return touched, log_w
-        values, _ = prior_draws(self.model, k, per_node, rng)
+        values, _ = prior_draws(self.model, self.space, unit, per_node, rng)
         values[:, :, p.local] = touched
         return values, log_w
 
@@ -207,21 +226,26 @@ class BladeMessage:
 
 
 def prior_draws(
-    model: Model, nodes: int, per_node: int, rng: np.random.Generator
+    model: Model, space: SharedSpace, unit: Array, per_node: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Local parameters of a blade without a reading: its prior, the same at every node."""
-    parameters = locals_of(model)
-    strata = rng.random((nodes * per_node, len(parameters)))
-    n = len(strata)
+    """Local parameters of a blade without a reading: its prior, at each node `unit` (K, d).
+
+    With a population, that of the node; else the same at every node.
+    """
+    parameters, x = locals_of(model), space.to_x(unit)
+    n, shape = len(unit) * per_node, (len(unit), per_node)
+    strata = rng.random((n, len(parameters)))
     for j in range(len(parameters)):
         strata[:, j] = (rng.permutation(n) + strata[:, j]) / n
-    values = np.empty_like(strata)
+    values = np.empty((*shape, len(parameters)))
     for j, p in enumerate(parameters):
-        values[:, j] = p.prior.quantile(strata[:, j])
-    return (
-        values.reshape(nodes, per_node, len(parameters)),
-        np.full((nodes, per_node), -math.log(per_node)),
-    )
+        level = strata[:, j].reshape(shape)
+        if p.population is None:
+            values[:, :, j] = p.prior.quantile(level)
+        else:
+            mean, sd = (x[:, [space.names.index(name)]] for name in p.hyperparameters)
+            values[:, :, j] = cut_quantile(level, mean, sd, p.prior.low, p.prior.high)
+    return values, np.full(shape, -math.log(per_node))
 
 
 def _natural(model: Model, places: Sequence[int], scaled: Array) -> Array:

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.draws import SHARE
+from core.calibration.health import contradictions, verdict
 from core.calibration.message import BladeMessage, prior_draws
 from core.calibration.rotor import Columns, node_count, weigh
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
@@ -213,7 +214,10 @@ class _Update:
             own |= self.draws(blade, unit, key, count, columns.get(blade))
             thin.add(blade)
         arrays = old.over(own, kept)
-        return self.state(own, arrays, key, log_w, sealed=False, thin=thin, tempered=beta)
+        bad = contradictions(self.messages, columns, unit, log_p)
+        before = previous.meta["health"].get("contradicted", [])
+        bad += [one for one in before if one["blade"] in unread]
+        return self.state(own, arrays, key, log_w, bad, sealed=False, thin=thin, tempered=beta)
 
     def sealed(self, previous: RotorState | None) -> RotorState:
         """The state as a function of the readings alone; equal draws are taken from the last."""
@@ -241,7 +245,8 @@ class _Update:
                 own |= self.draws(blade, weighed.unit, weighed.key, count, column)
         below = previous.arrays if previous is not None else Arrays.EMPTY
         arrays = below.over(own, kept)
-        return self.state(own, arrays, weighed.key, log_w, sealed=True, thin=set())
+        bad = contradictions(self.messages, weighed.columns, weighed.unit, weighed.log_p)
+        return self.state(own, arrays, weighed.key, log_w, bad, sealed=True, thin=set())
 
     def draws(
         self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
@@ -252,13 +257,14 @@ class _Update:
         reading = "" if message is None else message.digest
         name = (self.model.digest, rotor.id, str(rotor.seed), blade, reading, str(per_node))
         # a blade without a reading is drawn from its prior, wherever the nodes stand
-        nodes = key.hex() + "/".join(self.space.names) if message is not None else str(len(unit))
+        moved = message is not None or any(p.population for p in locals_of(self.model))
+        nodes = key.hex() + "/".join(self.space.names) if moved else str(len(unit))
         if (*name, nodes) not in found:
             rng = stream(rotor.seed, ALGORITHM, *name, nodes)
             if message is not None and column is not None:
                 found[*name, nodes] = message.draws(unit, per_node, rng, column)
             else:
-                found[*name, nodes] = prior_draws(self.model, len(unit), per_node, rng)
+                found[*name, nodes] = prior_draws(self.model, self.space, unit, per_node, rng)
             while len(found) > 3 * len(rotor.blades) + 100:
                 found.popitem(last=False)
         found.move_to_end((*name, nodes))
@@ -272,6 +278,7 @@ class _Update:
         arrays: Arrays,
         key: bytes,
         log_w: Array,
+        contradicted: Sequence[Mapping[str, Any]],
         *,
         sealed: bool,
         thin: set[str],
@@ -281,6 +288,8 @@ class _Update:
         for value in own.values():
             value.flags.writeable = False
         nodes = len(log_w)
+        carried = health(log_w, MESSAGE_ERROR * float(np.sqrt(max(len(self.messages), 1))))
+        carried |= {"tempered": round(tempered, 4)}
         meta: dict[str, Any] = {
             "algorithm_version": ALGORITHM,
             "model": self.model.digest,
@@ -297,12 +306,14 @@ class _Update:
             "local": [p.name for p in locals_of(self.model)],
             "blades": list(self.rotor.blades),
             "log_evidence": log_sum_exp(log_w) - float(np.log(nodes)),
-            "health": health(log_w, MESSAGE_ERROR * float(np.sqrt(max(len(self.messages), 1))))
-            | {"tempered": round(tempered, 4)},
+            "health": verdict(carried, contradicted, sealed=sealed),
             "arrays": sorted(arrays),
         }
         if self.prior is not None:
             meta["prior"] = self.prior
+        if (half_life := self.model.network.forgetting_h) is not None:
+            left = {b: round(m.rows.effective, 4) for b, m in self.messages.items()}
+            meta["forgetting"] = {"half_life_h": half_life, "effective_readings": left}
         return RotorState(meta, arrays, frozenset(own))
 
 

@@ -3,7 +3,7 @@
 A blade's rows are polynomials of the model's inputs (`core.response`), scaled to the boxes of the
 priors; each row has a reading and a noise, which is a shared parameter sigma_obs of its quantity
 or, where the inspection says so, known. A normal prior of a local parameter is one more row,
-linear in it.
+linear in it; with a population its reading and noise are the shared mean and sd.
 
 A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`).
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -28,6 +28,7 @@ from core.response import Response, multi_indices
 
 Array = NDArray[np.float64]
 DEGREE = 5
+TAILS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,9 @@ class BladeRows:
     extra     per row: variance beside the noise and the surrogate's, (R,) [unit²]
     dense     remainders of scans
     digest    of the readings
+    populations  (row, name of the shared mean, low, high) of each local parameter with a population
+    discount  per row: what its variance is multiplied by, (R,); 1 without forgetting
+    effective number of readings that forgetting leaves
     """
 
     response: Response
@@ -48,6 +52,9 @@ class BladeRows:
     extra: Array
     dense: tuple[Dense, ...]
     digest: str
+    populations: tuple[tuple[int, str, float, float], ...]
+    discount: Array
+    effective: float
 
     @property
     def shared_sigmas(self) -> tuple[str, ...]:
@@ -67,11 +74,16 @@ class JointPrior(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SharedSpace:
-    """The shared parameters as a unit box: physical ones first, then the noise of each quantity."""
+    """The shared parameters as a unit box: physical ones first, then the noise of each quantity.
+
+    joint  prior of several of them together
+    tails  how many times more nodes than usual: a population's sd has a long tail
+    """
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
     joint: JointPrior | None = None
+    tails: int = 1
 
     @property
     def dim(self) -> int:
@@ -104,6 +116,9 @@ def shared_prior(model: Model, name: str) -> Prior:
     for p in model.network.of_level("shared"):
         if p.name == name:
             return p.prior
+    for p in locals_of(model):
+        if name in p.hyperparameters:
+            return p.hyperparameters[name]
     for q in model.network.quantities:
         if q.sigma_name == name:
             return q.sigma_obs
@@ -117,11 +132,10 @@ def shared_space(
     physical = model.network.of_level("shared")
     met = {name for r in rows for name in r.shared_sigmas} | set(joint.names if joint else ())
     noises = [q for q in model.network.quantities if q.sigma_name in met]
-    return SharedSpace(
-        (*(p.name for p in physical), *(q.sigma_name for q in noises)),
-        (*(p.prior for p in physical), *(q.sigma_obs for q in noises)),
-        joint,
-    )
+    found = {p.name: p.prior for p in physical}
+    hyper = {n: prior for p in locals_of(model) for n, prior in p.hyperparameters.items()}
+    found |= hyper | {q.sigma_name: q.sigma_obs for q in noises}
+    return SharedSpace(tuple(found), tuple(found.values()), joint, TAILS if hyper else 1)
 
 
 def _boxed(model: Model, response: Response) -> Response:
@@ -159,12 +173,15 @@ def _node_of(model: Model, reading: Inspection) -> list[int] | None:
     return [model.part(reading.quantity).named[quantity.node or "critical"]]
 
 
-def _gaussian_prior_rows(model: Model, like: Response) -> list[tuple[Response, float, float]]:
-    """A row (response, mean, sd) for each local parameter with a normal prior."""
-    found = []
+def _gaussian_prior_rows(
+    model: Model, like: Response
+) -> list[tuple[Response, Parameter, float | str]]:
+    """A row (response, parameter, sd) for each local parameter with a normal prior."""
+    found: list[tuple[Response, Parameter, float | str]] = []
     for j, name in enumerate(like.names):
         parameter = model.network.parameter(name)
-        if parameter.level == "local" and parameter.prior.kind == "normal":
+        drawn = parameter.population is not None or parameter.prior.kind == "normal"
+        if parameter.level == "local" and drawn:
             half = 0.5 * (like.high[j] - like.low[j])
             a = np.zeros((1, like.a.shape[1]))
             a[0, 0] = like.low[j] + half
@@ -184,7 +201,8 @@ def _gaussian_prior_rows(model: Model, like: Response) -> list[tuple[Response, f
                 np.zeros(1),
                 zero,
             )
-            found.append((row, parameter.prior.mean, parameter.prior.sd))
+            sd = f"sd.{name}" if parameter.population is not None else parameter.prior.sd
+            found.append((row, parameter, sd))
     return found
 
 
@@ -217,6 +235,14 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     sigma: list[str | float] = []
     dense: list[Dense] = []
     extra: list[Array] = []
+    discount: list[float] = []
+    latest = max(r.time_h for r in readings)
+
+    def age(reading: Inspection) -> float:
+        """In half-lives, from the component's latest reading."""
+        half_life = model.network.forgetting_h
+        return 0.0 if half_life is None else (latest - reading.time_h) / half_life
+
     for reading in sorted(readings, key=lambda i: (i.time_h, i.id)):
         quantity = model.network.quantity(reading.quantity)
         name = reading.sigma if reading.sigma is not None else quantity.sigma_name
@@ -241,18 +267,29 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         extra.append(more)
         y.append(values)
         sigma += [name] * len(response)
-    for row, mean, sd in _gaussian_prior_rows(model, parts[0]):
+        discount += [2.0 ** age(reading)] * len(response)
+    populations = []
+    for row, parameter, sd in _gaussian_prior_rows(model, parts[0]):
+        prior = parameter.prior
+        if parameter.population is not None:
+            populations.append((len(sigma), f"mean.{parameter.name}", prior.low, prior.high))
         parts.append(row)
-        y.append(np.array([mean]))
+        y.append(np.array([prior.mean]))
         sigma.append(sd)
         extra.append(np.zeros(1))
+        discount.append(1.0)
+    weight = np.array(discount)
+    response = Response.stack(parts)
     return BladeRows(
-        Response.stack(parts),
+        replace(response, ka=response.ka * np.sqrt(weight), kb=response.kb * np.sqrt(weight)),
         np.concatenate(y),
         tuple(sigma),
         np.concatenate(extra),
         tuple(dense),
         digest_of(readings),
+        tuple(populations),
+        weight,
+        sum(0.5 ** age(reading) for reading in readings),
     )
 
 
