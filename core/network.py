@@ -2,7 +2,8 @@
 
 A network says which parameters exist and at which level, and how readings see them::
 
-    shared   psi_global   one value for the rotor          T1T, sigma_obs of each quantity
+    shared   psi_global   one value for the rotor          T1T, sigma_obs of each quantity,
+                                                           mean and sd of a population
     local    psi_local    one value for each blade         TBC thickness, alpha, gamma
     known                 given for each blade             a stress, a slot
     dormant               held at its nominal value        freed only by an effect
@@ -30,6 +31,19 @@ from core.errors import InputError
 Array = NDArray[np.float64]
 Level = Literal["local", "shared", "known", "dormant"]
 SCHEMA = 1
+
+
+def cut_mass(mean: Array | float, sd: Array | float, low: float, high: float) -> Array:
+    """Mass of N(mean, sd²) between the bounds."""
+    return np.asarray(ndtr((high - mean) / sd) - ndtr((low - mean) / sd), float)
+
+
+def cut_quantile(
+    p: Array, mean: Array | float, sd: Array | float, low: float, high: float
+) -> Array:
+    """Quantile of N(mean, sd²) cut at the bounds."""
+    below = ndtr((low - mean) / sd) + p * cut_mass(mean, sd, low, high)
+    return np.asarray(np.clip(mean + sd * ndtri(below), low, high))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +107,9 @@ class Prior:
         low, high = self.box
         inside = (u >= low) & (u <= high)
         if self.kind == "normal":
-            mass = ndtr((high - self.mean) / self.sd) - ndtr((low - self.mean) / self.sd)
+            mass = cut_mass(self.mean, self.sd, low, high)
             z = (u - self.mean) / self.sd
-            value = -0.5 * z * z - math.log(self.sd * math.sqrt(2 * math.pi) * mass)
+            value = -0.5 * z * z - np.log(self.sd * math.sqrt(2 * math.pi) * mass)
         else:
             value = np.full(np.shape(u), -math.log(high - low))
         return np.where(inside, value, -np.inf)
@@ -104,16 +118,32 @@ class Prior:
         """Inverse distribution function, on the scale of x."""
         low, high = self.box
         if self.kind == "normal":
-            f0, f1 = ndtr((low - self.mean) / self.sd), ndtr((high - self.mean) / self.sd)
-            return np.asarray(np.clip(self.mean + self.sd * ndtri(f0 + p * (f1 - f0)), low, high))
+            return cut_quantile(p, self.mean, self.sd, low, high)
         return np.asarray(self.to_x(low + p * (high - low)))
+
+
+@dataclass(frozen=True, slots=True)
+class Population:
+    """Where the blades' values of a local parameter come from: N(mean, sd²), cut at its bounds.
+
+    Both are shared and unknown; these are their priors. Every blade's values teach them, so a blade
+    without a reading, a replaced blade's successor say, starts from the rotor's population.
+    """
+
+    mean: Prior
+    sd: Prior
+
+    def __post_init__(self) -> None:
+        if not self.sd.low > 0:
+            raise InputError("population sd", self.sd.low, "is not positive", "give low > 0")
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """An input of the model and its place in the network.
 
-    `nominal` is the value used while the parameter is dormant, or known and not given.
+    `nominal` is the value used while the parameter is dormant, or known and not given. With a
+    `population`, a local parameter's `prior` gives its bounds only.
     """
 
     name: str
@@ -122,8 +152,32 @@ class Parameter:
     unit: str = "1"
     symbol: str = ""
     nominal: float | None = None
+    population: Population | None = None
+
+    @property
+    def hyperparameters(self) -> dict[str, Prior]:
+        """Shared parameters of the population, by name."""
+        if self.population is None:
+            return {}
+        return {f"mean.{self.name}": self.population.mean, f"sd.{self.name}": self.population.sd}
 
     def __post_init__(self) -> None:
+        if self.population is not None:
+            mean, own = self.population.mean, self.prior
+            if self.level != "local" or own.kind != "uniform":
+                raise InputError(
+                    f"population of {self.name}",
+                    (self.level, own.kind),
+                    "does not belong there",
+                    "give it to a local parameter with a uniform prior, its bounds",
+                )
+            if mean.low < own.low or mean.high > own.high:
+                raise InputError(
+                    f"population mean of {self.name}",
+                    (mean.low, mean.high),
+                    f"leaves the bounds {own.low:g} … {own.high:g}",
+                    "narrow it",
+                )
         if self.level not in ("local", "shared", "known", "dormant"):
             raise InputError(
                 f"level of {self.name}", self.level, "is not known", "local, shared, known, dormant"
@@ -146,6 +200,8 @@ class Quantity:
     node         node used when a reading of a field names none
     numerical    relative standard error of the simulation itself (mesh, time steps, compiled
                  polynomials): counted as the surrogate's, in likelihood and prediction
+    level        of the network that measures it, from 1: the posterior of a level is the prior of
+                 the next (`core.calibration.levels`)
     """
 
     name: str
@@ -156,6 +212,7 @@ class Quantity:
     high: float
     node: str | None = None
     numerical: float = 0.0
+    level: int = 1
 
     @property
     def sigma_name(self) -> str:
@@ -164,14 +221,23 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """Parameters and quantities; immutable, JSON both ways."""
+    """Parameters and quantities; immutable, JSON both ways.
+
+    forgetting_h  half-life [h] by which a blade's older readings lose weight, for local parameters
+                  that drift: variance · 2^(age / half-life), age counted from its latest reading
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
     quantities: tuple[Quantity, ...]
     notes: Mapping[str, str] = field(default_factory=dict)
+    forgetting_h: float | None = None
 
     def __post_init__(self) -> None:
+        if self.forgetting_h is not None and not 0 < self.forgetting_h < math.inf:
+            raise InputError(
+                "forgetting_h", self.forgetting_h, "is no half-life", "give hours > 0, or None"
+            )
         for what, names in {
             "parameters": [p.name for p in self.parameters],
             "quantities": [q.name for q in self.quantities],
@@ -179,12 +245,11 @@ class Network:
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
                 raise InputError(what, twice, "are declared twice", "give each name once")
-        if len(self.of_level("local")) > 3:
+        levels = {q.level for q in self.quantities}
+        gap = set(range(1, max(levels, default=1))) - levels
+        if gap or min(levels, default=1) < 1:
             raise InputError(
-                "local parameters",
-                [p.name for p in self.of_level("local")],
-                "are more than three",
-                "declare some as shared, known or dormant",
+                "levels", sorted(levels), "leave a level without a quantity", "count from 1 up"
             )
 
     def of_level(self, level: Level) -> tuple[Parameter, ...]:
@@ -210,7 +275,16 @@ class Network:
         )
 
     def to_json(self) -> dict[str, Any]:
-        return {"schema": SCHEMA, **asdict(self)}
+        """A plain dictionary; a level of 1 and options that are not used are left out."""
+        out = {"schema": SCHEMA, **asdict(self)}
+        for told, name, unused in [
+            *((q, "level", 1) for q in out["quantities"]),
+            *((p, "population", None) for p in out["parameters"]),
+            (out, "forgetting_h", None),
+        ]:
+            if told[name] == unused:
+                del told[name]
+        return out
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Network:
@@ -225,9 +299,7 @@ class Network:
         try:
             return Network(
                 name=body.pop("name"),
-                parameters=tuple(
-                    Parameter(**{**p, "prior": Prior(**p["prior"])}) for p in body.pop("parameters")
-                ),
+                parameters=tuple(_parameter(p) for p in body.pop("parameters")),
                 quantities=tuple(
                     Quantity(**{**q, "sigma_obs": Prior(**q["sigma_obs"])})
                     for q in body.pop("quantities")
@@ -238,6 +310,13 @@ class Network:
             raise InputError(
                 "network", str(error), "does not fit the schema", "see Network"
             ) from error
+
+
+def _parameter(told: Mapping[str, Any]) -> Parameter:
+    own = {**told, "prior": Prior(**told["prior"])}
+    if told.get("population") is not None:
+        own["population"] = Population(**{k: Prior(**v) for k, v in told["population"].items()})
+    return Parameter(**own)
 
 
 def rotor_blade_network() -> Network:

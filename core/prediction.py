@@ -55,16 +55,14 @@ class Prediction:
 
 
 def inputs_of(
-    model: Model, posterior: Posterior, known: Mapping[str, float] | None = None
+    model: Model, posterior: Posterior, quantity: str, known: Mapping[str, float] | None = None
 ) -> Array:
-    """Inputs of the surrogate for each particle, (N, d)."""
-    fixed = nominal(model, known)
+    """Inputs of the surrogate that answers for `quantity`, for each particle, (N, d)."""
+    names = [i.name for i in model.part(quantity).inputs]
+    fixed = nominal(model, names, known)
     n = len(posterior.particles.log_w)
     return np.stack(
-        [
-            np.full(n, fixed[name]) if name in fixed else posterior.column(name)
-            for name in model.input_names
-        ],
+        [np.full(n, fixed[name]) if name in fixed else posterior.column(name) for name in names],
         axis=1,
     )
 
@@ -141,31 +139,31 @@ def predict(
     component   for 3-D deformation: 0, 1, 2 for x, y, z
     Raises RangeError for times or nodes outside the model, InputError for a bad probability.
     """
-    declared = model.network.quantity(quantity)
+    declared, surrogate = model.network.quantity(quantity), model.part(quantity)
     if not 0 < probability < 1:
         raise InputError("probability", probability, "lies outside 0 … 1", "give 0.95, say")
     time = np.atleast_1d(np.asarray(times, float))
-    if time.size == 0 or not np.all((time >= 0) & (time <= model.surrogate.horizon_h)):
+    if time.size == 0 or not np.all((time >= 0) & (time <= surrogate.horizon_h)):
         raise RangeError(
             "times",
             time.tolist()[:5],
-            f"are not all within 0 … {model.surrogate.horizon_h:g} h",
+            f"are not all within 0 … {surrogate.horizon_h:g} h",
             "ask for times that the model covers",
         )
     nodes = None
     if declared.kind != "scalar":
         if node is None:
-            node = model.surrogate.named[declared.node or "tip"]
-        if not 0 <= node < model.surrogate.node_count:
+            node = surrogate.named[declared.node or "tip"]
+        if not 0 <= node < surrogate.node_count:
             raise RangeError(
-                "node", node, f"does not exist: 0 … {model.surrogate.node_count - 1}", "name a node"
+                "node", node, f"does not exist: 0 … {surrogate.node_count - 1}", "name a node"
             )
         nodes = [node]
     if declared.kind == "vector" and component not in (0, 1, 2):
         raise InputError("component", component, "is none of 0, 1, 2", "choose x, y or z")
     thin = _thinned(posterior)
     w = thin.particles.w
-    mean, sd = model.surrogate.predict(inputs_of(model, thin, known), quantity, time, nodes)
+    mean, sd = surrogate.predict(inputs_of(model, thin, quantity, known), quantity, time, nodes)
     if declared.kind == "field":
         mean, sd = mean[:, :, 0], sd[:, :, 0]
     elif declared.kind == "vector":

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import blake2b
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +24,7 @@ from core.calibration.target import BladeRows, SharedSpace, locals_of
 from core.calibration.vector import LANES
 from core.errors import CalibrationError
 from core.model import Model
+from core.network import Parameter, cut_mass, cut_quantile
 from core.response import multi_indices
 
 Array = NDArray[np.float64]
@@ -39,6 +42,7 @@ class Packed:
     kb2: Array
     exponents: NDArray[np.int64]
     dim: int
+    local: tuple[int, ...]
     offset: float
 
     @property
@@ -73,15 +77,18 @@ class Blocks:
 
 
 def pack(model: Model, rows: BladeRows) -> Packed:
-    """Local inputs in the places (outer, middle, inner), filled from the right."""
+    """Local inputs in the places (outer, middle, inner), filled from the right.
+
+    Those that the rows do not depend on are left out; where none is left, one place is integrated
+    over without effect. `local` are the places of the rest among all local parameters.
+    """
     response = rows.response
-    inner = [response.names.index(p.name) for p in locals_of(model)]
+    touched = locals_of(model, response.names)
+    inner = [response.names.index(p.name) for p in touched]
     table = multi_indices(len(response.names), response.degree)
     exponents = np.zeros((len(table), 3), dtype=np.int64)
     exponents[:, 3 - len(inner) :] = table[:, inner]
-    offset = sum(
-        math.log(p.prior.high - p.prior.low) for p in locals_of(model) if p.prior.kind == "normal"
-    )
+    offset = sum(_cut_offset(p) for p in touched)
     return Packed(
         np.ascontiguousarray(response.a),
         np.ascontiguousarray(response.b),
@@ -89,9 +96,21 @@ def pack(model: Model, rows: BladeRows) -> Packed:
         response.ka**2,
         response.kb**2,
         exponents,
-        len(inner),
+        max(len(inner), 1),
+        tuple(locals_of(model).index(p) for p in touched),
         offset,
     )
+
+
+def _cut_offset(parameter: Parameter) -> float:
+    """log of what the row of a normal prior lacks: the box's size, and the mass inside it."""
+    prior = parameter.prior
+    size = math.log(prior.high - prior.low)
+    if parameter.population is not None:
+        return size
+    if prior.kind != "normal":
+        return 0.0
+    return size - float(np.log(cut_mass(prior.mean, prior.sd, prior.low, prior.high)))
 
 
 def _factors(
@@ -122,8 +141,11 @@ def _readings(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Arr
     s2 = np.empty((len(x), len(rows.sigma)))
     for r, sigma in enumerate(rows.sigma):
         s2[:, r] = (x[:, space.names.index(sigma)] if isinstance(sigma, str) else sigma) ** 2
-    s2 += rows.extra
+    s2 = (s2 + rows.extra) * rows.discount
     rest = np.zeros(len(x))
+    for r, name, low, high in rows.populations:
+        y[:, r] = x[:, space.names.index(name)]
+        rest -= np.log(cut_mass(y[:, r], np.sqrt(s2[:, r]), low, high))
     for d in rows.dense:
         s = (
             x[:, space.names.index(d.sigma)]
@@ -155,9 +177,21 @@ class BladeMessage:
         return f"{self.model.digest} {self.rows.digest} {known} {'/'.join(self.space.names)}"
 
     @cached_property
+    def digest(self) -> str:
+        """Of the readings, and of the known inputs where there are any."""
+        if not self.fixed:
+            return self.rows.digest
+        text = self.rows.digest + repr(sorted(self.fixed.items()))
+        return blake2b(text.encode(), digest_size=16).hexdigest()
+
+    @cached_property
     def packed(self) -> Packed:
         """The rows in the compiled functions' layout, made when first needed."""
         return pack(self.model, self.rows)
+
+    def readings(self, unit: Array) -> tuple[Array, Array, Array]:
+        """Readings (n, R), noise variances (n, R) and what no local parameter moves (n,)."""
+        return _readings(self.rows, self.space, self.space.to_x(unit))
 
     def column(self, unit: Array, rough: bool = False) -> Array:
         """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
@@ -214,13 +248,18 @@ class BladeMessage:
                 f"{int(np.sum(~(weights < np.inf)))} draws of a blade have no weight; its "
                 f"readings: {self.rows.y.tolist()[:12]}"
             )
-        return _natural(self.model, blocks.back(out)[:, :, 3 - p.dim :]), weights
+        touched = _natural(self.model, p.local, blocks.back(out)[:, :, 3 - len(p.local) :])
+        if len(p.local) == len(locals_of(self.model)):
+            return touched, weights
+        values, _ = prior_draws(self.model, self.space, unit, per_node, rng)
+        values[:, :, p.local] = touched
+        return values, weights
 
     def _blocks(self, unit: Array) -> Blocks:
         """What the compiled functions need of the nodes, in blocks of like ones."""
         x = self.space.to_x(unit)
         factors = _factors(self.model, self.rows, self.space, x, self.fixed)
-        y, s2, rest = _readings(self.rows, self.space, x)
+        y, s2, rest = self.readings(unit)
         order = np.argsort(unit[:, 0], kind="stable")
         blocks = -(-len(unit) // LANES)
         padded = np.concatenate([order, np.repeat(order[-1:], blocks * LANES - len(order))])
@@ -233,22 +272,29 @@ class BladeMessage:
 
 
 def prior_draws(
-    model: Model, nodes: int, per_node: int, rng: np.random.Generator
+    model: Model, space: SharedSpace, unit: Array, per_node: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Local parameters of a blade without a reading: its prior, the same at every node."""
-    parameters = locals_of(model)
-    strata = rng.random((nodes * per_node, len(parameters)))
-    n = len(strata)
+    """Local parameters of a blade without a reading: its prior, at each node `unit` (K, d).
+
+    With a population, that of the node; else the same at every node.
+    """
+    parameters, x = locals_of(model), space.to_x(unit)
+    n, shape = len(unit) * per_node, (len(unit), per_node)
+    strata = rng.random((n, len(parameters)))
     for j in range(len(parameters)):
         strata[:, j] = (rng.permutation(n) + strata[:, j]) / n
-    values = np.stack([p.prior.quantile(strata[:, j]) for j, p in enumerate(parameters)], axis=1)
-    return (
-        values.reshape(nodes, per_node, len(parameters)),
-        np.full((nodes, per_node), -math.log(per_node)),
-    )
+    values = np.empty((*shape, len(parameters)))
+    for j, p in enumerate(parameters):
+        level = strata[:, j].reshape(shape)
+        if p.population is None:
+            values[:, :, j] = p.prior.quantile(level)
+        else:
+            mean, sd = (x[:, [space.names.index(name)]] for name in p.hyperparameters)
+            values[:, :, j] = cut_quantile(level, mean, sd, p.prior.low, p.prior.high)
+    return values, np.full(shape, -math.log(per_node))
 
 
-def _natural(model: Model, scaled: Array) -> Array:
-    low = np.array([p.prior.low for p in locals_of(model)])
-    high = np.array([p.prior.high for p in locals_of(model)])
+def _natural(model: Model, places: Sequence[int], scaled: Array) -> Array:
+    priors = [locals_of(model)[j].prior for j in places]
+    low, high = np.array([p.low for p in priors]), np.array([p.high for p in priors])
     return np.asarray(low + 0.5 * (scaled + 1) * (high - low))

@@ -153,7 +153,7 @@ def weigh(
     wide = descend(
         lambda unit, key: total(unit, key, "rough") + missing(unit), rough_end, scouts, seed
     )
-    n = node_count(d)
+    n = node_count(d) * space.tails
     base = sobol(n, d, seed + 1)
 
     def settled(start: Proposal, turns: int) -> tuple[float, Proposal]:

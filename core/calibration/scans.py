@@ -71,18 +71,19 @@ def scan_rows(
     boxed   brings a response to the boxes of the priors
     """
     assert reading.nodes is not None
-    phi = model.surrogate.deformation_modes(reading.nodes.tolist())
+    surrogate = model.part(reading.quantity)
+    phi = surrogate.deformation_modes(reading.nodes.tolist())
     q, r = np.linalg.qr(phi.reshape(reading.values.size, -1))
     readings = reading.values.reshape(-1)
     y = q.T @ readings
     dense = Dense(sigma, max(float(readings @ readings - y @ y), 0.0), readings.size - y.size)
-    response = boxed(model.surrogate.mode_response(reading.time_h, r, degree=degree))
+    response = boxed(surrogate.mode_response(reading.time_h, r, degree=degree))
     noise = _noise_guess(model, reading, dense)
     numerical = model.network.quantity(reading.quantity).numerical ** 2 * (y**2 + np.mean(y**2))
     best = _best_fit(response, y, noise, numerical)
     sd = response.evaluate(best[None])[1]
     # the surrogate's error in z is correlated: R C R^T, scaled to its sd at the best fit
-    covariance = r @ model.surrogate.mode_covariance(reading.time_h) @ r.T
+    covariance = r @ surrogate.mode_covariance(reading.time_h) @ r.T
     root = sd[0] / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     unknown = covariance * np.outer(root, root) + np.diag(numerical)
     whiten = np.linalg.inv(np.linalg.cholesky(unknown + noise**2 * np.eye(len(y))))
