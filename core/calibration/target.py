@@ -5,7 +5,8 @@ priors; each row has a reading and a noise, which is a shared parameter sigma_ob
 or, where the inspection says so, known. A normal prior of a local parameter is one more row,
 linear in it.
 
-A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`).
+A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`). What the model gets wrong
+(`core.discrepancy`) is carried by each row as a gain and an offset in shared parameters.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.scans import Dense, scan_rows
+from core.discrepancy import NONE, Affine, affine, parameters
 from core.errors import InputError
 from core.model import Model
 from core.network import Parameter, Prior
@@ -37,7 +39,9 @@ class BladeRows:
     y         readings, (R,)
     sigma     per row: the name of a shared sigma_obs, or a known value
     extra     per row: variance beside the noise and the surrogate's, (R,) [unit²]
+    relative  per row: error in proportion to the model's answer, (R,) [1]
     dense     remainders of scans
+    discrepancy  of each row
     digest    of the readings
     """
 
@@ -45,18 +49,21 @@ class BladeRows:
     y: Array
     sigma: tuple[str | float, ...]
     extra: Array
+    relative: Array
     dense: tuple[Dense, ...]
+    discrepancy: tuple[Affine, ...]
     digest: str
 
     @property
-    def shared_sigmas(self) -> tuple[str, ...]:
-        names = [s for s in (*self.sigma, *(d.sigma for d in self.dense)) if isinstance(s, str)]
-        return tuple(sorted(set(names)))
+    def shared(self) -> frozenset[str]:
+        """Names of the noises and of the discrepancies' parameters that these rows see."""
+        noises = {s for s in (*self.sigma, *(d.sigma for d in self.dense)) if isinstance(s, str)}
+        return frozenset(noises.union(*(one.names for one in self.discrepancy)))
 
 
 @dataclass(frozen=True, slots=True)
 class SharedSpace:
-    """The shared parameters as a unit box: physical ones first, then the noise of each quantity."""
+    """The shared parameters as a unit box: physical ones, noises, theta of the discrepancies."""
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
@@ -83,14 +90,17 @@ class SharedSpace:
 
 
 def shared_space(model: Model, rows: Iterable[BladeRows]) -> SharedSpace:
-    """Shared parameters that the readings can speak of; a noise nobody measured keeps its prior."""
-    physical = model.network.of_level("shared")
-    met = {name for r in rows for name in r.shared_sigmas}
-    noises = [q for q in model.network.quantities if q.sigma_name in met]
-    return SharedSpace(
-        (*(p.name for p in physical), *(q.sigma_name for q in noises)),
-        (*(p.prior for p in physical), *(q.sigma_obs for q in noises)),
-    )
+    """Shared parameters that the readings can speak of; what nobody measured keeps its prior."""
+    met: set[str] = set().union(*(r.shared for r in rows))
+    quantities = model.network.quantities
+    found = {p.name: p.prior for p in model.network.of_level("shared")}
+    for q in quantities:
+        of_each = f"{q.sigma_name}@"
+        names = sorted(n for n in met if n == q.sigma_name or n.startswith(of_each))
+        found |= dict.fromkeys(names, q.sigma_obs)
+    for q in quantities:
+        found |= {n: prior for n, prior in parameters(model, q).items() if n in met}
+    return SharedSpace(tuple(found), tuple(found.values()))
 
 
 def _boxed(model: Model, response: Response) -> Response:
@@ -166,13 +176,18 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     sigma: list[str | float] = []
     dense: list[Dense] = []
     extra: list[Array] = []
+    relative: list[float] = []
+    wrong: list[Affine] = []
     for reading in sorted(readings, key=lambda i: (i.time_h, i.id)):
         quantity = model.network.quantity(reading.quantity)
-        name = reading.sigma if reading.sigma is not None else quantity.sigma_name
+        name = reading.sigma if reading.sigma is not None else quantity.sigma_of(reading.instrument)
         if quantity.kind == "vector":
             scan = scan_rows(model, reading, name, partial(_boxed, model), DEGREE)
-            response, values, more = scan.response, scan.y, scan.extra
+            response, values = scan.response, scan.y
             dense.append(scan.dense)
+            extra.append(scan.extra)
+            relative += [0.0] * len(response)
+            wrong += scan.discrepancy
         else:
             nodes = _node_of(model, reading)
             times = np.array([reading.time_h])
@@ -185,9 +200,11 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
                 ),
             )
             values = reading.values
-            more = (quantity.numerical * values) ** 2
+            one = affine(model, quantity, reading.time_h)
+            extra.append(np.array([one.sigma**2]))
+            relative.append(math.hypot(quantity.numerical, one.left))
+            wrong.append(one)
         parts.append(response)
-        extra.append(more)
         y.append(values)
         sigma += [name] * len(response)
     for row, mean, sd in _gaussian_prior_rows(model, parts[0]):
@@ -195,12 +212,16 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         y.append(np.array([mean]))
         sigma.append(sd)
         extra.append(np.zeros(1))
+        relative.append(0.0)
+        wrong.append(NONE)
     return BladeRows(
         Response.stack(parts),
         np.concatenate(y),
         tuple(sigma),
         np.concatenate(extra),
+        np.array(relative),
         tuple(dense),
+        tuple(wrong),
         digest_of(readings),
     )
 
