@@ -1,4 +1,4 @@
-"""A quantity whose model is wrong in a known way: Y_m = 3 + s t + l (0.5 + t), s shared, l local."""
+"""Y_m = 3 + s t + l (0.5 + t), s shared, l local, and readings that it misses in a known way."""
 
 from __future__ import annotations
 
