@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from core.calibration.message import _readings
+from core.calibration.online import update
+from core.calibration.state import RotorSpec, shared_posterior
 from core.calibration.target import assemble, shared_space
 from core.model import Model
 from core.network import Discrepancy, Network, Parameter, Prior, Quantity
@@ -94,3 +98,37 @@ def test_rows_and_remainder_are_the_density_of_the_whole_scan(kind: str) -> None
         miss**2 / sigma2[:, None, None] + np.log(2 * np.pi * sigma2)[:, None, None], axis=(1, 2)
     )
     assert got == pytest.approx(expected, rel=1e-7)
+
+
+TRUE_S, OFFSET = 2.1, np.array([0.2, -0.4, 0.6])
+
+
+def scanned(seed: int) -> list[Inspection]:
+    """A scan of each of three blades; every one of them shifted alike."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for b in range(3):
+        x = np.array([[TRUE_S, rng.uniform(-0.7, 0.7)]])
+        one = scan(x, 1.0, OFFSET, 0.05, 10 * seed + b)
+        out.append(replace(one, id=f"scan-{b}", blade=f"b{b}"))
+    return out
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_offset_of_scans_is_recovered_and_without_it_the_rest_is_wrong(seed: int) -> None:
+    spec, found = RotorSpec("r", ("b0", "b1", "b2"), 2000, 3), {}
+    for kind in ("constant", "none"):
+        state = update(plate(KINDS[kind]), spec, scanned(seed))
+        posterior = shared_posterior(state.meta, state.arrays.__getitem__)
+        w = posterior.particles.w
+        sigma_delta = KINDS[kind].sigma or 0.0
+        truth = {"s": TRUE_S, "sigma_obs.u": np.sqrt(0.05**2 - sigma_delta**2)}
+        truth |= {f"theta.u.{a}": c for a, c in zip("xyz", OFFSET, strict=True)}
+        for name in posterior.names:
+            values = posterior.column(name)
+            mean = w @ values
+            found[kind, name] = (mean - truth[name]) / np.sqrt(w @ (values - mean) ** 2)
+        print(kind, state.meta["health"], {k: v for k, v in found.items() if k[0] == kind})
+    assert max(abs(z) for (kind, _), z in found.items() if kind == "constant") < 3
+    assert abs(found["none", "s"]) > 5, "negative control"
+    assert abs(found["none", "sigma_obs.u"]) > 5, "negative control"
