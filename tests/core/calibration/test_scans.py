@@ -20,7 +20,7 @@ from core.validation.formula import FormulaInput, FormulaModel
 NODES, MODES, HORIZON = 20, 4, 2.0
 KINDS = {
     "none": Discrepancy(),
-    "constant": Discrepancy("constant", sd=0.5, sigma=0.02),
+    "constant": Discrepancy("constant", sd=0.15, sigma=0.02),
     "paper": Discrepancy("paper", sd=0.04),
 }
 
@@ -100,7 +100,7 @@ def test_rows_and_remainder_are_the_density_of_the_whole_scan(kind: str) -> None
     assert got == pytest.approx(expected, rel=1e-7)
 
 
-TRUE_S, OFFSET = 2.1, np.array([0.2, -0.4, 0.6])
+TRUE_S, OFFSET, NOISE = 2.1, np.array([0.15, -0.2, 0.3]), 0.2
 
 
 def scanned(seed: int) -> list[Inspection]:
@@ -109,26 +109,27 @@ def scanned(seed: int) -> list[Inspection]:
     out = []
     for b in range(3):
         x = np.array([[TRUE_S, rng.uniform(-0.7, 0.7)]])
-        one = scan(x, 1.0, OFFSET, 0.05, 10 * seed + b)
+        one = scan(x, 1.0, OFFSET, NOISE, 10 * seed + b)
         out.append(replace(one, id=f"scan-{b}", blade=f"b{b}"))
     return out
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_an_offset_of_scans_is_recovered_and_without_it_the_rest_is_wrong(seed: int) -> None:
-    spec, found = RotorSpec("r", ("b0", "b1", "b2"), 2000, 3), {}
+def test_an_offset_of_scans_is_recovered_and_without_it_the_noise_takes_it() -> None:
+    found, evidence = {}, {}
     for kind in ("constant", "none"):
-        state = update(plate(KINDS[kind]), spec, scanned(seed))
+        state = update(plate(KINDS[kind]), RotorSpec("r", ("b0", "b1", "b2"), 2000, 3), scanned(1))
+        evidence[kind] = state.meta["log_evidence"]
         posterior = shared_posterior(state.meta, state.arrays.__getitem__)
-        w = posterior.particles.w
         sigma_delta = KINDS[kind].sigma or 0.0
-        truth = {"s": TRUE_S, "sigma_obs.u": np.sqrt(0.05**2 - sigma_delta**2)}
+        truth = {"s": TRUE_S, "sigma_obs.u": np.sqrt(NOISE**2 - sigma_delta**2)}
         truth |= {f"theta.u.{a}": c for a, c in zip("xyz", OFFSET, strict=True)}
+        w = posterior.particles.w
         for name in posterior.names:
             values = posterior.column(name)
             mean = w @ values
             found[kind, name] = (mean - truth[name]) / np.sqrt(w @ (values - mean) ** 2)
-        print(kind, state.meta["health"], {k: v for k, v in found.items() if k[0] == kind})
+        assert state.meta["health"]["ess_ratio"] > 0.3
+    assert {name for kind, name in found if kind == "constant"} == truth.keys()
     assert max(abs(z) for (kind, _), z in found.items() if kind == "constant") < 3
-    assert abs(found["none", "s"]) > 5, "negative control"
-    assert abs(found["none", "sigma_obs.u"]) > 5, "negative control"
+    assert found["none", "sigma_obs.u"] > 4, "negative control"
+    assert evidence["constant"] > evidence["none"] + 20
