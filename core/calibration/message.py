@@ -22,6 +22,7 @@ from core.calibration import draws as drawing
 from core.calibration import kernel
 from core.calibration.target import BladeRows, SharedSpace, locals_of
 from core.calibration.vector import LANES
+from core.discrepancy import total
 from core.errors import CalibrationError
 from core.model import Model
 from core.network import Parameter, cut_mass, cut_quantile
@@ -135,24 +136,28 @@ def _factors(
 def _readings(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Array, Array]:
     """Readings (n, R), their noise variances (n, R), and what no local parameter moves (n,).
 
-    The last is the log density of the scans' remainders.
+    y = g Y_m + o + noise enters as (y − o) / g, its variance as that over g². The last array is the
+    log density of the scans' remainders, and −Σ log g.
     """
+
+    def value(name: str | float) -> Array:
+        return x[:, space.names.index(name)] if isinstance(name, str) else np.full(len(x), name)
+
     y = np.tile(rows.y, (len(x), 1))
-    s2 = np.empty((len(x), len(rows.sigma)))
-    for r, sigma in enumerate(rows.sigma):
-        s2[:, r] = (x[:, space.names.index(sigma)] if isinstance(sigma, str) else sigma) ** 2
-    s2 = (s2 + rows.extra) * rows.discount
+    s2 = np.stack([value(sigma) ** 2 for sigma in rows.sigma], axis=1) + rows.extra
     rest = np.zeros(len(x))
+    for r, one in enumerate(rows.discrepancy):
+        gain = 1.0 + total(one.gain, value)
+        y[:, r] = (y[:, r] - total(one.offset, value)) / gain
+        s2[:, r] /= gain**2
+        rest -= np.log(gain)
+    s2 = (s2 + (rows.relative * y) ** 2) * rows.discount
     for r, name, low, high in rows.populations:
-        y[:, r] = x[:, space.names.index(name)]
+        y[:, r] = value(name)
         rest -= np.log(cut_mass(y[:, r], np.sqrt(s2[:, r]), low, high))
     for d in rows.dense:
-        s = (
-            x[:, space.names.index(d.sigma)]
-            if isinstance(d.sigma, str)
-            else np.full(len(x), d.sigma)
-        )
-        rest -= 0.5 * d.rss / s**2 + 0.5 * d.dof * np.log(2 * np.pi * s**2)
+        offset = [value(name) for name in d.offset]
+        rest += d.log_density(value(d.sigma), np.stack(offset, axis=1) if offset else x[:, :0])
     return y, s2, rest
 
 

@@ -5,7 +5,8 @@ priors; each row has a reading and a noise, which is a shared parameter sigma_ob
 or, where the inspection says so, known. A normal prior of a local parameter is one more row,
 linear in it; with a population its reading and noise are the shared mean and sd.
 
-A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`).
+A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`). What the model gets wrong
+(`core.discrepancy`) is carried by each row as a gain and an offset in shared parameters.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.scans import Dense, scan_rows
+from core.discrepancy import NONE, Affine, affine, parameters
 from core.errors import InputError
 from core.model import Model, Stacked
 from core.network import Parameter, Prior
@@ -39,7 +41,9 @@ class BladeRows:
     y         readings, (R,)
     sigma     per row: the name of a shared sigma_obs, or a known value
     extra     per row: variance beside the noise and the surrogate's, (R,) [unit²]
+    relative  per row: error in proportion to the model's answer, (R,) [1]
     dense     remainders of scans
+    discrepancy  of each row
     digest    of the readings
     populations  (row, name of the shared mean, low, high) of each local parameter with a population
     discount  per row: what its variance is multiplied by, (R,); 1 without forgetting
@@ -50,16 +54,19 @@ class BladeRows:
     y: Array
     sigma: tuple[str | float, ...]
     extra: Array
+    relative: Array
     dense: tuple[Dense, ...]
+    discrepancy: tuple[Affine, ...]
     digest: str
     populations: tuple[tuple[int, str, float, float], ...]
     discount: Array
     effective: float
 
     @property
-    def shared_sigmas(self) -> tuple[str, ...]:
-        names = [s for s in (*self.sigma, *(d.sigma for d in self.dense)) if isinstance(s, str)]
-        return tuple(sorted(set(names)))
+    def shared(self) -> frozenset[str]:
+        """Names of the noises and of the discrepancies' parameters that these rows see."""
+        noises = {s for s in (*self.sigma, *(d.sigma for d in self.dense)) if isinstance(s, str)}
+        return frozenset(noises.union(*(one.names for one in self.discrepancy)))
 
 
 class JointPrior(Protocol):
@@ -74,7 +81,7 @@ class JointPrior(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SharedSpace:
-    """The shared parameters as a unit box: physical ones first, then the noise of each quantity.
+    """The shared parameters as a unit box: physical ones, noises, theta of the discrepancies.
 
     joint  prior of several of them together
     tails  how many times more nodes than usual: a population's sd has a long tail
@@ -111,30 +118,40 @@ class SharedSpace:
         return total
 
 
+def shared_priors(model: Model) -> dict[str, Prior]:
+    """Declared priors of all shared parameters but the noises of single instruments."""
+    found = {p.name: p.prior for p in model.network.of_level("shared")}
+    found |= {n: prior for p in locals_of(model) for n, prior in p.hyperparameters.items()}
+    found |= {q.sigma_name: q.sigma_obs for q in model.network.quantities}
+    return found | {
+        n: prior for q in model.network.quantities for n, prior in parameters(model, q).items()
+    }
+
+
 def shared_prior(model: Model, name: str) -> Prior:
-    """The declared prior of a shared parameter, physical or a noise."""
-    for p in model.network.of_level("shared"):
-        if p.name == name:
-            return p.prior
-    for p in locals_of(model):
-        if name in p.hyperparameters:
-            return p.hyperparameters[name]
-    for q in model.network.quantities:
-        if q.sigma_name == name:
-            return q.sigma_obs
-    raise InputError("shared parameter", name, "does not exist here", "declare it, with its bounds")
+    """The declared prior of a shared parameter: physical, a noise, or of a discrepancy."""
+    found = shared_priors(model).get(name.split("@")[0])
+    if found is None:
+        raise InputError(
+            "shared parameter", name, "does not exist here", "declare it, with its bounds"
+        )
+    return found
 
 
 def shared_space(
     model: Model, rows: Iterable[BladeRows], joint: JointPrior | None = None
 ) -> SharedSpace:
-    """Shared parameters that the readings can speak of; a noise nobody measured keeps its prior."""
-    physical = model.network.of_level("shared")
-    met = {name for r in rows for name in r.shared_sigmas} | set(joint.names if joint else ())
-    noises = [q for q in model.network.quantities if q.sigma_name in met]
-    found = {p.name: p.prior for p in physical}
+    """Shared parameters that the readings can speak of; what nobody measured keeps its prior."""
+    met: set[str] = set(joint.names if joint else ()).union(*(r.shared for r in rows))
+    quantities = model.network.quantities
     hyper = {n: prior for p in locals_of(model) for n, prior in p.hyperparameters.items()}
-    found |= hyper | {q.sigma_name: q.sigma_obs for q in noises}
+    found = {p.name: p.prior for p in model.network.of_level("shared")} | hyper
+    for q in quantities:
+        of_each = f"{q.sigma_name}@"
+        names = sorted(n for n in met if n == q.sigma_name or n.startswith(of_each))
+        found |= dict.fromkeys(names, q.sigma_obs)
+    for q in quantities:
+        found |= {n: prior for n, prior in parameters(model, q).items() if n in met}
     return SharedSpace(tuple(found), tuple(found.values()), joint, TAILS if hyper else 1)
 
 
@@ -235,6 +252,8 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     sigma: list[str | float] = []
     dense: list[Dense] = []
     extra: list[Array] = []
+    relative: list[float] = []
+    wrong: list[Affine] = []
     discount: list[float] = []
     latest = max(r.time_h for r in readings)
 
@@ -245,11 +264,14 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
 
     for reading in sorted(readings, key=lambda i: (i.time_h, i.id)):
         quantity = model.network.quantity(reading.quantity)
-        name = reading.sigma if reading.sigma is not None else quantity.sigma_name
+        name = reading.sigma if reading.sigma is not None else quantity.sigma_of(reading.instrument)
         if quantity.kind == "vector":
             scan = scan_rows(model, reading, name, partial(_boxed, model), DEGREE)
-            response, values, more = scan.response, scan.y, scan.extra
+            response, values = scan.response, scan.y
             dense.append(scan.dense)
+            extra.append(scan.extra)
+            relative += [0.0] * len(response)
+            wrong += scan.discrepancy
         else:
             nodes = _node_of(model, reading)
             times = np.array([reading.time_h])
@@ -262,9 +284,11 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
                 ),
             )
             values = reading.values
-            more = (quantity.numerical * values) ** 2
+            one = affine(model, quantity, reading.time_h)
+            extra.append(np.array([one.sigma**2]))
+            relative.append(math.hypot(quantity.numerical, one.left))
+            wrong.append(one)
         parts.append(response if names is None else response.over(*names))
-        extra.append(more)
         y.append(values)
         sigma += [name] * len(response)
         discount += [2.0 ** age(reading)] * len(response)
@@ -277,6 +301,8 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         y.append(np.array([prior.mean]))
         sigma.append(sd)
         extra.append(np.zeros(1))
+        relative.append(0.0)
+        wrong.append(NONE)
         discount.append(1.0)
     weight = np.array(discount)
     response = Response.stack(parts)
@@ -285,7 +311,9 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         np.concatenate(y),
         tuple(sigma),
         np.concatenate(extra),
+        np.array(relative),
         tuple(dense),
+        tuple(wrong),
         digest_of(readings),
         tuple(populations),
         weight,
