@@ -20,8 +20,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,10 +50,11 @@ def times() -> Array:
     return np.union1d(output_times(), OUTAGES_H)
 
 
-def scan_nodes() -> NDArray[np.int64]:
-    """`SCANNED` of the nodes a laser scanner reaches, evenly over their list."""
+@cache
+def scan_nodes(count: int = SCANNED) -> NDArray[np.int64]:
+    """`count` of the nodes a laser scanner reaches, evenly over their list."""
     nodes = scanned_nodes()
-    return nodes[np.linspace(0, len(nodes) - 1, SCANNED).round().astype(np.int64)]
+    return nodes[np.linspace(0, len(nodes) - 1, count).round().astype(np.int64)]
 
 
 def design(seed: int = SEED, rotors: int = ROTORS, blades: int = BLADES) -> Array:
@@ -90,7 +93,10 @@ def run(folder: str | Path, processes: int = 1, progress: Progress | None = None
     critical = build_mesh("default").named["critical"]
 
     def keep(index: int, done: BladeRun) -> None:
-        arrays = {"elongation": done.elongation, "ceeq": done.ceeq[:, critical].astype(np.float32)}
+        arrays: dict[str, Any] = {
+            "elongation": done.elongation,
+            "ceeq": done.ceeq[:, critical].astype(np.float32),
+        }
         if index % BLADES == 0:
             shift = done.displacement[at][:, nodes] - done.displacement[0][nodes]
             arrays["deformation"] = shift.astype(np.float32)
