@@ -151,10 +151,10 @@ def _mixture_cdf(model: Model, posterior: Posterior, held: Held) -> float:
 
 @cache
 def code_digest() -> str:
-    """SHA-256 of the core's source files, by name."""
+    """SHA-256 of the core's source files and data, by name."""
     root = Path(core.__path__[0])
     total = sha256()
-    for file in sorted(root.rglob("*.py")):
+    for file in sorted([*root.rglob("*.py"), *root.rglob("*.npz")]):
         total.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0")
     return total.hexdigest()
 
