@@ -8,14 +8,20 @@ spread than that.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.online import Workspace, update
-from core.calibration.state import RotorSpec, blade_posterior, shared_posterior
+from core.calibration.state import (
+    Posterior,
+    RotorSpec,
+    RotorState,
+    blade_posterior,
+    shared_posterior,
+)
 from core.errors import InputError
 from core.model import Model
 from core.prediction import predict
@@ -25,11 +31,14 @@ Array = NDArray[np.float64]
 LIMIT = 0.1
 
 
+Pairs = list[tuple[float, float]]
+
+
 def spread(
     model: Model,
     variant: Variant,
     *,
-    rotor: int,
+    rotors: int,
     seed: int,
     seeds: int,
     particles: int = 10_000,
@@ -37,52 +46,59 @@ def spread(
 ) -> dict[str, Any]:
     """Standard deviation between `seeds` seeds of each published mean, in posterior sd.
 
-    Means of the shared parameters, of every blade's local ones, and of the predicted elongation of
-    every blade at the held-out hour and at the model's last (in sd of the parameters' part). By
-    name: the number of means, the largest spread and the root mean square.
+    Means of the shared parameters, of every blade's local ones, and of predicted elongation and
+    CEEQ of every blade at the held-out hour and at the model's last (in sd of the parameters'
+    part), of simulated rotors 0 … `rotors` − 1. By name: the number of means, the largest spread
+    and the root mean square.
     """
-    if seeds < 2:
-        raise InputError("seeds", seeds, "show no spread", "give eight or more")
-    made = simulate(model, variant, rotor, seed)
-    work = Workspace()
-    found: dict[str, list[tuple[Array, Array]]] = {}
-    horizon = model.surrogate.horizon_h
-    for number in range(seeds):
-        spec = RotorSpec("seeds", tuple(made.local), particles, number)
-        state = update(model, spec, made.readings, workspace=work)
-        get = state.arrays.__getitem__
-        shared = shared_posterior(state.meta, get)
-        one: dict[str, list[tuple[float, float]]] = {}
-        sd = np.sqrt(np.diag(shared.particles.covariance))
-        for name, mean, width in zip(shared.names, shared.particles.mean, sd, strict=True):
-            one[name] = [(mean, width)]
-        for blade in made.local:
-            posterior = blade_posterior(state.meta, get, blade)
-            particles_of = posterior.particles
-            sd = np.sqrt(np.diag(particles_of.covariance))
-            for name in state.meta["local"]:
-                i = posterior.names.index(name)
-                one.setdefault(name, []).append((particles_of.mean[i], sd[i]))
-            band = predict(model, posterior, "elongation", [variant.held_out_h, horizon])
-            for k, when in enumerate(("held-out hour", "horizon")):
-                pair = float(band.mean[k]), float(band.sd["parameters"][k])
-                one.setdefault(f"elongation at the {when}", []).append(pair)
-        for name, pairs in one.items():
-            mean, width = np.array(pairs).T
-            found.setdefault(name, []).append((mean, width))
-        if progress is not None:
-            progress(number + 1, seeds)
+    if seeds < 2 or rotors < 1:
+        raise InputError("seeds, rotors", (seeds, rotors), "show no spread", "give 8 and 1 or more")
+    found: dict[str, list[Array]] = {}
+    for rotor in range(rotors):
+        made, work = simulate(model, variant, rotor, seed), Workspace()
+        means: dict[str, list[Pairs]] = {}
+        for number in range(seeds):
+            spec = RotorSpec("seeds", tuple(made.local), particles, number)
+            state = update(model, spec, made.readings, workspace=work)
+            for name, pairs in _published(model, variant, state).items():
+                means.setdefault(name, []).append(pairs)
+            if progress is not None:
+                progress(rotor * seeds + number + 1, rotors * seeds)
+        for name, runs in means.items():
+            mean, sd = np.array(runs).transpose(2, 0, 1)  # (seeds, number of means) each
+            found.setdefault(name, []).append(mean.std(axis=0, ddof=1) / sd.mean(axis=0))
     table: dict[str, Any] = {}
-    for name, both in found.items():
-        means, widths = np.array(both).transpose(1, 0, 2)  # (seeds, number of means) each
-        ratio = means.std(axis=0, ddof=1) / widths.mean(axis=0)
+    for name, parts in found.items():
+        ratio = np.concatenate(parts)
         table[name] = {
             "means": ratio.size,
             "largest": round(float(ratio.max()), 4),
             "rms": round(float(np.sqrt(np.mean(ratio**2))), 4),
         }
-    return {
-        "limit": LIMIT,
-        "passed": all(row["largest"] < LIMIT for row in table.values()),
-        "table": table,
-    }
+    passed = all(row["largest"] < LIMIT for row in table.values())
+    return {"limit": LIMIT, "passed": passed, "table": table}
+
+
+def _published(model: Model, variant: Variant, state: RotorState) -> dict[str, Pairs]:
+    """Every (mean, sd) that a user can ask of a state, by name."""
+    get = state.arrays.__getitem__
+    out: dict[str, Pairs] = {}
+
+    def add(posterior: Posterior, names: Sequence[str]) -> None:
+        mean, sd = posterior.particles.mean, np.sqrt(np.diag(posterior.particles.covariance))
+        for name in names:
+            i = posterior.names.index(name)
+            out.setdefault(name, []).append((float(mean[i]), float(sd[i])))
+
+    add(shared_posterior(state.meta, get), state.meta["shared"])
+    for blade in state.meta["blades"]:
+        posterior = blade_posterior(state.meta, get, blade)
+        add(posterior, state.meta["local"])
+        times = [variant.held_out_h, model.surrogate.horizon_h]
+        for quantity in ("elongation", "ceeq"):
+            band = predict(model, posterior, quantity, times)
+            rows = zip(times, band.mean, band.sd["parameters"], strict=True)
+            for time_h, mean, sd in rows:
+                name = f"{quantity} at {time_h:g} h"
+                out.setdefault(name, []).append((float(mean), float(sd)))
+    return out

@@ -75,7 +75,7 @@ def coverage(
 def seeds(
     variant: Annotated[str, typer.Argument(help=VARIANT_HELP)] = "rotor-100",
     number: Annotated[int, typer.Option("--seeds", help="Seeds of the calibration.")] = 8,
-    rotor: Annotated[int, typer.Option(help="Which of the simulated rotors.")] = 0,
+    rotors: Annotated[int, typer.Option(help="Simulated rotors.")] = 3,
     blades: Blades = None,
     particles: Annotated[int, typer.Option(help="Particles per blade.")] = 10_000,
     seed: Seed = 7,
@@ -88,11 +88,11 @@ def seeds(
     chosen = plan(variant, blades)
     model = model_of(chosen)
     start = time.monotonic()
-    with bar("seeds", number) as step:
+    with bar("calibrations", rotors * number) as step:
         result = spread(
             model,
             chosen,
-            rotor=rotor,
+            rotors=rotors,
             seed=seed,
             seeds=number,
             particles=particles,
@@ -102,7 +102,7 @@ def seeds(
         "variant": chosen.name,
         "model": model.digest,
         "seed": seed,
-        "rotor": rotor,
+        "rotors": rotors,
         "seeds": number,
         "blades": chosen.blades,
         "particles": particles,

@@ -17,7 +17,7 @@ RESULTS = Path(__file__).with_name("results")
 KEPT = [
     pytest.param(json.loads(file.read_text()), id=file.parent.name)
     for file in sorted(RESULTS.glob("*/result.json"))
-    if "rotors" in json.loads(file.read_text())
+    if "variant" in (kept := json.loads(file.read_text())) and "seeds" not in kept
 ]
 SHORT = plan("rotor-20", blades=4)
 ROTORS, SEED, PARTICLES = 16, 20, 1000
