@@ -49,12 +49,13 @@ def rank_plot(curves: Mapping[str, Mapping[str, Ecdf]], title: str, path: Path) 
         )
         axis.set_ylim(-1.6 * reach, 1.6 * reach)
         axis.set_xlim(0, 1)
-        note = f"{one.truths} truths" if one.inside else f"{one.truths} truths, OUTSIDE"
-        axis.set_title(f"{name}\n({note})", fontsize=9)
+        note = "" if one.inside else ", outside the band"
+        colour = "black" if one.inside else WRONG["narrow"]
+        axis.set_title(f"{name}\n({one.truths} truths{note})", fontsize=9, color=colour)
         axis.tick_params(labelsize=8)
     for axis in axes[:, 0]:
         axis.set_ylabel("F(z) − z", fontsize=9)
-    for axis in axes[-1]:
+    for axis in axes.ravel()[max(len(curves) - COLUMNS, 0) : len(curves)]:
         axis.set_xlabel("rank z of the truth", fontsize=9)
     handles = [
         Patch(color=BAND),
