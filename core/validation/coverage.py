@@ -68,7 +68,7 @@ def calibrated(model: Model, variant: Variant, rotor: int, seed: int, particles:
 
     Blades whose posterior holds half of its mass in the outer tenths of the coating's range count
     a second time, under a name of their own: they are chosen by their data alone, so that their
-    truths' PITs are uniform, too.
+    truths' PITs are uniform, too. So do the few blades of a mixed rotor with a scan or a CEEQ.
     """
     start = time.monotonic()
     made = simulate(model, variant, rotor, seed)
@@ -94,14 +94,20 @@ def calibrated(model: Model, variant: Variant, rotor: int, seed: int, particles:
     rotor_wide = shared_posterior(state.meta, get)
     for name in rotor_wide.names:
         count(name, rotor_wide.column(name), rotor_wide.particles.w, made.shared[name])
+    special = {
+        kind: {r.blade for r in made.readings if r.quantity == quantity}
+        for kind, quantity in (("scanned blade", "deformation"), ("CEEQ read", "ceeq"))
+    }
     held: dict[str, list[Held]] = {}
     for one in made.held:
         held.setdefault(one.blade, []).append(one)
     for blade, truths in made.local.items():
         posterior = blade_posterior(state.meta, get, blade)
         w = posterior.particles.w
+        kinds = [kind for kind, which in special.items() if blade in which]
         for name, truth in truths.items():
-            count(name, posterior.column(name), w, truth)
+            for label in (name, *(f"{name}, {kind}" for kind in kinds)):
+                count(label, posterior.column(name), w, truth)
         if COATING in truths:
             coating = posterior.column(COATING)
             if _edge_mass(coating, w, model.network.parameter(COATING).prior) > HELD_BY_EDGE:
