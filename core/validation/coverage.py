@@ -209,8 +209,12 @@ def run(
         context = get_context("spawn")
         with ProcessPoolExecutor(processes, mp_context=context, initializer=_one_thread) as pool:
             calls = [pool.submit(_spawned, variant, r, seed, particles) for r in todo]
-            for call in as_completed(calls):
-                keep(call.result())
+            try:
+                for call in as_completed(calls):
+                    keep(call.result())
+            except BaseException:
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
     return [done[r] for r in range(rotors)]
 
 

@@ -22,7 +22,7 @@ level gamma holds F at all of 99 places with probability 0.95, gamma found by si
 independent: where truths come in clusters, N is divided at each z by the design effect, the
 variance of F between clusters over the binomial one (Kish 1965; smoothed over a fifth of the range,
 at least 1). As that is estimated from R clusters, it grows by R / (R − 4) and by the square of the
-ratio of Student's to normal quantiles. False alarms of the band, simulated: 2 – 6 % for independent
+ratio of Student's to normal quantiles. False alarms of the band, simulated: 4 – 6 % for independent
 uniforms, 1 – 7 % for clusters of 20 with correlation up to 0.4, 24 and 60 of them.
 """
 

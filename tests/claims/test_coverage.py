@@ -93,7 +93,7 @@ def test_a_cut_study_goes_on_in_other_processes_and_ends_alike(
 
 @pytest.mark.parametrize("kept", KEPT)
 def test_a_kept_study_holds(kept: dict[str, Any]) -> None:
-    """No rotor failed; shares within three standard errors; controls caught where truths are drawn.
+    """No rotor failed; shares and squares by source near what they should be; controls caught.
 
     A study of 200 rotors or more is held to its own verdict.
     """
@@ -110,6 +110,10 @@ def test_a_kept_study_holds(kept: dict[str, Any]) -> None:
         for c in (68, 95):
             nominal = np.sqrt(c / 100 * (1 - c / 100) / row["truths"])
             assert abs(row[f"inside_{c}"] - c / 100) < 3.5 * max(row[f"error_{c}"], nominal), name
+        if drawn:
+            for part in ("parameters", "value", "reading"):
+                mean, error = row.get(f"square_{part}", (1.0, 0.0))
+                assert abs(mean - 1) <= 4 * error, (name, part)
 
 
 def test_a_rotor_that_cannot_be_calibrated_is_counted(records: list[Record]) -> None:
