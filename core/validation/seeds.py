@@ -25,7 +25,8 @@ from core.calibration.state import (
 from core.errors import InputError
 from core.model import Model
 from core.prediction import predict
-from core.validation.simulate import Variant, simulate
+from core.validation.simulate import simulate
+from core.validation.variants import Variant
 
 Array = NDArray[np.float64]
 LIMIT = 0.1

@@ -35,8 +35,9 @@ def coverage(
     out: Out = None,
 ) -> None:
     """Simulation-based calibration: ranks and coverage of truths, with wrong samplers beside."""
-    from core.validation.coverage import curves, run, summary
-    from core.validation.simulate import model_of, plan
+    from core.validation.coverage import run
+    from core.validation.variants import model_of, plan
+    from core.validation.verdict import curves, summary
     from service.studies.plots import coverage_plot, rank_plot
 
     chosen = plan(variant, blades)
@@ -83,7 +84,7 @@ def seeds(
 ) -> None:
     """Monte-Carlo error: the spread of every published mean between seeds, in posterior sd."""
     from core.validation.seeds import spread
-    from core.validation.simulate import model_of, plan
+    from core.validation.variants import model_of, plan
 
     chosen = plan(variant, blades)
     model = model_of(chosen)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.validation.coverage import Record, collected, curves, names, run, summary
+from core.validation.coverage import Record, run
 from core.validation.sbc import CONTROLS, coverage, ecdf
-from core.validation.simulate import Variant, plan
+from core.validation.variants import Variant, plan
+from core.validation.verdict import collected, curves, names, summary
 
 RESULTS = Path(__file__).with_name("results")
 KEPT = [

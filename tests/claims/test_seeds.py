@@ -9,7 +9,7 @@ import pytest
 
 from core.errors import InputError
 from core.validation.seeds import LIMIT, spread
-from core.validation.simulate import model_of, plan
+from core.validation.variants import model_of, plan
 
 RESULT = Path(__file__).with_name("results") / "seeds" / "result.json"
 VARIANT = plan("rotor-20", blades=5)

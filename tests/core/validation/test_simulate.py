@@ -11,16 +11,8 @@ from core.calibration.target import DEGREE
 from core.errors import InputError
 from core.model import Model
 from core.validation.fe_rotors import scan_nodes
-from core.validation.simulate import (
-    COATING,
-    hours,
-    model_of,
-    names_of,
-    plan,
-    scan,
-    simulate,
-    truths,
-)
+from core.validation.simulate import scan, simulate, truths
+from core.validation.variants import COATING, hours, model_of, names_of, plan
 
 
 @pytest.fixture(scope="module")
