@@ -1,8 +1,8 @@
 """Studies of simulated rotors: calibrate many, see where the truths fall.
 
-`calibrated` does one rotor, `run` many: in spawned processes if asked, each finished rotor a line
+`calibrated` does one rotor, `run` many, in spawned processes if asked, each finished rotor a line
 of a file, so that a study which was cut goes on where it was. `core.validation.verdict` turns the
-lines into tables. No rotor is dropped: one whose calibration failed is counted, and the study fails.
+lines into tables. No rotor is dropped: one that cannot be calibrated fails the study.
 """
 
 from __future__ import annotations
