@@ -96,13 +96,15 @@ def test_a_cut_study_goes_on_in_other_processes_and_ends_alike(
 def test_a_kept_study_holds(kept: dict[str, Any]) -> None:
     """No rotor failed; shares and squares by source near what they should be; controls caught.
 
-    A study of 200 rotors or more is held to its own verdict.
+    A study of 200 rotors or more is held to its own verdict: all claims, and all controls caught
+    (a normal of equal moments is too near the truth for 40 rotors to tell).
     """
     assert kept["failed"] == {}
     assert kept["least_ess_ratio"] >= 0.1
     drawn = kept["controls_caught"] is not None
     if drawn:
-        assert all(kept["controls_caught"].values())
+        assert kept["controls_caught"]["narrow"]
+        assert kept["controls_caught"]["shifted"]
     if kept["rotors"] >= 200:
         assert kept["passed"]
     for name, row in kept["table"].items():
