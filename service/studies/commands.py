@@ -41,7 +41,7 @@ def coverage(
     from service.studies.plots import coverage_plot, rank_plot
 
     chosen = plan(variant, blades)
-    start = time.monotonic()
+    start, made_by = time.monotonic(), commit()
     with bar(f"{chosen.name} rotors", rotors) as step:
         records = run(
             chosen,
@@ -50,7 +50,7 @@ def coverage(
             particles=particles,
             processes=processes,
             folder=work,
-            commit=commit(),
+            commit=made_by,
             progress=lambda done, total: step(done),
         )
     found = curves(records)
@@ -65,7 +65,7 @@ def coverage(
         "particles": particles,
         "seconds": round(time.monotonic() - start, 1),
     }
-    write(facts | result, out)
+    write(facts | result, made_by, out)
     if out is not None:
         title = f"{chosen.name}: {rotors} rotors of {chosen.blades} blades"
         rank_plot(found, title, out / "ranks.png")
@@ -88,7 +88,7 @@ def seeds(
 
     chosen = plan(variant, blades)
     model = model_of(chosen)
-    start = time.monotonic()
+    start, made_by = time.monotonic(), commit()
     with bar("calibrations", rotors * number) as step:
         result = spread(
             model,
@@ -109,7 +109,7 @@ def seeds(
         "particles": particles,
         "seconds": round(time.monotonic() - start, 1),
     }
-    write(facts | result, out)
+    write(facts | result, made_by, out)
 
 
 @app.command()

@@ -22,9 +22,12 @@ def commit() -> str | None:
     return done.stdout.strip()
 
 
-def write(result: dict[str, Any], out: Path | None) -> None:
-    """A study's result on stdout, and as ``result.json`` in the folder `out`."""
-    head = {"command": " ".join(["bladetwin", *sys.argv[1:]]), "commit": commit()}
+def write(result: dict[str, Any], made_by: str | None, out: Path | None) -> None:
+    """A study's result on stdout, and as ``result.json`` in the folder `out`.
+
+    made_by   the commit when the study began: a checkout may move on meanwhile
+    """
+    head = {"command": " ".join(["bladetwin", *sys.argv[1:]]), "commit": made_by}
     text = json.dumps(head | result, indent=1)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
