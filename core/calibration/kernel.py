@@ -90,7 +90,7 @@ def line_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, out):  # type: i
     rows = len(ka2)
     size = 216 * rows * LANES
     ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
-    w, ends = np.empty(lines.SCRATCH), np.empty((5, LANES))
+    w, ends = np.empty(lines.SCRATCH), np.empty((9, LANES))
     la, lb, lv = np.empty(6 * rows * LANES), np.empty(6 * rows * LANES), np.empty(6 * rows * LANES)
     for n in range(len(factors)):
         collapsed(a, b, v, exponents, factors[n], ca, cb, cv)

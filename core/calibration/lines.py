@@ -10,7 +10,7 @@ with a, b and v of degree 5. ``line_modes`` finds the modes of a block of lines 
 inside the box, in step with one another; ``line_ranges`` finds where each bell has fallen by
 7 … 16 nats or the box cuts it, which is an exact limit of the uniform prior, and ``line_sums``
 integrates exp(log L) between by Gauss–Legendre points. Along most lines log L is close to a
-parabola: then a quartic through five values takes its place at these points.
+parabola: then a polynomial through five or nine values takes its place at these points.
 
 A block holds `LANES` lines. Their coefficients are flat: ``la[(6 r + k) LANES + i]`` is the k-th
 of row r on line i, readings and variances stand at ``y[r LANES + i]``; a line's own numbers are in
@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.calibration.vector import LANES, fast_exp, fast_log
 from core.compiled import compiled, contracted
@@ -34,8 +35,17 @@ X, G, V, S, B, T, TV, TS, TB, STEP, LEFT, RIGHT, SIDE, TMP, SUM = (
 SCRATCH = 15 * LANES
 POINTS = 12
 GL_X, GL_W = np.polynomial.legendre.leggauss(POINTS)
-LOBATTO = np.array([-1.0, -math.sqrt(0.5), 0.0, math.sqrt(0.5), 1.0])
-BENT = 0.05  # size of the last Chebyshev coefficient of log L below which a quartic will do
+LOBATTO = -np.cos(np.pi * np.arange(9) / 8)  # every second one: the places of five
+BENT = 0.05  # size of the last Chebyshev coefficient of log L below which its polynomial will do
+
+
+def _through(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values at the Gauss points of the polynomial through values at these places."""
+    basis = np.polynomial.chebyshev.chebvander
+    return np.asarray(basis(GL_X, len(places) - 1) @ np.linalg.inv(basis(places, len(places) - 1)))
+
+
+QUARTIC, OCTIC = _through(LOBATTO[::2]), _through(LOBATTO)
 INSIDE, OUTSIDE = 7.0, 16.0  # nats by which a bell has fallen where its range ends
 
 
@@ -152,7 +162,7 @@ def line_values(la, lb, lv, y, s2, ka2, kb2, w):  # type: ignore[no-untyped-def]
 def line_ranges(la, lb, lv, y, s2, ka2, kb2, w, nodes):  # type: ignore[no-untyped-def]
     """How far each bell reaches to the left and to the right of its mode: w[LEFT], w[RIGHT].
 
-    log L at the two ends goes into nodes[0] and nodes[4].
+    log L at the two ends goes into nodes[0] and nodes[8].
     """
     for direction in (-1.0, 1.0):
         out = LEFT if direction < 0.0 else RIGHT
@@ -181,23 +191,28 @@ def line_ranges(la, lb, lv, y, s2, ka2, kb2, w, nodes):  # type: ignore[no-untyp
             if done:
                 break
         for i in range(LANES):
-            nodes[0 if direction < 0.0 else 4, i] = w[TV + i]
+            nodes[0 if direction < 0.0 else 8, i] = w[TV + i]
 
 
 @compiled
 def line_sums(la, lb, lv, y, s2, ka2, kb2, w, nodes):  # type: ignore[no-untyped-def]
     """log ∫ L dg over [-1, 1], into w[SUM]; modes and ranges as the functions above left them.
 
-    nodes (5, LANES) holds log L at both ends in its first and last row, as line_ranges left it.
+    nodes (9, LANES) holds log L at both ends in its first and last row, as line_ranges left it.
     """
-    for q in range(1, 4):
-        for i in range(LANES):
-            wide = w[LEFT + i] + w[RIGHT + i]
-            w[T + i] = w[G + i] - w[LEFT + i] + wide * 0.5 * (1.0 + LOBATTO[q])
-        line_values(la, lb, lv, y, s2, ka2, kb2, w)
-        for i in range(LANES):
-            nodes[q, i] = w[TV + i]
-    if quartic_sums(nodes, w):
+    for first, step in ((2, 2), (1, 2)):  # the even places, then those between
+        for q in range(first, 8, step):
+            for i in range(LANES):
+                wide = w[LEFT + i] + w[RIGHT + i]
+                w[T + i] = w[G + i] - w[LEFT + i] + wide * 0.5 * (1.0 + LOBATTO[q])
+            line_values(la, lb, lv, y, s2, ka2, kb2, w)
+            for i in range(LANES):
+                nodes[q, i] = w[TV + i]
+        if first == 2 and bent(nodes, 2) <= BENT:
+            interpolated(nodes, 2, QUARTIC, w)
+            return
+    if bent(nodes, 1) <= BENT:
+        interpolated(nodes, 1, OCTIC, w)
         return
     for i in range(LANES):
         w[SUM + i], w[STEP + i] = 0.0, w[V + i]
@@ -220,28 +235,34 @@ def line_sums(la, lb, lv, y, s2, ka2, kb2, w, nodes):  # type: ignore[no-untyped
 
 
 @contracted
-def quartic_sums(nodes, w):  # type: ignore[no-untyped-def]
-    """`line_sums` where log L is a quartic along every line to within `BENT` nats, else False."""
-    bent = 0.0
+def bent(nodes, step):  # type: ignore[no-untyped-def]
+    """The largest last Chebyshev coefficient of log L through every `step`-th node, over lines."""
+    most = 0.0
     for i in range(LANES):
-        n0, n1, n2, n3, n4 = nodes[0, i], nodes[1, i], nodes[2, i], nodes[3, i], nodes[4, i]
-        top = max(max(max(n0, n1), max(n2, n3)), n4)
-        c0 = n2 - top
-        odd, even = n4 - n0, n4 + n0 - 2.0 * n2  # twice the parts at ±1, and at ±sqrt(1/2)
-        odd_in, even_in = n3 - n1, n3 + n1 - 2.0 * n2
-        c4 = even - 2.0 * even_in
-        c2 = 0.5 * even - c4
-        c3 = odd - math.sqrt(2.0) * odd_in
-        c1 = 0.5 * odd - c3
-        bent = max(bent, abs(c4))
-        total = 0.0
-        for q in range(POINTS):
-            t = GL_X[q]
-            total += GL_W[q] * fast_exp((((c4 * t + c3) * t + c2) * t + c1) * t + c0)
-        w[TMP + i], w[STEP + i] = total, top
-    if bent > 8.0 * BENT:
-        return False
+        last, sign = 0.5 * (nodes[0, i] + nodes[8, i]), -1.0
+        for q in range(step, 8, step):
+            last += sign * nodes[q, i]
+            sign = -sign
+        most = max(most, abs(last))
+    return 0.25 * most * (1.0 if step == 2 else 0.5)
+
+
+@contracted
+def interpolated(nodes, step, matrix, w):  # type: ignore[no-untyped-def]
+    """w[SUM] from log L at every `step`-th node; `matrix` leads from there to the Gauss points."""
+    for i in range(LANES):
+        w[STEP + i], w[TMP + i] = nodes[0, i], 0.0
+    for q in range(step, 9, step):
+        for i in range(LANES):
+            w[STEP + i] = max(w[STEP + i], nodes[q, i])
+    for p in range(POINTS):
+        for i in range(LANES):
+            w[TV + i] = -w[STEP + i]
+        for q in range(matrix.shape[1]):
+            for i in range(LANES):
+                w[TV + i] += matrix[p, q] * nodes[q * step, i]
+        for i in range(LANES):
+            w[TMP + i] += GL_W[p] * fast_exp(w[TV + i])
     for i in range(LANES):
         total = 0.5 * w[TMP + i] * (w[LEFT + i] + w[RIGHT + i])
         w[SUM + i] = w[STEP + i] + fast_log(total)
-    return True

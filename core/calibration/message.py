@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,7 +29,8 @@ from core.network import Parameter, cut_mass, cut_quantile
 from core.response import multi_indices
 
 Array = NDArray[np.float64]
-_POOL = ThreadPoolExecutor(max_workers=max(1, os.cpu_count() or 1))
+PARTS = max(1, os.cpu_count() or 1)
+_POOL = ThreadPoolExecutor(max_workers=PARTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,10 +162,23 @@ def _readings(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Arr
     return y, s2, rest
 
 
-def _split(n: int) -> list[slice]:
-    parts = min(_POOL._max_workers, n)
-    edges = np.linspace(0, n, parts + 1).astype(int)
+def _split(n: int, parts: int) -> list[slice]:
+    edges = np.linspace(0, n, min(parts, n) + 1).astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(edges) if b > a]
+
+
+def _side_by_side(work: Callable[[slice], None], parts: list[slice]) -> None:
+    if len(parts) == 1:
+        work(parts[0])
+    else:
+        list(_POOL.map(work, parts))
+
+
+def columns(messages: Sequence[BladeMessage], unit: Array, *, rough: bool) -> list[Array]:
+    """The columns of several blades, one blade beside the other; of a single one, its nodes."""
+    if len(messages) < PARTS:
+        return [m.column(unit, rough) for m in messages]
+    return list(_POOL.map(lambda m: m.column(unit, rough, parts=1), messages))
 
 
 class BladeMessage:
@@ -198,8 +212,8 @@ class BladeMessage:
         """Readings (n, R), noise variances (n, R) and what no local parameter moves (n,)."""
         return _readings(self.rows, self.space, self.space.to_x(unit))
 
-    def column(self, unit: Array, rough: bool = False) -> Array:
-        """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
+    def column(self, unit: Array, rough: bool = False, parts: int = PARTS) -> Array:
+        """log m_b at nodes `unit` (n, d) of the unit box, (n,); `parts` of them side by side."""
         blocks, p = self._blocks(unit), self.packed
         out = np.empty((len(blocks.factors), LANES))
 
@@ -210,7 +224,7 @@ class BladeMessage:
             else:
                 (kernel.plane_messages if p.dim == 2 else kernel.line_messages)(*given, out[part])
 
-        list(_POOL.map(work, _split(len(out))))
+        _side_by_side(work, _split(len(out), parts))
         return blocks.back(out) + blocks.rest + self._constant
 
     @property
@@ -245,7 +259,7 @@ class BladeMessage:
             else:
                 kernel.fewer_draws(*given, p.dim, u[part], out[part], log_w[part])
 
-        list(_POOL.map(work, _split(n)))
+        _side_by_side(work, _split(n, PARTS))
         shift = self._constant - math.log(per_node) + (blocks.rest - column)[:, None]
         weights = blocks.back(log_w) + shift
         if not np.all(weights < np.inf):  # neither NaN nor an unbounded weight

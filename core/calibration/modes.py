@@ -28,17 +28,33 @@ SCRATCH = TV + 6 * LANES
 @contracted
 def collapse_volumes(c, rows, w, out):  # type: ignore[no-untyped-def]
     """Fix the outer parameter at w[X]: a block of volumes → a block of planes (36 R LANES,)."""
+    n = 36 * LANES  # from one power of the outer parameter to the next
     for r in range(rows):
         for j in range(6):
             for k in range(6 - j):
-                o = ((6 * r + j) * 6 + k) * LANES
-                first = (((6 * r + 5 - j - k) * 6 + j) * 6 + k) * LANES
-                for i in range(LANES):
-                    out[o + i] = c[first + i]
-                for d in range(4 - j - k, -1, -1):
-                    q = (((6 * r + d) * 6 + j) * 6 + k) * LANES
+                o, q = ((6 * r + j) * 6 + k) * LANES, ((36 * r + j) * 6 + k) * LANES
+                if j + k == 5:
                     for i in range(LANES):
-                        out[o + i] = out[o + i] * w[X + i] + c[q + i]
+                        out[o + i] = c[q + i]
+                elif j + k == 4:
+                    for i in range(LANES):
+                        out[o + i] = c[q + n + i] * w[X + i] + c[q + i]
+                elif j + k == 3:
+                    for i in range(LANES):
+                        x = w[X + i]
+                        out[o + i] = (c[q + 2 * n + i] * x + c[q + n + i]) * x + c[q + i]
+                elif j + k == 2:
+                    for i in range(LANES):
+                        x, p = w[X + i], q + i
+                        t = (c[p + 3 * n] * x + c[p + 2 * n]) * x + c[p + n]
+                        out[o + i] = t * x + c[p]
+                else:
+                    for i in range(LANES):
+                        x, p = w[X + i], q + i
+                        t = (c[p + 4 * n] * x + c[p + 3 * n]) * x + c[p + 2 * n]
+                        if j + k == 0:
+                            t += c[p + 5 * n] * x * x * x
+                        out[o + i] = (t * x + c[p + n]) * x + c[p]
 
 
 @compiled

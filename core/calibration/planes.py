@@ -264,7 +264,7 @@ def plane_sums(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan, nodes
     wp holds the modes as plane_modes left them; nodes (4, NODES, LANES) and counts (LANES,)
     receive the points of the middle parameter. The rest is scratch.
     """
-    breaks, ends = np.empty(16), np.empty((5, LANES))
+    breaks, ends = np.empty(16), np.empty((9, LANES))
     scan(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan)
     most = 0
     for i in range(LANES):

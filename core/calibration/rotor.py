@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.message import BladeMessage
+from core.calibration.message import BladeMessage, columns
 from core.calibration.target import SharedSpace
 from core.errors import CalibrationError
 from core.response import monomials
@@ -38,21 +38,29 @@ class Columns:
     computed: int = 0
 
     def of(self, message: BladeMessage, key: bytes, unit: Array, how: str) -> Array:
+        return self.all({"": message}, key, unit, how)[""]
+
+    def all(
+        self, messages: Mapping[str, BladeMessage], key: bytes, unit: Array, how: str
+    ) -> dict[str, Array]:
+        """The column of each blade; those that are missing are computed side by side."""
         # a proposal's scouts are fewer than its nodes: their number is part of the name
-        place = (message.name, how, len(unit), key)
-        if place not in self.kept:
-            if len(self.kept) >= self.limit:
-                for old in list(self.kept)[: self.limit // 2]:
+        places = {b: (m.name, how, len(unit), key) for b, m in messages.items()}
+        missing = {b: messages[b] for b, place in places.items() if place not in self.kept}
+        if len(self.kept) + len(missing) > self.limit:
+            for old in list(self.kept)[: self.limit // 2]:
+                if old not in places.values():
                     del self.kept[old]
+        found = columns(list(missing.values()), unit, rough=how == "rough")
+        for (blade, message), column in zip(missing.items(), found, strict=True):
             self.computed += 1
-            column = message.column(unit, rough=how == "rough")
             if np.isnan(column).any():
                 raise CalibrationError(
                     f"a blade's message is not a number at {int(np.isnan(column).sum())} of "
                     f"{len(column)} nodes; its readings: {message.rows.y.tolist()[:12]}"
                 )
-            self.kept[place] = column
-        return self.kept[place]
+            self.kept[places[blade]] = column
+        return {b: self.kept[place] for b, place in places.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +133,7 @@ def quadratic(unit: Array, values: Array, log_w: Array) -> Callable[[Array], Arr
 def weigh(
     space: SharedSpace,
     messages: Mapping[str, BladeMessage],
-    columns: Columns,
+    known: Columns,
     seed: int,
     *,
     rounds: int = 12,
@@ -137,8 +145,9 @@ def weigh(
 
     def total(unit: Array, key: bytes, how: str) -> Array:
         out = space.log_prior(unit)
+        found = known.all(messages, key, unit, how)
         for blade in blades:
-            out = out + columns.of(messages[blade], key, unit, how)
+            out = out + found[blade]
         return out
 
     scouts = 32 if d <= 2 else 64
@@ -182,6 +191,6 @@ def weigh(
         unit,
         log_q,
         space.log_prior(unit),
-        {b: columns.of(messages[b], wide.key, unit, "exact") for b in blades},
+        known.all({b: messages[b] for b in blades}, wide.key, unit, "exact"),
         wide.key,
     )
