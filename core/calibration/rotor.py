@@ -5,8 +5,9 @@
 The shared nodes are placed in two steps. A descent on rough messages finds where the posterior is
 (`core.smc.placement`). What the rough messages miss is smooth: a quadratic through the difference
 at a few places mends them, and a second descent ends where the exact messages at the nodes give
-even weights. Where that fails (small noise, on which rough messages are worst), the nodes start
-again where the first descent ended, and at last from a descent on the exact messages. Everything
+even weights. Where that fails (few readings of each blade, small noise: there rough messages are
+worst), a descent looks at the exact messages alone, and at last the nodes start again where the
+first descent ended. Everything
 is a function of the set of readings; the columns are kept, so that a new reading costs one blade's
 columns as long as the nodes stay.
 """
@@ -90,6 +91,9 @@ class Weighed:
     @property
     def ess_ratio(self) -> float:
         return ess(self.log_w) / len(self.log_w)
+
+
+FAR = 4.0  # spreads beyond which the quadratic that mends rough messages is not believed
 
 
 def node_count(dim: int) -> int:
@@ -177,14 +181,19 @@ def weigh(
             start = improved(unit, log_p, log_q, 0.3)
         return best
 
-    best = settled(wide, 3)
-    if best[0] < enough:  # the rough messages misled: start where they alone led
-        best = max(best, settled(rough_end, rounds), key=lambda found: found[0])
-    if best[0] < enough:  # or look at nothing but the exact messages
+    spread = np.sqrt(np.sum(rough_end.chol**2, axis=1)) if rough_end.chol is not None else 1.0
+    mended = bool(np.all(np.abs(wide.mean - rough_end.mean) < FAR * spread))
+    best = settled(wide, 3) if mended else (-1.0, wide)
+    if best[0] < enough:  # the rough messages misled: look at nothing but the exact ones
         exactly = descend(
-            lambda unit, key: total(unit, key, "exact"), start_of(space, messages), scouts, seed
+            lambda unit, key: total(unit, key, "exact"),
+            start_of(space, messages),
+            16 if d <= 2 else 32,
+            seed,
         )
         best = max(best, settled(exactly, rounds), key=lambda found: found[0])
+    if best[0] < enough:  # or start where the rough messages alone led
+        best = max(best, settled(rough_end, rounds), key=lambda found: found[0])
     wide = best[1]
     unit, log_q = wide.nodes(base)
     return Weighed(
