@@ -125,9 +125,10 @@ def judged(model: Model, posterior: Posterior, held: Held) -> dict[str, float]:
 def _mixture_cdf(model: Model, posterior: Posterior, held: Held) -> float:
     """Σ w_i Φ((y − m_i) / sd_i) over all particles, without the shortcuts of a prediction."""
     declared, w = model.network.quantity(held.quantity), posterior.particles.w
-    node = None if declared.kind == "scalar" else [model.surrogate.named[declared.node or "tip"]]
-    x = inputs_of(model, posterior)
-    mean, sd = model.surrogate.predict(x, held.quantity, np.array([held.time_h]), node)
+    surrogate = model.part(held.quantity)
+    node = None if declared.kind == "scalar" else [surrogate.named[declared.node or "tip"]]
+    x = inputs_of(model, posterior, held.quantity)
+    mean, sd = surrogate.predict(x, held.quantity, np.array([held.time_h]), node)
     mean, sd = mean.reshape(len(w)), sd.reshape(len(w))
     sigma = noise_of(model, posterior, held.quantity)
     total = np.sqrt(sd**2 + (declared.numerical * mean) ** 2 + sigma**2)

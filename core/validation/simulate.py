@@ -100,11 +100,11 @@ def scan(
     rng: np.random.Generator,
 ) -> Array:
     """A 3-D scan (n, 3) [mm] at inputs x (d,), with the errors that the likelihood assumes."""
-    nu = model.network.quantity("deformation").numerical
-    phi = model.surrogate.deformation_modes(nodes.tolist())
+    nu, surrogate = model.network.quantity("deformation").numerical, model.part("deformation")
+    phi = surrogate.deformation_modes(nodes.tolist())
     q, r = np.linalg.qr(phi.reshape(3 * len(nodes), -1))
-    (z,), (sd,) = model.surrogate.mode_response(time_h, r, degree=DEGREE).evaluate(x[None])
-    covariance = r @ model.surrogate.mode_covariance(time_h) @ r.T
+    (z,), (sd,) = surrogate.mode_response(time_h, r, degree=DEGREE).evaluate(x[None])
+    covariance = r @ surrogate.mode_covariance(time_h) @ r.T
     root = sd / np.sqrt(np.diag(covariance))
     unknown = covariance * np.outer(root, root) + np.diag(nu**2 * (z**2 + np.mean(z**2)))
     error = np.linalg.cholesky(unknown) @ rng.standard_normal(len(z))
@@ -128,12 +128,13 @@ def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated
         declared = model.network.quantity(quantity)
         if runs is not None:
             return runs.at(quantity, own, time_h)[which], np.full(len(which), np.nan)
-        nodes = [model.surrogate.named[declared.node or "tip"]]
+        surrogate = model.part(quantity)
+        nodes = [surrogate.named[declared.node or "tip"]]
         node = None if declared.kind == "scalar" else nodes
         if held:
-            mean, sd = model.surrogate.predict(x[which], quantity, np.array([time_h]), node)
+            mean, sd = surrogate.predict(x[which], quantity, np.array([time_h]), node)
         else:
-            response = model.surrogate.response(quantity, np.array([time_h]), node, degree=DEGREE)
+            response = surrogate.response(quantity, np.array([time_h]), node, degree=DEGREE)
             mean, sd = response.evaluate(x[which])
         mean, sd = mean.reshape(len(which)), sd.reshape(len(which))
         e1, e2 = rng.standard_normal((2, len(which)))
