@@ -4,11 +4,11 @@
 
 Nested quadrature costs a factor of ten for each parameter. Here the parameters are split, blade by
 blade: *thin* ones t, along which the readings fix the rest to a bell narrower than the box, and
-*broad* ones f. Given f, the bell in t is found and drawn from at each node of the shared parameters
-(`collapsed_kernels`), so that what is left, L / q(t), is a smooth function of f alone: the readings'
-tubes and sheets are collapsed, however thin. The broad parameters come from a proposal that
-tempered particles find for all nodes together (`core.smc.tempered`). Where it fits a node badly,
-such nodes get a split and a proposal of their own.
+*broad* ones f. Given f, the bell in t is found and drawn from at each node of the shared
+parameters (`collapsed_kernels`), so that what is left, L / q(t), is a smooth function of f alone:
+the readings' tubes and sheets are collapsed, however thin. The broad parameters come from a
+proposal that tempered particles find for all nodes together (`core.smc.tempered`). Where it fits a
+node badly, such nodes get a split and a proposal of their own.
 
 Points are quasi-random and common to the nodes, so most of what error is left cancels between them.
 The message is the average over `REPLICATES` independently scrambled sets; their scatter is the
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration import collapsed_kernels as kernels
-from core.calibration.message import BladeMessage, natural
+from core.calibration.message import PARTS, BladeMessage, monomials_of, natural, prior_draws
 from core.calibration.target import BladeRows, SharedSpace, locals_of
 from core.errors import CalibrationError
 from core.model import Model
@@ -96,7 +96,9 @@ def split_of(exponents: bytes, places: int, thin: tuple[int, ...]) -> Split:
     place = np.array(
         [
             starts[where_t[tuple(t)]] + where_f[tuple(f)]
-            for f, t in zip(table[:, list(broad)].tolist(), table[:, list(thin)].tolist())
+            for f, t in zip(
+                table[:, list(broad)].tolist(), table[:, list(thin)].tolist(), strict=True
+            )
         ],
         dtype=np.int64,
     )
@@ -149,8 +151,8 @@ class CollapsedMessage(BladeMessage):
     def _fits(self) -> OrderedDict[tuple[bytes, bool], Fit]:
         return OrderedDict()
 
-    def column(self, unit: Array, rough: bool = False) -> Array:
-        """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
+    def column(self, unit: Array, rough: bool = False, parts: int = PARTS) -> Array:
+        """log m_b at nodes `unit` (n, d) of the unit box, (n,); one thread does a blade."""
         return self.fit(unit, rough).column
 
     def error(self, unit: Array) -> float:
@@ -189,8 +191,8 @@ class CollapsedMessage(BladeMessage):
             f = f.reshape(len(plan.members), per_node, broad)
             u = np.ascontiguousarray(own[:, :, broad:])
             t, ratio = self._weighed(unit[plan.members], plan.split, f, u)
-            out[np.ix_(plan.members, range(per_node), plan.split.broad)] = f
-            out[np.ix_(plan.members, range(per_node), plan.split.thin)] = t
+            both = np.concatenate([f, t], axis=2)
+            out[plan.members] = both[:, :, np.argsort((*plan.split.broad, *plan.split.thin))]
             log_w[plan.members] = ratio - log_q.reshape(ratio.shape)
         log_w -= math.log(per_node) + column[:, None]
         if not np.all(log_w < np.inf):  # neither NaN nor an unbounded weight
@@ -198,7 +200,12 @@ class CollapsedMessage(BladeMessage):
                 f"{int(np.sum(~(log_w < np.inf)))} draws of a blade have no weight; its readings: "
                 f"{self.rows.y.tolist()[:12]}"
             )
-        return natural(self.model, out), log_w
+        touched = natural(self.model, p.local, out)
+        if len(p.local) == len(locals_of(self.model)):
+            return touched, log_w
+        values, _ = prior_draws(self.model, self.space, unit, per_node, rng)
+        values[:, :, p.local] = touched
+        return values, log_w
 
     @property
     def _exponents(self) -> Index:
@@ -208,10 +215,16 @@ class CollapsedMessage(BladeMessage):
     def _weighed(self, unit: Array, split: Split, f: Array, u: Array) -> tuple[Array, Array]:
         """Thin parameters t (K, n, T) drawn at f (K, n, F), and log L p / q(t), (K, n)."""
         t, log_w = np.empty(u.shape), np.empty(u.shape[:2])
-        rest = self._at(unit, kernels.weigh, split.options, (f, u, t, log_w))
-        p = self.packed
-        constant = p.offset - 0.5 * len(self.rows.y) * math.log(2 * math.pi)
-        return t, log_w + (rest + constant - p.dim * math.log(2.0))[:, None]
+        given, rest = self._given(unit)
+        kernels.weigh(*given, *split.options, f, u, t, log_w)
+        return t, log_w + (rest + self._constant)[:, None]
+
+    def _given(self, unit: Array) -> tuple[tuple[Array, ...], Array]:
+        """What the compiled functions need of the nodes, and what no local parameter moves."""
+        p, x = self.packed, self.space.to_x(unit)
+        factors = monomials_of(self.model, self.rows, self.space, x, self.fixed)
+        y, s2, rest = self.readings(unit)
+        return (p.a, p.b, p.v, factors, y, s2, p.ka2, p.kb2), rest
 
     def _log_weights(self, unit: Array, split: Split, proposal: Kernels, base: Array) -> Array:
         """log of L p / q at every node for points of the unit cube (n, D), (K, n)."""
@@ -225,12 +238,13 @@ class CollapsedMessage(BladeMessage):
 
     def _split(self, unit: Array) -> Split:
         """The split at the node nearest to the middle of these."""
-        p, d = self.packed, self.packed.dim
+        d = self.packed.dim
         middle = np.argmin(np.sum((unit - unit.mean(axis=0)) ** 2, axis=1))
         exponents = self._exponents
         every = split_of(exponents.tobytes(), d, tuple(range(d)))
         mode, curvature = np.zeros((1, d)), np.empty((1, d, d))
-        self._at(unit[middle : middle + 1], kernels.curvatures, every.options, (mode, curvature))
+        given, _ = self._given(unit[middle : middle + 1])
+        kernels.curvatures(*given, *every.options, mode, curvature)
         thin, sharp = pivots(curvature[0])
         steps = REACH / 2 * np.array([0.0, -1.0, -2.0, 1.0, 2.0])
         while len(thin) > 1:  # the widest is thin only if its profile is a bell
@@ -261,7 +275,9 @@ class CollapsedMessage(BladeMessage):
             broad = len(split.broad)
             seen = unit[todo[:: -(-len(todo) // MEMBERS)]]
 
-            def target(f: Array, seen: Array = seen, split: Split = split, turn: int = turn) -> Array:
+            def target(
+                f: Array, seen: Array = seen, split: Split = split, turn: int = turn
+            ) -> Array:
                 u = sobol(len(f), d - len(split.broad), seed + 50 + turn)
                 k = len(seen)
                 return self._weighed(
@@ -296,5 +312,6 @@ def message_of(
     model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]
 ) -> BladeMessage:
     """The message of these rows: by quadrature up to three local parameters, else by particles."""
-    kind = CollapsedMessage if len(locals_of(model)) >= MANY else BladeMessage
+    many = len(locals_of(model, rows.response.names)) >= MANY
+    kind = CollapsedMessage if many else BladeMessage
     return kind(model, rows, space, fixed)

@@ -230,7 +230,7 @@ def draw_bell(t, g, order, inside, root, u, out):  # type: ignore[no-untyped-def
     """A draw of the bell cut at the box into out (D,), from uniforms u (D,): its log density."""
     d = t.shape[0]
     w, moved = np.empty(d), np.zeros(d)
-    total, wide2 = 0.0, WIDER * WIDER
+    total = 0.0
     for i in range(d):  # root⁻¹ g: the slope of each profile, once those before have adapted
         left = g[order[i]]
         for k in range(min(i, inside)):
@@ -287,7 +287,7 @@ def constant(pairs, flat):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def weigh(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, place, starts, rise, tables, f, u, t, log_w):  # type: ignore[no-untyped-def] # fmt: skip # noqa: E501
+def weigh(a, b, v, factors, y, s2, ka2, kb2, place, starts, rise, tables, f, u, t, log_w):  # type: ignore[no-untyped-def] # fmt: skip
     """Thin parameters drawn at given broad ones, at K values of the shared parameters.
 
     f (K, n, F) broad parameters, u (K, n, D) uniforms; fills t (K, n, D) and log_w (K, n), the
@@ -322,7 +322,7 @@ def weigh(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, place, starts, rise
 
 
 @compiled
-def curvatures(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, place, starts, rise, tables, mode, h):  # type: ignore[no-untyped-def] # fmt: skip # noqa: E501
+def curvatures(a, b, v, factors, y, s2, ka2, kb2, place, starts, rise, tables, mode, h):  # type: ignore[no-untyped-def] # fmt: skip
     """Mode (K, L) and Gauss–Newton curvature (K, L, L) of all local parameters together."""
     rows, d = a.shape[0], mode.shape[1]
     powers = tables[0].shape[0]

@@ -64,7 +64,8 @@ class Kernels:
         """Kernels at points x (n, d): Silverman's widths, narrowed as far as the points want it.
 
         Among halvings of the widths the one wins under which the points, each left out in turn,
-        are most likely: pieces far apart are not smeared into each other. Half of the cells hold equal shares of the points, half are even.
+        are most likely: pieces far apart are not smeared into each other. Half of the cells hold
+        equal shares of the points, half are even.
         """
         d = x.shape[1]
         size = 1.0 / np.sum(weight**2)
@@ -116,7 +117,7 @@ def _narrowing(x: Array, weight: Array, width: Array) -> float:
 
     def likelihood(factor: float) -> float:
         others = np.exp(-0.5 * square / factor**2) @ weight
-        return float(weight @ np.log(others + 1e-12)) - x.shape[1] * float(np.log(factor))
+        return float(weight @ np.log(others + 1e-12) - x.shape[1] * np.log(factor))
 
     return max(NARROWER, key=likelihood)
 

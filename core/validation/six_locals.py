@@ -44,10 +44,10 @@ def six_locals() -> Model:
         *(Parameter(name, "local", Prior("uniform", -3.0, 3.0)) for name in deviates),
     )
     inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in parameters)
-    quantity = Quantity(
-        "elongation", "mm", "scalar", Prior("log_uniform", 3e-3, 0.1), -5.0, 50.0
-    )
+    quantity = Quantity("elongation", "mm", "scalar", Prior("log_uniform", 3e-3, 0.1), -5.0, 50.0)
     return Model(
         Network("six-locals", parameters, (quantity,)),
-        FormulaModel(inputs, {"elongation": three_stages}, "three-stages", positive=("elongation",)),
+        FormulaModel(
+            inputs, {"elongation": three_stages}, "three-stages", positive=("elongation",)
+        ),
     )

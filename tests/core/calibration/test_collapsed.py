@@ -99,9 +99,7 @@ def test_particles_that_are_not_moved_do_not_pass(monkeypatch: pytest.MonkeyPatc
     case = CASES[1]
     exact = creep_message(case, BladeMessage).column(UNIT)
     with monkeypatch.context() as patch:
-        patch.setattr(
-            collapsed, "tempered", lambda target, d, n, seed: (Kernels.uniform(d), False)
-        )
+        patch.setattr(collapsed, "tempered", lambda target, d, n, seed: (Kernels.uniform(d), False))
         patch.setattr(collapsed, "CARRIED", 0.0)
         off = creep_message(case, CollapsedMessage).column(UNIT) - exact
         assert rms(off - off.mean()) > 0.01

@@ -47,9 +47,7 @@ def test_two_modes_keep_their_shares() -> None:
     low, high, sd = np.array([-0.6, -0.5]), np.array([0.7, 0.4]), np.array([0.05, 0.05])
 
     def target(x: np.ndarray) -> np.ndarray:
-        return np.logaddexp(
-            np.log(0.3) + gauss(x, low, sd), np.log(0.7) + gauss(x, high, sd)
-        )[None]
+        return np.logaddexp(np.log(0.3) + gauss(x, low, sd), np.log(0.7) + gauss(x, high, sd))[None]
 
     log_z, w, x = evidence(target, 2)
     assert log_z == pytest.approx(0.0, abs=0.04)
