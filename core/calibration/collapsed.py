@@ -10,10 +10,13 @@ the readings' tubes and sheets are collapsed, however thin. The broad parameters
 proposal that tempered particles find for all nodes together (`core.smc.tempered`). Where it fits a
 node badly, such nodes get a split and a proposal of their own.
 
-Points are quasi-random and common to the nodes, so most of what error is left cancels between them.
-The message is the average over `REPLICATES` independently scrambled sets; their scatter is the
-error that the state reports. Everything is seeded by the blade's rows and the nodes. One bell in
-the thin parameters is assumed at each f; the broad ones may have several modes.
+A pilot sample tells which nodes a proposal carries, and how many points are wanted; the message is
+then averaged over points of its own, so that its estimate is unbiased whatever the pilot led to.
+Points are quasi-random and common to the nodes, so most of what error is left cancels between
+them. They come in `REPLICATES` independently scrambled sets, whose scatter is the error that the
+state reports: of log m, and of its differences between nodes, which is all that the posterior
+feels. Everything is seeded by the blade's rows and the nodes. The broad parameters may have several
+modes; the thin ones are assumed to have one at each f, a second narrow one would be missed.
 """
 
 from __future__ import annotations
@@ -38,16 +41,19 @@ from core.smc.tempered import Kernels, effective, tempered
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-POINTS = 1024  # of each node; a rough message takes a quarter
-REPLICATES = 4
+PILOT = 512  # points of the pilot sample, which is all that a rough message takes
+LEAST, MOST = 1024, 2048  # points of a message
+WANTED = 0.01  # error of the differences between nodes [nat]
+GAIN = 0.75  # the error falls at least as n^−GAIN
+REPLICATES = 8
 SCOUTS = 256  # points of each round of tempering
-MEMBERS = 16  # nodes that the tempering looks at
+MEMBERS = 8  # nodes that the tempering looks at
 THIN = 4.0  # curvature, on the box [−1, 1], from which a parameter may be thin
 OFF_BELL = 0.4  # nats by which its profile may miss a bell's at `REACH` standard deviations
 REACH = 2.5
 CARRIED = 0.05  # share of effective points below which a node gets a proposal of its own
-TURNS = 6
-_ERRORS: OrderedDict[tuple[str, bytes], float] = OrderedDict()
+TURNS, ROUGH_TURNS = 6, 2  # proposals at most
+_ERRORS: OrderedDict[tuple[str, bytes], tuple[float, float]] = OrderedDict()
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,11 +143,29 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A column (K,), the error of each of its values (K,) [nat], and the plans behind it."""
+    """A column (K,), the scatter of its replicates, relative, (K, REPLICATES), and the plans."""
 
     column: Array
-    error: Array
+    scatter: Array
     plans: tuple[Plan, ...]
+
+    @property
+    def error(self) -> tuple[float, float]:
+        """Root mean square error of the column, and of its differences between nodes [nat]."""
+        own = self.scatter - self.scatter.mean(axis=0)
+        return _of_mean(self.scatter), _of_mean(own)
+
+
+def _of_mean(scatter: Array) -> float:
+    return float(np.sqrt(np.mean(scatter.var(axis=1, ddof=1)) / scatter.shape[1]))
+
+
+def _average(log_w: Array) -> tuple[Array, Array]:
+    """log of the mean of weights (K, n), and each replicate's share of it less one."""
+    top = log_w.max(axis=1, keepdims=True)
+    parts = np.exp(log_w - top).reshape(len(log_w), REPLICATES, -1).mean(axis=2)
+    mean = parts.mean(axis=1)
+    return top[:, 0] + np.log(mean), parts / mean[:, None] - 1.0
 
 
 class CollapsedMessage(BladeMessage):
@@ -155,23 +179,22 @@ class CollapsedMessage(BladeMessage):
         """log m_b at nodes `unit` (n, d) of the unit box, (n,); one thread does a blade."""
         return self.fit(unit, rough).column
 
-    def error(self, unit: Array) -> float:
-        """Root mean square error of the column at these nodes [nat], from its replicates."""
+    def error(self, unit: Array) -> tuple[float, float]:
+        """Errors of the column at these nodes [nat], from its replicates; see `Fit.error`."""
         key = (self.name, unit.tobytes())
         if key not in _ERRORS:
             self.fit(unit)
         return _ERRORS[key]
 
     def fit(self, unit: Array, rough: bool = False) -> Fit:
-        """The column with its error and its plans."""
+        """The column with its replicates and its plans."""
         key = (unit.tobytes(), rough)
         if key not in self._fits:
-            self._fits[key] = self._fitted(unit, POINTS // 4 if rough else POINTS)
+            self._fits[key] = self._fitted(unit, rough)
             while len(self._fits) > 2:
                 self._fits.popitem(last=False)
             if not rough:
-                error = self._fits[key].error
-                _ERRORS[self.name, key[0]] = float(np.sqrt(np.mean(error**2)))
+                _ERRORS[self.name, key[0]] = self._fits[key].error
                 while len(_ERRORS) > 20_000:
                     _ERRORS.popitem(last=False)
         return self._fits[key]
@@ -263,14 +286,13 @@ class CollapsedMessage(BladeMessage):
             thin, sharp = thin[:-1], sharp[:-1]
         return split_of(exponents.tobytes(), d, tuple(thin))
 
-    def _fitted(self, unit: Array, points: int) -> Fit:
+    def _planned(self, unit: Array, seed: int, turns: int) -> tuple[list[Plan], Array, Array]:
+        """Plans for all nodes; the pilot's column (K,) and scatter (K, REPLICATES)."""
         d = self.packed.dim
-        seed = seed_of(0, self.name, unit.tobytes().hex()) % 2**62
-        column, error = np.empty(len(unit)), np.empty(len(unit))
+        base = self._base(PILOT, seed + 100)
+        column, scatter = np.empty(len(unit)), np.empty((len(unit), REPLICATES))
         todo, plans = np.arange(len(unit)), list[Plan]()
-        n = points // REPLICATES
-        base = np.concatenate([sobol(n, d, seed + 100 + r) for r in range(REPLICATES)])
-        for turn in range(TURNS):
+        for turn in range(turns):
             split = self._split(unit[todo])
             broad = len(split.broad)
             seen = unit[todo[:: -(-len(todo) // MEMBERS)]]
@@ -288,21 +310,38 @@ class CollapsedMessage(BladeMessage):
             if broad:
                 proposal, _ = tempered(target, broad, SCOUTS, seed + 10 * turn)
             log_w = self._log_weights(unit[todo], split, proposal, base)
-            carried = effective(log_w) >= CARRIED * points
-            if turn == TURNS - 1 or not carried.any():
-                carried[:] = turn == TURNS - 1
+            carried = effective(log_w) >= CARRIED * PILOT
+            if turn == turns - 1:
+                carried[:] = True
             done = todo[carried]
-            top = log_w[carried].max(axis=1, keepdims=True)
-            parts = np.exp(log_w[carried] - top).reshape(len(done), REPLICATES, n).mean(axis=2)
-            mean = parts.mean(axis=1)
-            column[done] = top[:, 0] + np.log(mean)
-            error[done] = parts.std(axis=1, ddof=1) / mean / math.sqrt(REPLICATES)
             if len(done):
+                column[done], scatter[done] = _average(log_w[carried])
                 plans.append(Plan(done, split, proposal))
             todo = todo[~carried]
             if not len(todo):
                 break
-        return Fit(column, error, tuple(plans))
+        return plans, column, scatter
+
+    def _base(self, points: int, seed: int) -> Array:
+        """Points of the unit cube in scrambled sets, one after the other, (points, D)."""
+        n = points // REPLICATES
+        sets = [sobol(n, self.packed.dim, seed + r) for r in range(REPLICATES)]
+        return np.concatenate(sets)
+
+    def _fitted(self, unit: Array, rough: bool) -> Fit:
+        seed = seed_of(0, self.name, unit.tobytes().hex()) % 2**62
+        plans, column, scatter = self._planned(unit, seed, ROUGH_TURNS if rough else TURNS)
+        pilot = Fit(column, scatter, tuple(plans))
+        if rough:
+            return pilot
+        times = (pilot.error[1] / WANTED) ** (1 / GAIN)
+        points = min(max(PILOT * 2 ** math.ceil(math.log2(max(times, 1.0))), LEAST), MOST)
+        base = self._base(points, seed + 200)
+        column, scatter = np.empty(column.shape), np.empty(scatter.shape)
+        for plan in plans:
+            log_w = self._log_weights(unit[plan.members], plan.split, plan.proposal, base)
+            column[plan.members], scatter[plan.members] = _average(log_w)
+        return Fit(column, scatter, pilot.plans)
 
 
 MANY = 4  # local parameters from which particles take the quadrature's place

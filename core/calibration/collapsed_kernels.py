@@ -303,6 +303,7 @@ def weigh(a, b, v, factors, y, s2, ka2, kb2, place, starts, rise, tables, f, u, 
     work = (z, dz, value, turn, np.empty((rows, d)))
     g, h, root = np.empty(d), np.empty((d, d)), np.zeros((d, d))
     order, mode = np.empty(d, dtype=np.int64), np.zeros(d)
+    begin = np.zeros((f.shape[1], d))
     for k in range(factors.shape[0]):
         gather(a, b, v, place, factors[k], pairs)
         constant(pairs, flat)
@@ -311,10 +312,11 @@ def weigh(a, b, v, factors, y, s2, ka2, kb2, place, starts, rise, tables, f, u, 
             if i == 0 or f.shape[2] > 0:
                 raise_powers(f[k, i], rise[0], rise[1], zf)
                 fix_broad(pairs, starts, flat, zf, coef)
-                mode[:] = 0.0
+                mode[:] = begin[i]  # of the node before, which mostly has the same f
                 inside = bell(
                     coef, flat, mode, tables, y[k], s2[k], ka2, kb2, work, g, h, order, root
                 )
+                begin[i] = mode
             log_q = draw_bell(mode, g, order, inside, root, u[k, i], t[k, i])
             raise_powers(t[k, i], tables[0], tables[1], z)
             rows_at(coef, flat, z, value)

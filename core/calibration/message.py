@@ -235,9 +235,9 @@ class BladeMessage:
         p = self.packed
         return p.offset - 0.5 * len(p.ka2) * math.log(2 * math.pi) - p.dim * math.log(2.0)
 
-    def error(self, unit: Array) -> float:
-        """Root mean square error of a column at these nodes [nat]."""
-        return MESSAGE_ERROR
+    def error(self, unit: Array) -> tuple[float, float]:
+        """Root mean square errors of a column: its own, and of differences between nodes [nat]."""
+        return MESSAGE_ERROR, MESSAGE_ERROR
 
     def draws(
         self, unit: Array, per_node: int, rng: np.random.Generator, column: Array

@@ -276,17 +276,21 @@ class _Update:
         out = {f"blade/{blade}/local": local, f"blade/{blade}/log_w": log_w}
         return out if column is None else out | {f"column/{blade}": column}
 
-    def message_error(self, unit: Array, previous: RotorState | None = None) -> float:
-        """Root mean square error of log p at the nodes [nat], over all blades' messages.
+    def message_error(self, unit: Array, previous: RotorState | None = None) -> tuple[float, float]:
+        """Root mean square errors [nat] over all blades' messages: of log p at the nodes, and of
+        its differences between nodes.
 
         The unread blades' share is that of the state before, where one is given.
         """
         unread = set() if previous is None else self.unread(previous) & set(self.messages)
-        square = sum(m.error(unit) ** 2 for b, m in self.messages.items() if b not in unread)
+        own = [m.error(unit) for b, m in self.messages.items() if b not in unread]
+        square = np.sum(np.reshape(own, (-1, 2)) ** 2, axis=0)
         if previous is not None and unread:
-            before: float = previous.meta["health"]["message_error_nat"]
-            square += before**2 * len(unread) / len(previous.meta["readings"])
-        return float(np.sqrt(square))
+            health, share = previous.meta["health"], len(unread) / len(previous.meta["readings"])
+            before = np.array([health["message_error_nat"], health["message_tilt_nat"]])
+            square += before**2 * share
+        total, tilt = np.sqrt(square)
+        return float(total), float(tilt)
 
     def state(
         self,
@@ -294,7 +298,7 @@ class _Update:
         arrays: Arrays,
         key: bytes,
         log_w: Array,
-        message_error: float,
+        message_error: tuple[float, float],
         contradicted: Sequence[Mapping[str, Any]],
         *,
         sealed: bool,
@@ -305,7 +309,7 @@ class _Update:
         for value in own.values():
             value.flags.writeable = False
         nodes = len(log_w)
-        carried = health(log_w, message_error)
+        carried = health(log_w, *message_error)
         carried |= {"tempered": round(tempered, 4)}
         meta: dict[str, Any] = {
             "algorithm_version": ALGORITHM,

@@ -152,12 +152,14 @@ def blade_posterior(meta: Mapping[str, Any], get: Get, blade: str) -> Posterior:
     return Posterior((*meta["local"], *meta["shared"]), Particles(psi, weights))
 
 
-def health(log_w: Array, message_error: float) -> dict[str, float | int]:
+def health(log_w: Array, message_error: float, message_tilt: float) -> dict[str, float | int]:
     """How well the shared nodes carry the posterior.
 
     ess, ess_ratio   of the K shared nodes
     mc_error_sd      Monte-Carlo error of a shared mean in posterior standard deviations, if the
                      nodes were independent (they are better spread than that)
+    message_error_nat, message_tilt_nat   error of log p at a node, which the evidence has, and of
+                     its differences between nodes, which is all that the posterior feels
     """
     size = ess(log_w)
     return {
@@ -167,4 +169,5 @@ def health(log_w: Array, message_error: float) -> dict[str, float | int]:
         "mc_error_sd": round(float(1 / np.sqrt(size)), 4),
         "largest_weight": round(float(normalised(log_w).max()), 4),
         "message_error_nat": round(message_error, 5),
+        "message_tilt_nat": round(message_tilt, 5),
     }
