@@ -210,7 +210,7 @@ class CollapsedMessage(BladeMessage):
         for plan in self.fit(unit).plans:
             own = np.clip((base[:per_node] + shift[plan.members]) % 1.0, 1e-9, 1 - 1e-9)
             broad = len(plan.split.broad)
-            f, log_q = plan.proposal.points(own[:, :, :broad].reshape(-1, broad))
+            f, log_q = plan.proposal.points(own[:, :, :broad].reshape(len(own) * per_node, broad))
             f = f.reshape(len(plan.members), per_node, broad)
             u = np.ascontiguousarray(own[:, :, broad:])
             t, ratio = self._weighed(unit[plan.members], plan.split, f, u)

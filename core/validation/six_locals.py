@@ -18,7 +18,6 @@ from core.network import Network, Parameter, Prior, Quantity
 from core.validation.formula import FormulaInput, FormulaModel
 
 Array = NDArray[np.float64]
-TIMES_H = (2_000.0, 8_000.0, 16_000.0, 24_000.0, 32_000.0)
 
 
 def three_stages(x: Array, t: float) -> Array:

@@ -22,6 +22,7 @@ import numpy as np
 from core.errors import InputError
 from core.model import Model, rotor_blade
 from core.network import Prior
+from core.validation.six_locals import six_locals
 
 COATING = "tbc_thickness"
 THREE = (8_000.0, 16_000.0, 24_000.0)
@@ -39,6 +40,7 @@ class Variant:
     mixed       Table 1 of the paper: a scan of the first blade at each outage, CEEQ of one of the
                 last three, which is then replaced by a new blade
     tbc         range of the coating's prior, where it is not the network's
+    six_locals  `core.validation.six_locals` in place of the built-in model
     """
 
     name: str
@@ -48,6 +50,7 @@ class Variant:
     mixed: bool = False
     truth: Literal["prior", "bounds", "fe"] = "prior"
     tbc: tuple[float, float] | None = None
+    six_locals: bool = False
 
 
 VARIANTS = {
@@ -62,6 +65,7 @@ VARIANTS = {
         Variant("fe", blades=20, truth="fe"),
         Variant("fe-six-outages", blades=20, outages_h=SIX, held_out_h=49_000.0, truth="fe"),
         Variant("fe-mixed", blades=17, mixed=True, truth="fe"),
+        Variant("six-locals", blades=3, outages_h=(8_000.0, 24_000.0), six_locals=True),
     )
 }
 
@@ -86,7 +90,9 @@ def plan(name: str, blades: int | None = None) -> Variant:
 
 
 def model_of(variant: Variant) -> Model:
-    """The built-in model, with the variant's prior of the coating."""
+    """The built-in model, with the variant's prior of the coating, or that of six parameters."""
+    if variant.six_locals:
+        return six_locals()
     model = rotor_blade()
     if variant.tbc is None:
         return model

@@ -13,7 +13,6 @@ from core.calibration.state import RotorSpec, blade_posterior, shared_posterior
 from core.calibration.target import assemble, shared_space
 from core.errors import InputError
 from core.model import Model
-from core.network import Network, Parameter, Prior
 from core.observation import Inspection
 from core.smc.tempered import Kernels
 from tests.core.calibration.bar import bar, creep
@@ -65,6 +64,14 @@ CASES = [
     ((0.93, -0.37, -0.76), (8e3, 16e3, 24e3, 32e3), 0.0018),  # a thin tube
     ((0.7, 2.8, -2.5), (8e3, 24e3, 50e3), 0.01),  # at the bounds
     ((0.99, -1.55, -1.46), (8e3,), 0.0028),  # a thin sheet through the box
+    ((0.75, 0.0, 0.61), (8e3, 16e3, 24e3), 0.0011),
+    ((0.77, 2.57, -2.58), (8e3, 16e3, 24e3, 32e3), 0.0018),
+    ((1.3, 0.73, -0.79), (8e3, 24e3, 50e3), 0.0105),
+    ((1.11, -1.35, -2.17), (8e3,), 0.0377),
+    ((1.11, 0.07, 1.9), (8e3, 16e3), 0.0125),
+    ((1.32, -1.77, 0.32), (8e3, 16e3, 24e3), 0.0093),
+    ((0.9, 0.55, -1.59), (8e3, 16e3, 24e3, 32e3), 0.0402),
+    ((1.24, -2.23, -0.2), (8e3, 24e3, 50e3), 0.0036),
 ]
 
 
@@ -83,15 +90,53 @@ MODEL = bar()
 UNIT = np.linspace(0.6, 0.7, 32)[:, None]
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_three_local_parameters_agree_with_the_quadrature(case: tuple) -> None:
-    """Everything that is left, a tilt with s included; a part common to all nodes may be larger."""
-    exact = creep_message(case, BladeMessage).column(UNIT)
+def test_three_local_parameters_agree_with_the_quadrature() -> None:
+    """Twelve cases: differences between nodes to 0.01 nat each, and the stated errors are honest.
+
+    Of a column's error most is common to all nodes, which no posterior feels.
+    """
+    tilts, ratios = [], []
+    for case in CASES:
+        exact = creep_message(case, BladeMessage).column(UNIT)
+        message = creep_message(case, CollapsedMessage)
+        off = message.column(UNIT) - exact
+        error, tilt = message.error(UNIT)
+        tilts.append(rms(off - off.mean()))
+        ratios.append((rms(off) / error, tilts[-1] / tilt))
+        assert rms(off) < 0.03
+        assert tilt < 0.02
+    assert np.median(tilts) < 0.005
+    assert max(tilts) < 0.02
+    assert np.max(ratios) < 5
+    assert np.all(np.sqrt(np.mean(np.square(ratios), axis=0)) < 2)
+
+
+def test_an_estimate_is_unbiased_over_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few points, many scrambles, one plan: the mean estimate of m is right, and its error."""
+    monkeypatch.setattr(collapsed, "LEAST", 64)
+    monkeypatch.setattr(collapsed, "MOST", 64)
+    case, unit = CASES[9], UNIT[::16]
+    exact = creep_message(case, BladeMessage).column(unit)
     message = creep_message(case, CollapsedMessage)
-    off = message.column(UNIT) - exact
-    assert rms(off - off.mean()) < 0.01
-    assert rms(off) < 0.02
-    assert rms(off) < 4 * message.error(UNIT) + 0.001
+    plans, _, _ = message._planned(unit, 3, 1)
+    (plan,) = plans
+    ratio = np.array(
+        [
+            np.exp(
+                collapsed._average(
+                    message._log_weights(
+                        unit, plan.split, plan.proposal, message._base(64, 1000 * k)
+                    )
+                )[0]
+                - exact
+            )
+            for k in range(200)
+        ]
+    )
+    error = ratio.std(axis=0, ddof=1) / np.sqrt(len(ratio))
+    assert np.all(ratio.std(axis=0) > 0.02)
+    assert np.all(np.abs(ratio.mean(axis=0) - 1) < 4 * error)
+    assert np.all(error < 0.02)
 
 
 def test_particles_that_are_not_moved_do_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,7 +172,8 @@ def test_a_rotor_with_six_local_parameters_updates_quick_and_sealed() -> None:
     assert not quick.sealed
     sealed = update(model, spec, data, quick)
     assert sealed.digest == update(model, spec, data[::-1]).digest
-    assert 0 < sealed.meta["health"]["message_error_nat"] < 0.02
+    health = sealed.meta["health"]
+    assert 0 <= health["message_tilt_nat"] <= health["message_error_nat"] < 0.02
     get = sealed.arrays.__getitem__
     grid = np.linspace(-2.0, 6.0, 4001)
     log_p = exact_column(data, grid, 6) - 0.5 * ((grid - 2.0) / 0.5) ** 2
@@ -148,6 +194,5 @@ def test_the_path_follows_the_number_of_local_parameters() -> None:
         rows = assemble(model, data)
         assert rows is not None
         assert type(message_of(model, rows, shared_space(model, [rows]), {})) is kind
-    crowd = tuple(Parameter(f"l{j}", "local", Prior("uniform", 0.0, 1.0)) for j in range(11))
     with pytest.raises(InputError, match="more than 10"):
-        Network("crowd", crowd, ())
+        linear(11)
