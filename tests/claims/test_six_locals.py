@@ -1,4 +1,4 @@
-"""Six local parameters by tempered particles: the kept coverage study (`study coverage six-locals`).
+"""Six local parameters by tempered particles: the kept study (`study coverage six-locals`).
 
 `test_coverage` holds the study to its own verdict as well.
 """
