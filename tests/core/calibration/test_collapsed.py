@@ -103,10 +103,10 @@ def test_three_local_parameters_agree_with_the_quadrature() -> None:
         error, tilt = message.error(UNIT)
         tilts.append(rms(off - off.mean()))
         ratios.append((rms(off) / error, tilts[-1] / tilt))
-        assert rms(off) < 0.03
+        assert rms(off) < 0.02
         assert tilt < 0.02
     assert np.median(tilts) < 0.005
-    assert max(tilts) < 0.02
+    assert max(tilts) < 0.015
     assert np.max(ratios) < 5
     assert np.all(np.sqrt(np.mean(np.square(ratios), axis=0)) < 2)
 
