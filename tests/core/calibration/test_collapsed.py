@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from core.calibration import collapsed
 from core.calibration.collapsed import CollapsedMessage, message_of
@@ -15,6 +16,9 @@ from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
 from core.smc.tempered import Kernels
+from core.validation.simulate import simulate
+from core.validation.six_locals import three_stages
+from core.validation.variants import model_of, plan
 from tests.core.calibration.bar import bar, creep
 from tests.core.calibration.linear import exact_column, exact_locals, linear
 
@@ -196,3 +200,39 @@ def test_the_path_follows_the_number_of_local_parameters() -> None:
         assert type(message_of(model, rows, shared_space(model, [rows]), {})) is kind
     with pytest.raises(InputError, match="more than 10"):
         linear(11)
+
+
+@pytest.mark.parametrize("rotor", [0, 2, 5])
+def test_six_local_parameters_agree_with_a_mean_over_the_prior(rotor: int) -> None:
+    """An independent answer by brute force: 400,000 draws of the prior, weighted by the likelihood.
+
+    Messages at three nodes, and mean and spread of every local parameter.
+    """
+    variant = plan("six-locals")
+    model = model_of(variant)
+    made = simulate(model, variant, rotor, 7)
+    data = [r for r in made.readings if r.blade == "B001"]
+    message = message_for(model, data)
+    priors = [p.prior for p in model.network.of_level("local")]
+    rng = np.random.default_rng(5)
+    local = np.stack([p.quantile(rng.random(400_000)) for p in priors], axis=1)
+    sigma = made.shared["sigma_obs.elongation"]
+    low, high = model.network.quantity("elongation").sigma_obs.box
+    unit = np.array([[u, (np.log(sigma) - low) / (high - low)] for u in (0.2, 0.5, 0.8)])
+    column = message.column(unit)
+    values, log_w = message.draws(unit, 960, np.random.default_rng(3), column)
+    for k, rate in enumerate(0.8 + 0.2 * unit[:, 0]):
+        x = np.column_stack([np.full(len(local), rate), local])
+        w = np.ones(len(local))
+        for r in data:
+            w *= norm.pdf(r.values[0], three_stages(x, r.time_h), sigma)
+        error = np.hypot(message.error(unit)[0], w.std() / w.mean() / np.sqrt(len(w)))
+        assert abs(column[k] - np.log(w.mean())) < 4 * error
+        own, exact = np.exp(log_w[k]) / np.exp(log_w[k]).sum(), w / w.sum()
+        size = min(1 / np.sum(own**2), 1 / np.sum(exact**2))
+        mean = exact @ local
+        sd = np.sqrt(exact @ (local - mean) ** 2)
+        assert size > 100
+        assert np.all(np.abs(own @ values[k] - mean) < 4 * sd / np.sqrt(size / 2))
+        spread = np.sqrt(own @ (values[k] - own @ values[k]) ** 2)
+        assert spread == pytest.approx(sd, rel=0.1)
