@@ -91,34 +91,43 @@ class BladeIn(Body):
         return BladeRecord(**self.model_dump() | {"known": self.known or None})
 
 
-EXAMPLE: Json = {
-    "id": "r1",
-    "model": "rotor-blade",
-    "blades": [{"id": "B01", "slot": "1"}, {"id": "B02"}],
-    "network": {
-        "quantities": {
-            "elongation": {
-                "discrepancy": {"kind": "constant", "sd": 0.02},
-                "by_instrument": True,
-            }
+EXAMPLES: list[Json] = [
+    {
+        "id": "r1",
+        "model": "rotor-blade",
+        "blades": [{"id": "B01", "slot": "1"}, {"id": "B02"}],
+        "network": {
+            "quantities": {
+                "elongation": {
+                    "discrepancy": {"kind": "constant", "sd": 0.02},
+                    "by_instrument": True,
+                }
+            },
+            "forgetting_h": 20000,
         },
-        "parameters": {
-            "tbc_thickness": {
-                "population": {
-                    "mean": {"kind": "uniform", "low": 0.7, "high": 1.3},
-                    "sd": {"kind": "log_uniform", "low": 0.01, "high": 0.3},
+    },
+    {
+        "id": "r2",
+        "model": "rotor-blade",
+        "blades": [{"id": "B01"}, {"id": "B02"}],
+        "network": {
+            "parameters": {
+                "tbc_thickness": {
+                    "population": {
+                        "mean": {"kind": "uniform", "low": 0.7, "high": 1.3},
+                        "sd": {"kind": "log_uniform", "low": 0.01, "high": 0.3},
+                    }
                 }
             }
         },
-        "forgetting_h": 20000,
     },
-}
+]
 
 
 class RotorIn(Body):
     """A new rotor."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE]})
+    model_config = ConfigDict(json_schema_extra={"examples": EXAMPLES})
 
     id: Id
     model: Id

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from core.errors import InputError, RangeError
-from service.errors import FaultsError, NotFoundError
+from service.errors import FaultsError, NotFoundError, NotYetError
 from service.ports import (
     BladeRecord,
     Draws,
@@ -79,6 +79,11 @@ def basis(
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
         state = tx.states.get(rotor_id, version)
         card = tx.records.model(rotor.model_id, state.model_version)
+    if found is not None and found.added_seq > state.through_seq:
+        raise NotYetError(
+            f"blade {blade} in version {state.version} of rotor {rotor_id}",
+            f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={found.added_seq}&timeout=30",
+        )
     return Basis(state, science.vary(card, rotor.network) if rotor.network else card, found)
 
 

@@ -401,6 +401,10 @@ def test_a_blade_joins_and_leaves(created: httpx.Client, worker: Worker) -> None
     refuse(created.post("/v1/rotors/r1/blades/B9/retirement"), 404, "blade")
     worker.drain()
     view = created.get("/v1/rotors/r1").json()
+    assert created.post("/v1/rotors/r1/blades", json={"id": "B4"}).json()["head_seq"] == 4
+    for what in ("posterior", "prediction?times=1"):
+        told = refuse(created.get(f"/v1/rotors/r1/blades/B4/{what}"), 409, "version")
+        assert "wait_for=4" in told["detail"]
     assert [(b["id"], b["lot"], b["retired"]) for b in view["blades"]] == [
         ("B1", None, True),
         ("B2", None, False),

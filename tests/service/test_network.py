@@ -239,10 +239,9 @@ def test_a_network_that_changes_nothing_gives_the_bit_identical_state(
     assert twin.posterior("r1")["rests_on"]["model_digest"] == twin.model("rotor-blade")["digest"]
 
 
-def test_the_example_of_the_openapi_document_is_accepted_as_it_stands(api: httpx.Client) -> None:
+def test_the_examples_of_the_openapi_document_are_accepted_as_they_stand(api: httpx.Client) -> None:
     document = api.get("/openapi.json").json()
-    examples = document["components"]["schemas"]["RotorIn"]["examples"]
-    for example in examples:
+    for example in document["components"]["schemas"]["RotorIn"]["examples"]:
         answer = api.post("/v1/rotors", json=example)
         assert answer.status_code == 201, answer.text
         assert answer.json()["network"] == example["network"]
