@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, FiniteFloat, model_validator
+from pydantic.config import JsonValue
 
 from core.network import Kind
 from service.api.schemas import Body, Id, Moment, Text
@@ -91,7 +92,7 @@ class BladeIn(Body):
         return BladeRecord(**self.model_dump() | {"known": self.known or None})
 
 
-EXAMPLES: list[Json] = [
+EXAMPLES: list[JsonValue] = [
     {
         "id": "r1",
         "model": "rotor-blade",
