@@ -140,8 +140,10 @@ class Science(Protocol):
     def builtins(self) -> tuple[str, ...]: ...
 
     def builtin(self, name: str) -> ModelCard: ...
-    def vary(self, card: ModelCard, asked: Json) -> ModelCard:
+    def vary(self, card: ModelCard, asked: Json | None) -> ModelCard:
         """A registered model under a rotor's own network (`service.variant`), with its own digest.
+
+        None asks for nothing: the card itself.
 
         Raises FaultsError or InputError for what cannot be asked of it.
         """

@@ -87,7 +87,9 @@ class CoreScience:
             self._varied.move_to_end(card.digest)
             return self._varied[card.digest]
 
-    def vary(self, card: ModelCard, asked: Json) -> ModelCard:
+    def vary(self, card: ModelCard, asked: Json | None) -> ModelCard:
+        if asked is None:
+            return card
         model = self._model(card)
         network = vary(card.network, card.horizon_h, asked)
         varied = Model(network, model.surrogate)

@@ -84,7 +84,7 @@ def basis(
             f"blade {blade} in version {state.version} of rotor {rotor_id}",
             f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={found.added_seq}&timeout=30",
         )
-    return Basis(state, science.vary(card, rotor.network) if rotor.network else card, found)
+    return Basis(state, science.vary(card, rotor.network), found)
 
 
 def posterior(store: Store, science: Science, found: Basis) -> Json:

@@ -43,7 +43,7 @@ def digest_of_json(data: object) -> tuple[str, str]:
     return text, sha256(text.encode()).hexdigest()
 
 
-def check_network(store: Store, science: Science, model_id: str, network: Json) -> None:
+def check_network(store: Store, science: Science, model_id: str, network: Json | None) -> None:
     """Refuse a network that the model cannot be varied to, before a rotor asks for it."""
     with store.read() as tx:
         card = _registered(tx, model_id)

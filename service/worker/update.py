@@ -165,7 +165,7 @@ class Updater:
         spec = RotorSpec(rotor.id, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)
         readings = entries_of(fresh)
         return Task(
-            card=card if rotor.network is None else self.science.vary(card, rotor.network),
+            card=self.science.vary(card, rotor.network),
             spec=spec,
             through=through,
             entries=memory.entries + readings,

@@ -82,8 +82,7 @@ def view_out(view: use.RotorView) -> dict[str, Any]:
 @router.post("", status_code=201, summary="Create a rotor; the same again gives the same answer")
 def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
     network = body.asked_network()
-    if network is not None:
-        use.check_network(services.store, services.science, body.model, network)
+    use.check_network(services.store, services.science, body.model, network)
     rotor, blades, new = use.create_rotor(
         services.store,
         body.id,
