@@ -83,6 +83,7 @@ rotor = Table(
     Column("head_seq", BIG, nullable=False),
     Column("digest", String(64), nullable=False),
     Column("created_at", Double, nullable=False),
+    Column("network", Text),
     ForeignKeyConstraint(["model_id", "model_version"], ["model.id", "model.version"]),
 )
 
@@ -98,6 +99,7 @@ blade = Table(
     Column("time_h0", Double),
     Column("added_seq", BIG, nullable=False),
     Column("retired_seq", BIG),
+    Column("known", Text),
 )
 
 entry = Table(

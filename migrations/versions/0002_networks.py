@@ -1,0 +1,23 @@
+"""A rotor's own network and a blade's known inputs.
+
+Revision ID: 0002
+Revises: 0001
+"""
+
+import sqlalchemy as sa
+from alembic import op
+
+revision = "0002"
+down_revision = "0001"
+branch_labels = None
+depends_on = None
+
+
+def upgrade() -> None:
+    op.add_column("rotor", sa.Column("network", sa.Text(), nullable=True))
+    op.add_column("blade", sa.Column("known", sa.Text(), nullable=True))
+
+
+def downgrade() -> None:
+    op.drop_column("blade", "known")
+    op.drop_column("rotor", "network")
