@@ -150,7 +150,7 @@ def add_row(acc, y, s2, ka, kb, out):  # type: ignore[no-untyped-def]
 @compiled
 def ascent(x, g, sx, sg, hxx, hxg, hgg):  # type: ignore[no-untyped-def]
     """The scoring step inside the box: (dx, dg, expected gain)."""
-    ridge = 1e-9 * (hxx + hgg) + 1e-12
+    ridge = 1e-9 * (hxx + hgg) + 0.05
     hxx, hgg = hxx + ridge, hgg + ridge
     free_x = not ((x >= 1.0 and sx > 0.0) or (x <= -1.0 and sx < 0.0))
     free_g = not ((g >= 1.0 and sg > 0.0) or (g <= -1.0 and sg < 0.0))

@@ -53,7 +53,7 @@ LEGENDRE = np.array(
     ]
 )
 DEPTH = 11.5  # nats below the profile's top that still count
-SPLIT = 0.05
+SPLIT = 0.02
 PANELS = 40
 # a survey's numbers by station: place, profile, middle and inner mode, information, active bounds
 AT, TOP, MID, INN, IXX, IXG, IGG, ACTIVE = range(8)

@@ -1,4 +1,4 @@
-"""A rotor's own network and a blade's known inputs.
+"""A rotor's own network, a blade's known inputs, and since when a rotor is provisional.
 
 Revision ID: 0002
 Revises: 0001
@@ -16,8 +16,10 @@ depends_on = None
 def upgrade() -> None:
     op.add_column("rotor", sa.Column("network", sa.Text(), nullable=True))
     op.add_column("blade", sa.Column("known", sa.Text(), nullable=True))
+    op.add_column("cursor", sa.Column("provisional_since", sa.Double(), nullable=True))
 
 
 def downgrade() -> None:
+    op.drop_column("cursor", "provisional_since")
     op.drop_column("blade", "known")
     op.drop_column("rotor", "network")

@@ -127,6 +127,7 @@ cursor = Table(
     Column("version", BIG, nullable=False),
     Column("dirty", Boolean, nullable=False),
     Column("dirty_since", Double),
+    Column("provisional_since", Double),
     Column("fence", BIG, nullable=False),
     Column("owner", NAME),
     Column("lease_until", Double),

@@ -108,6 +108,7 @@ class Updater:
             self.settings.lease_s,
             role=self.role,
             quiet_s=self.settings.seal_after_s,
+            overdue_s=self.settings.seal_within_s,
         )
         if lease is None:
             return False
