@@ -49,7 +49,7 @@ from core.smc.particles import log_sum_exp, tempering_exponent
 Array = NDArray[np.float64]
 QUICK_ESS = 0.1  # share of the nodes that must carry the weight, tempered if need be
 LEAST_TEMPERING = 0.2  # below this exponent the nodes are placed anew at once
-MESSAGE_ERROR = 0.001  # nat, root mean square against a dense reference (a quarter from two readings on)
+MESSAGE_ERROR = 0.001  # nat, rms against a dense reference; more only far from what blades do
 MANY = 4  # touched blades for which a rough look comes first
 PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
 
