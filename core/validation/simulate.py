@@ -131,9 +131,9 @@ def scan(
     covariance = r @ surrogate.mode_covariance(time_h) @ r.T
     root = sd / np.sqrt(np.diag(covariance))
     unknown = covariance * np.outer(root, root) + np.diag(nu**2 * (z**2 + np.mean(z**2)))
-    error = np.linalg.cholesky(unknown) @ rng.standard_normal(len(z))
+    own = np.linalg.cholesky(unknown) @ rng.standard_normal(len(z))
     noise = noise_sd * rng.standard_normal((len(nodes), 3))
-    return np.asarray(gain * (q @ (z + error)).reshape(-1, 3) + offset + noise)
+    return np.asarray(gain * (q @ (z + own)).reshape(-1, 3) + offset + noise)
 
 
 def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated:

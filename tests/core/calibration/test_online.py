@@ -41,7 +41,7 @@ def test_a_quick_update_reads_and_makes_the_touched_blade_only(before: RotorStat
     state = update(MODEL, SPEC, [*READINGS, LATE], stored(before, asked), quick=True)
     assert not state.sealed
     assert state.meta["provisional"] == [LATE.blade]
-    shared = {"shared/unit", "shared/log_p", "shared/log_q"}
+    shared = {"shared/unit", "shared/log_p", "shared/log_q", "shared/tilt"}
     assert set(asked) == shared | {f"column/{LATE.blade}"}
     own = {f"column/{LATE.blade}", f"blade/{LATE.blade}/local", f"blade/{LATE.blade}/log_w"}
     assert state.fresh == own | {"shared/log_p", "shared/log_w"}
