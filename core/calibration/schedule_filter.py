@@ -34,7 +34,7 @@ from core.smc.particles import Particles, ess, tempering_exponent
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 EFFECTIVE = 0.5  # share of particles that stay effective over one stretch of the path
-MOVED = 1.0  # accepted moves of a particle after each stretch, on average
+MOVED = 0.5  # accepted moves of a particle after each stretch, on average
 MOST_MOVES = 12
 SIGMA_DELTA = 1e-5  # the paper's standard deviation of the discrepancy, in the reading's unit
 
@@ -237,7 +237,10 @@ class Readings:
 
             basis = _monomials((x[:, columns] - low) / half - 1.0, exponents)
             total = np.zeros((len(x), m))
+            doubt = np.exp(basis @ v[0].T)
             for r in range(len(self.y)):
+                if r and not np.array_equal(self.v[r], self.v[r - 1]):
+                    doubt = np.exp(basis @ v[r].T)
                 scale = np.exp(basis @ b[r].T) if np.any(b[r]) else np.ones((1, 1))
                 a_r = basis @ a[r].T if np.any(a[r][:, 1:]) else a[r][None, :, 0]
                 if self.psi is not None:
@@ -248,7 +251,7 @@ class Readings:
                 variance = noise**2 + (self.extra[r] + (SIGMA_DELTA**2 if self.psi else 0.0))
                 if self.ka[r] or self.kb[r]:
                     spread = self.ka[r] ** 2 + (a_r * self.kb[r]) ** 2
-                    variance = variance + scale**2 * np.exp(basis @ v[r].T) * spread
+                    variance = variance + scale**2 * doubt * spread
                 miss = a_r * scale - self.y[r]
                 total -= 0.5 * (miss**2 / variance + np.log(2 * np.pi * variance))
             for d in self.dense:
@@ -262,10 +265,10 @@ class Readings:
 
 def _monomials(z: Array, exponents: NDArray[np.int64]) -> Array:
     """Monomials with these exponents (F, d) at z (n, d): (n, F)."""
-    out = np.ones((len(z), len(exponents)))
+    out = np.ones((len(exponents), len(z)))
     for j in range(z.shape[1]):
-        powers = np.ones((len(z), int(exponents[:, j].max()) + 1))
-        for k in range(1, powers.shape[1]):
-            powers[:, k] = powers[:, k - 1] * z[:, j]
-        out *= powers[:, exponents[:, j]]
-    return out
+        powers = np.ones((int(exponents[:, j].max()) + 1, len(z)))
+        for k in range(1, len(powers)):
+            powers[k] = powers[k - 1] * z[:, j]
+        out *= powers[exponents[:, j]]
+    return out.T
