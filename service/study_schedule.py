@@ -77,27 +77,32 @@ def schedule(
         "particles": particles,
         "times_h": TIMES_H,
         "simulated": {name: told(arm) for name, arm in study.items()},
-        "seconds": round(time.monotonic() - start, 1),
+        "plan": {"particles": plan_particles, "t1t_rate": inspection_plan.T1T_RATE},
     }
+
+    def kept() -> str:
+        result["seconds"] = round(time.monotonic() - start, 1)
+        text = json.dumps(result, indent=1)
+        if out is not None:  # after every part: a study that is cut leaves what it found
+            out.parent.mkdir(parents=True, exist_ok=True)
+            out.write_text(text + "\n")
+        return text
+
+    kept()
     plan, names = inspection_plan.load(), inspection_plan.blades()
     offline, online = ARMS["offline"], ARMS["online"]
     runs: dict[str, Schedule | None] = {
         JOINT: None,
         "offline": offline,
-        "online": online,
         "offline, discrepancy": replace(offline, discrepancy=PSI),
+        "online": online,
         "online, discrepancy": replace(online, discrepancy=PSI),
     }
-    found: dict[str, Any] = {"particles": plan_particles, "t1t_rate": inspection_plan.T1T_RATE}
     with bar("inspection plan", len(runs)) as step:
         for done, (name, how) in enumerate(runs.items(), 1):
             begin = time.monotonic()
-            found[name], _ = on_plan(model, plan, names, how, particles=plan_particles, seed=seed)
-            found[name]["seconds"] = round(time.monotonic() - begin, 1)
+            found, _ = on_plan(model, plan, names, how, particles=plan_particles, seed=seed)
+            result["plan"][name] = {**found, "seconds": round(time.monotonic() - begin, 1)}
+            kept()
             step(done)
-    result |= {"plan": found, "seconds": round(time.monotonic() - start, 1)}
-    text = json.dumps(result, indent=1)
-    if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text + "\n")
-    typer.echo(text)
+    typer.echo(kept())
