@@ -119,7 +119,7 @@ class Scheduled:
 
     @property
     def ess(self) -> dict[str, float]:
-        """Effective share of distinct particles: of each blade, and of the ``shared`` ones."""
+        """Effective number of distinct particles: of each blade, and of the ``shared`` ones."""
         sets = {**{b: p.particles for b, p in self.local.items()}, "shared": self.shared.particles}
         return {
             name: float(n * n / np.sum(np.unique(p.psi, axis=0, return_counts=True)[1] ** 2.0))

@@ -41,20 +41,16 @@ SIGMA_DELTA = 1e-5  # the paper's standard deviation of the discrepancy, in the 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Particles u (N, d) on the unit box of `space`, and the log density they stand for.
-
-    exact  False: the density is a normal fitted to the particles, all that is left of a joint step
-    """
+    """Particles u (N, d) on the unit box of `space`, and the log density they stand for."""
 
     space: SharedSpace
     u: Array
     log_density: LogDensity
-    exact: bool = True
 
     @staticmethod
-    def prior(names: Sequence[str], priors: Sequence[Prior], n: int, rng: np.random.Generator) -> (
-        Belief
-    ):  # fmt: skip
+    def prior(
+        names: Sequence[str], priors: Sequence[Prior], n: int, rng: np.random.Generator
+    ) -> Belief:
         """`n` independent draws of the priors."""
         u = np.empty((n, len(names)))
         for j, prior in enumerate(priors):
@@ -65,7 +61,7 @@ class Belief:
 
     @staticmethod
     def fitted(space: SharedSpace, u: Array) -> Belief:
-        """Particles of which nothing but the cloud is known: a normal density on the box."""
+        """What a joint step leaves of some parameters, a cloud: a normal density on the box."""
         mean = u.mean(axis=0)
         root = _root(np.atleast_2d(np.cov(u.T)) if u.shape[1] else np.zeros((0, 0)))
 
@@ -74,7 +70,7 @@ class Belief:
             z = np.linalg.solve(root, (at - mean).T)
             return np.where(inside, -0.5 * np.sum(z * z, axis=0), -np.inf)
 
-        return Belief(space, u, log_density, exact=False)
+        return Belief(space, u, log_density)
 
     def beside(self, other: Belief, rng: np.random.Generator) -> Belief:
         """Both as one, independent: any particle of this one with any of the other."""

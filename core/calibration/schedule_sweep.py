@@ -32,7 +32,8 @@ class Sweep:
 
     mean, sd    of the shared parameters, natural units
     moved       largest change of mean and variance, in prior sd and variance
-    plain_ess   what one weighting of the particles would have left, shared and worst blade
+    plain_ess   what one weighting of the particles would have left, shared and worst blade: in
+                the first sweep from the prior, then from the sweep before
     acceptance  of the moves, least over all beliefs
     """
 
@@ -100,9 +101,8 @@ class Run:
         s = self.schedule
         self._with_noises(by_blade)
         seen = {b: self._readings(b, own) for b, own in by_blade.items()}
-        enter_shared, enter_local = self.shared.log_density, {
-            b: self.local[b].log_density for b in seen
-        }  # fmt: skip
+        enter_shared = self.shared.log_density
+        enter_local = {b: self.local[b].log_density for b in seen}
         draws = s.draws if s.fix == "draws" else None
         self.converged[label] = False
         for number in range(1, s.sweeps + 1):
