@@ -36,7 +36,7 @@ def test_the_schedule_is_sharper_than_the_joint_posterior_allows() -> None:
 
 
 def test_the_kept_study_shows_intervals_that_do_not_cover() -> None:
-    """No rotor dropped; T1T of every reading of the schedule too sharp, the joint one as it says."""
+    """No rotor dropped; T1T is too sharp under every reading, and not in the joint posterior."""
     kept = json.loads(RESULT.read_text())
     arms = {name: arm["parameters"] for name, arm in kept["simulated"].items()}
     assert set(arms) == {JOINT, *ARMS}
