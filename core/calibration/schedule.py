@@ -40,8 +40,8 @@ answers, both are there):
 - *threshold*: change of mean and variance from one sweep to the next, on the prior's unit box, in
   prior standard deviations and variances, all parameters of the shared step; 0.01, at most 50
   sweeps. The paper gives neither.
-- *discrepancy*: delta ~ N(Y_m (theta1 − theta2 psi), 1e-5²); "y" is the model's output, as only it
-  exists in a prediction; psi is one named input; theta have the prior `theta`. None: no delta.
+- The discrepancy is the network's (`core.discrepancy`, kind ``paper``): "y" is the model's output,
+  as only it exists in a prediction, and psi is one named input.
 - An outage is a campaign where the reading names one, else an operating hour. Which quantities are
   multi-component is declared (`multi`), the others are single-component in the network's order.
 - The particle filter: see `schedule_filter`. After a joint step only its particles are known; as
@@ -52,7 +52,7 @@ answers, both are there):
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, get_args, get_type_hints
 
 import numpy as np
@@ -60,9 +60,9 @@ import numpy as np
 from core.calibration.schedule_filter import Belief
 from core.calibration.schedule_sweep import Run, Sweep
 from core.calibration.state import Posterior, RotorSpec
+from core.calibration.target import locals_of
 from core.errors import InputError
 from core.model import Model
-from core.network import Prior
 from core.observation import Inspection
 from core.rng import stream
 from core.smc.particles import Particles
@@ -82,8 +82,6 @@ class Schedule:
     multi: tuple[str, ...] = ("elongation",)
     threshold: float = 0.01
     sweeps: int = 50
-    discrepancy: str | None = None
-    theta: Prior = field(default_factory=lambda: Prior("uniform", -0.5, 0.5))
 
     def __post_init__(self) -> None:
         for name, kind in get_type_hints(Schedule).items():
@@ -157,9 +155,14 @@ def calibrate(
     """
     for quantity in schedule.multi:
         model.network.quantity(quantity)
-    if schedule.discrepancy is not None and schedule.discrepancy not in model.input_names:
+    drawn = [p.name for p in locals_of(model) if p.population is not None]
+    if drawn:
         raise InputError(
-            "discrepancy", schedule.discrepancy, "is no input", f"one of {model.input_names}"
+            "population", drawn, "is no part of the paper's network", "give these plain priors"
+        )
+    if model.network.forgetting_h is not None:
+        raise InputError(
+            "forgetting_h", model.network.forgetting_h, "is not in Algorithm 1", "leave it out"
         )
     if rotor.particles < max(100, schedule.draws):
         raise InputError(

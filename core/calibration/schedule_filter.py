@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.scans import Dense
-from core.calibration.target import SharedSpace, assemble
+from core.calibration.target import SharedSpace, assemble, locals_of, nominal
+from core.discrepancy import total
 from core.errors import CalibrationError
 from core.model import Model
 from core.network import Prior
@@ -36,7 +37,6 @@ LogDensity = Callable[[Array], Array]
 EFFECTIVE = 0.5  # share of particles that stay effective over one stretch of the path
 MOVED = 0.5  # accepted moves of a particle after each stretch, on average
 MOST_MOVES = 12
-SIGMA_DELTA = 1e-5  # the paper's standard deviation of the discrepancy, in the reading's unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,43 +173,36 @@ def carried(belief: Belief, target: LogDensity, rng: np.random.Generator) -> Ste
 class Readings:
     """Readings of one blade as a likelihood, some parameters held and the others free.
 
-    With the discrepancy delta ~ N(Y_m (theta1 − theta2 psi), sigma_delta²) of the quantity,
+    With the discrepancy y = g Y_m + o of each row (`core.discrepancy`),
 
-        log L = Σ_i log N(y_i | Y_m,i (1 + theta1 − theta2 psi),
-                          sigma_obs² + sigma_surrogate² + sigma_delta²)
+        log L = Σ_i log N(y_i | g_i Y_m,i + o_i,
+                          sigma_obs² + sigma_delta² + (nu (y_i − o_i))² + g_i² sigma_surrogate²)
 
     from the rows of `core.calibration.target.assemble`, a scan's remainder included.
+
+    names    inputs of the model that the rows depend on
+    shared   noises and parameters of the discrepancy that the rows see
     """
 
     def __init__(
-        self,
-        model: Model,
-        readings: Sequence[Inspection],
-        known: Mapping[str, float],
-        psi: str | None,
+        self, model: Model, readings: Sequence[Inspection], given: Mapping[str, float] | None
     ) -> None:
-        parts = [(r.quantity, assemble(model, [r])) for r in readings]
-        normal = sum(p.prior.kind == "normal" for p in model.network.of_level("local"))
-        rows = [(q, part, r) for q, part in parts if part for r in range(len(part.y) - normal)]
-        first = rows[0][1].response
-        self.names, self.low, self.high = first.names, first.low, first.high
-        self.table = multi_indices(len(first.names), first.degree)
-        self.a, self.b, self.v = (
-            np.stack([getattr(part.response, name)[r] for _, part, r in rows])
-            for name in ("a", "b", "log_v")
-        )
-        self.ka, self.kb = (
-            np.array([getattr(part.response, name)[r] for _, part, r in rows])
-            for name in ("ka", "kb")
-        )
-        self.y = np.array([part.y[r] for _, part, r in rows])
-        self.extra = np.array([part.extra[r] for _, part, r in rows])
-        self.sigma = [part.sigma[r] for _, part, r in rows]
-        self.quantity = [q for q, _, _ in rows]
-        self.dense: list[Dense] = [d for _, part in parts if part for d in part.dense]
-        self.known, self.psi = known, psi
+        rows = assemble(model, readings)
+        assert rows is not None
+        response = rows.response
+        self.names, self.shared = response.names, rows.shared
+        normal = sum(p.prior.kind == "normal" for p in locals_of(model, response.names))
+        count = len(rows.y) - normal  # the rows of normal priors come last: beliefs hold these
+        self.low, self.high = response.low, response.high
+        self.table = multi_indices(len(response.names), response.degree)
+        self.a, self.b, self.v = (c[:count] for c in (response.a, response.b, response.log_v))
+        self.ka, self.kb = response.ka[:count], response.kb[:count]
+        self.y, self.extra = rows.y[:count], rows.extra[:count]
+        self.sigma, self.relative = rows.sigma[:count], rows.relative[:count]
+        self.wrong, self.dense = rows.discrepancy[:count], rows.dense
+        self.known = nominal(model, response.names, given)
 
-    def holding(self, held: Mapping[str, Array], free: Sequence[str]) -> Callable[[Array], Array]:
+    def holding(self, held: Mapping[str, Array], free: Sequence[str]) -> LogDensity:
         """x (n, d) of the `free` parameters → log of the mean over the M held values of L, (n,)."""
         m = len(next(iter(held.values()))) if held else 1
         fixed = {**{n: np.full(m, v) for n, v in self.known.items()}, **held}
@@ -228,35 +221,44 @@ class Readings:
         columns = [place[self.names[j]] for j in inner]
 
         def log_likelihood(x: Array) -> Array:
-            def value(name: str) -> Array:
+            def value(name: str | float) -> Array:
+                if not isinstance(name, str):
+                    return np.full((1, 1), name)
                 return x[:, [place[name]]] if name in place else fixed[name][None]
 
             basis = _monomials((x[:, columns] - low) / half - 1.0, exponents)
-            total = np.zeros((len(x), m))
+            score = np.zeros((len(x), m))
             doubt = np.exp(basis @ v[0].T)
             for r in range(len(self.y)):
                 if r and not np.array_equal(self.v[r], self.v[r - 1]):
                     doubt = np.exp(basis @ v[r].T)
                 scale = np.exp(basis @ b[r].T) if np.any(b[r]) else np.ones((1, 1))
                 a_r = basis @ a[r].T if np.any(a[r][:, 1:]) else a[r][None, :, 0]
-                if self.psi is not None:
-                    one, two = (value(f"{t}.{self.quantity[r]}") for t in ("theta1", "theta2"))
-                    scale = scale * (1.0 + one - two * value(self.psi))
-                name = self.sigma[r]
-                noise = value(name) if isinstance(name, str) else np.full((1, 1), name)
-                variance = noise**2 + (self.extra[r] + (SIGMA_DELTA**2 if self.psi else 0.0))
+                scale = scale * (1.0 + total(self.wrong[r].gain, value))
+                seen = self.y[r] - total(self.wrong[r].offset, value)
+                noise = value(self.sigma[r])
+                variance = noise**2 + self.extra[r] + (self.relative[r] * seen) ** 2
                 if self.ka[r] or self.kb[r]:
                     spread = self.ka[r] ** 2 + (a_r * self.kb[r]) ** 2
                     variance = variance + scale**2 * doubt * spread
-                miss = a_r * scale - self.y[r]
-                total -= 0.5 * (miss**2 / variance + np.log(2 * np.pi * variance))
+                miss = a_r * scale - seen
+                score -= 0.5 * (miss**2 / variance + np.log(2 * np.pi * variance))
             for d in self.dense:
-                s = value(d.sigma) if isinstance(d.sigma, str) else np.full((1, 1), d.sigma)
-                total -= 0.5 * d.rss / s**2 + 0.5 * d.dof * np.log(2 * np.pi * s**2)
-            top = total.max(axis=1)
-            return np.asarray(top + np.log(np.exp(total - top[:, None]).mean(axis=1)))
+                score += _remainder(d, value, score.shape)
+            top = score.max(axis=1)
+            return np.asarray(top + np.log(np.exp(score - top[:, None]).mean(axis=1)))
 
         return log_likelihood
+
+
+def _remainder(
+    dense: Dense, value: Callable[[str | float], Array], shape: tuple[int, ...]
+) -> Array:
+    """Log density of a scan's remainder, where noise and offset are held or free, (n, M)."""
+    noise = np.broadcast_to(value(dense.sigma), shape).ravel()
+    offset = [np.broadcast_to(value(name), shape).ravel() for name in dense.offset]
+    c = np.stack(offset, axis=1) if offset else np.zeros((len(noise), 0))
+    return dense.log_density(noise, c).reshape(shape)
 
 
 def _monomials(z: Array, exponents: NDArray[np.int64]) -> Array:

@@ -5,7 +5,7 @@ See `core.calibration.schedule` for the algorithm and how its words are read.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core.calibration.schedule_filter import Belief, LogDensity, Readings, carried
 from core.calibration.state import RotorSpec
-from core.calibration.target import SharedSpace, locals_of, nominal
+from core.calibration.target import SharedSpace, locals_of, shared_prior
 from core.model import Model
 from core.network import Prior
 from core.observation import Inspection
@@ -52,8 +52,9 @@ class Run:
 
     def __init__(self, model: Model, rotor: RotorSpec, schedule: Schedule) -> None:
         self.model, self.rotor, self.schedule = model, rotor, schedule
-        physical = model.network.of_level("shared")
-        self.shared = self._prior("shared", [(p.name, p.prior) for p in physical])
+        physical = [(p.name, p.prior) for p in model.network.of_level("shared")]
+        self.physical = frozenset(name for name, _ in physical)
+        self.shared = self._prior("shared", physical)
         own = [(p.name, p.prior) for p in locals_of(model)]
         self.local = {b: self._prior(b, own) for b in rotor.blades}
         self.joint: dict[str, Belief] = {}
@@ -67,31 +68,24 @@ class Run:
         names, priors = [n for n, _ in named], [p for _, p in named]
         return Belief.prior(names, priors, self.rotor.particles, self._stream(key, "prior", *names))
 
-    def _with_noise(self, key: str, belief: Belief, readings: Sequence[Inspection]) -> Belief:
-        """The belief, and the priors of sigma_obs and theta of quantities that it meets first."""
-        new: list[tuple[str, Prior]] = []
-        for name in sorted({i.quantity for i in readings}):
-            quantity = self.model.network.quantity(name)
-            if any(i.sigma is None for i in readings if i.quantity == name):
-                new.append((quantity.sigma_name, quantity.sigma_obs))
-            if self.schedule.discrepancy is not None:
-                new += [(f"{theta}.{name}", self.schedule.theta) for theta in ("theta1", "theta2")]
-        new = [(name, prior) for name, prior in new if name not in belief.space.names]
-        if not new:
+    def _with_noise(self, key: str, belief: Belief, names: Iterable[str]) -> Belief:
+        """The belief, and the priors of sigma_obs and theta that it meets first."""
+        met = sorted(set(names).difference(belief.space.names, self.physical))
+        if not met:
             return belief
-        return belief.beside(self._prior(key, new), self._stream(key, "beside", *dict(new)))
+        new = [(name, shared_prior(self.model, name)) for name in met]
+        return belief.beside(self._prior(key, new), self._stream(key, "beside", *met))
+
+    def _with_noises(self, seen: Mapping[str, Readings]) -> None:
+        if self.schedule.noise == "rotor":
+            met = [name for read in seen.values() for name in read.shared]
+            self.shared = self._with_noise("shared", self.shared, met)
+        else:
+            for b, read in seen.items():
+                self.local[b] = self._with_noise(b, self.local[b], read.shared)
 
     def _readings(self, blade: str, readings: Sequence[Inspection]) -> Readings:
-        known = nominal(self.model, (self.rotor.known or {}).get(blade))
-        return Readings(self.model, readings, known, self.schedule.discrepancy)
-
-    def _with_noises(self, by_blade: Mapping[str, list[Inspection]]) -> None:
-        if self.schedule.noise == "rotor":
-            every = [i for own in by_blade.values() for i in own]
-            self.shared = self._with_noise("shared", self.shared, every)
-        else:
-            for b, own in by_blade.items():
-                self.local[b] = self._with_noise(b, self.local[b], own)
+        return Readings(self.model, readings, (self.rotor.known or {}).get(blade))
 
     def sweep(self, label: str, readings: Sequence[Inspection]) -> None:
         """Multi-component data: local and shared parameters in turn until they stay."""
@@ -99,8 +93,8 @@ class Run:
         if not by_blade:
             return
         s = self.schedule
-        self._with_noises(by_blade)
         seen = {b: self._readings(b, own) for b, own in by_blade.items()}
+        self._with_noises(seen)
         enter_shared = self.shared.log_density
         enter_local = {b: self.local[b].log_density for b in seen}
         draws = s.draws if s.fix == "draws" else None
@@ -147,14 +141,14 @@ class Run:
                 self.converged[label] = True
                 return
 
-    def _jointly(self, key: tuple[str, ...], b: str, own: Sequence[Inspection]) -> Belief:
+    def _jointly(self, key: tuple[str, ...], b: str, read: Readings) -> Belief:
         """Local and shared parameters of one blade in one step, from its and the shared belief."""
         if b in self.joint:
             prior = self.joint[b]
         else:
             prior = self.local[b].beside(self.shared, self._stream(*key, b, "pairs"))
-        prior = self._with_noise(b, prior, own)
-        term = self._readings(b, own).holding({}, prior.space.names)
+        prior = self._with_noise(b, prior, read.shared)
+        term = read.holding({}, prior.space.names)
         target = product(prior, prior.log_density, term)
         return carried(prior, target, self._stream(*key, b, "joint")).belief
 
@@ -163,8 +157,9 @@ class Run:
         for quantity in [q.name for q in self.model.network.quantities]:
             for b, own in grouped([i for i in readings if i.quantity == quantity]).items():
                 self.joint.pop(b, None)  # the shared parameters have moved on since
-                self._with_noises({b: own})
-                found = self._jointly((label, quantity), b, own)
+                read = self._readings(b, own)
+                self._with_noises({b: read})
+                found = self._jointly((label, quantity), b, read)
                 self.local[b], self.shared = split(found, self.local[b].space.names)
                 self.joint[b] = found
 
@@ -172,7 +167,7 @@ class Run:
         """Single-component data: each quantity of a blade goes on from multi-component data."""
         for quantity in [q.name for q in self.model.network.quantities]:
             for b, own in grouped([i for i in readings if i.quantity == quantity]).items():
-                self.joint[b] = self._jointly(("branch", quantity), b, own)
+                self.joint[b] = self._jointly(("branch", quantity), b, self._readings(b, own))
 
 
 def grouped(readings: Sequence[Inspection]) -> dict[str, list[Inspection]]:

@@ -1,176 +1,166 @@
 """The paper's schedule against the joint posterior: how often it covers, how sharp it claims to be.
 
-On simulated rotors (`core.validation.coverage.simulate`) every arm, a reading of Algorithm 1, sees
-the readings that the joint calibration sees. Kept are where each truth falls in its posterior (the
-probability integral transform, u), the ratio of posterior standard deviations sd / sd_joint, and
-the distance |mean − mean_joint| / sd_joint. No rotor is dropped; sweeps that ran out count.
+Every rotor, drawn from the priors (`core.validation.simulate`, variant ``mixed``: Table 1 of the
+paper with fewer blades), is calibrated jointly and by readings of Algorithm 1, with and without a
+discrepancy of the elongation. Kept are, by parameter, the posterior's mean and standard deviation
+and whether its intervals hold the truth. No rotor is dropped; sweeps that ran out count.
 
-On the shipped inspection plan the paper's own findings are looked at: whether offline is sharper
-than online, what a discrepancy sharpens and widens.
+Three questions of the paper's are answered by ratios of standard deviations: is offline sharper
+than online, how sharp is the schedule beside the exact posterior, and what does a discrepancy
+sharpen or widen, on data that have one and on data that have none
+(`core.validation.schedule_tables`). The joint target is the same offline and online: the sealed
+state after the readings came outage by outage is compared bit by bit with that of all at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
+from core.builtin import inspection_plan
 from core.builtin.inspection_plan import Plan
 from core.calibration.online import update
-from core.calibration.schedule import Schedule, Scheduled, calibrate
+from core.calibration.schedule import Schedule, calibrate, instants
 from core.calibration.state import Posterior, RotorSpec, blade_posterior, shared_posterior
-from core.model import Model
+from core.calibration.target import DEGREE, locals_of
+from core.discrepancy import affine, parameters, total
+from core.model import Model, rotor_blade
+from core.network import Discrepancy
 from core.observation import Inspection
-from core.prediction import inputs_of, noise_of
-from core.validation.coverage import pit, simulate
+from core.prediction import predict
+from core.rng import stream
+from core.validation.sbc import published_cdf
+from core.validation.simulate import Held, Simulated, simulate
+from core.validation.variants import Variant, hours
 
 Array = NDArray[np.float64]
+Kind = Literal["none", "constant", "paper"]
+READ = "elongation"
+HELD_OUT = f"held-out {READ}"
 JOINT = "joint"
-HELD_OUT = "held-out reading"
-ARMS: Mapping[str, Schedule] = {
+PROBABILITIES = (0.68, 0.95)
+ARMS: Mapping[str, Schedule | None] = {
+    JOINT: None,
     "offline": Schedule(),
     "online": Schedule(strategy="online"),
     "offline, draws held": Schedule(fix="draws", draws=20, sweeps=20),
     "offline, last sweep as prior": Schedule(prior="last sweep", sweeps=10),
 }
-ENOUGH = 2000  # particles that a prediction rests on here
+DISCREPANCIES: Mapping[Kind, Discrepancy] = {
+    "none": Discrepancy(),
+    "constant": Discrepancy("constant", sd=0.05),
+    "paper": Discrepancy("paper", sd=0.05),
+}
 
 
-@dataclass
-class Arm:
-    """What was found for one arm: lists over rotors (shared) or over all blades (local), by name.
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One calibration: which discrepancy the data have, which the model has, by which arm."""
 
-    pit   u of each truth;  sd   sd / sd_joint;  off   |mean − mean_joint| / sd_joint
+    data: Kind = "none"
+    model: Kind = "none"
+    arm: str = JOINT
+
+
+PLAIN = tuple(Case(arm=arm) for arm in ARMS)
+WITH_DISCREPANCY = (
+    *(Case("none", kind) for kind in ("constant", "paper")),
+    *(Case("constant", kind) for kind in ("none", "constant")),
+    *(Case("paper", kind) for kind in ("none", "paper")),
+    *(Case("none", "paper", arm) for arm in ("offline", "online")),
+    *(Case("paper", kind, arm) for arm in ("offline", "online") for kind in ("none", "paper")),
+)
+ON_PLAN = tuple(
+    Case("none", k, arm) for arm in (JOINT, "offline", "online") for k in ("none", "paper")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One parameter's posterior, or a held-out reading's prediction.
+
+    inside   is the truth in the central interval of each of `PROBABILITIES`?
     """
 
-    pit: dict[str, list[float]] = field(default_factory=dict)
-    sd: dict[str, list[float]] = field(default_factory=dict)
-    off: dict[str, list[float]] = field(default_factory=dict)
-    sweeps: list[int] = field(default_factory=list)
-    converged: list[bool] = field(default_factory=list)
-
-    def share(self, name: str, probability: float) -> float:
-        """Share of truths inside the central interval of this probability."""
-        return inside(self.pit[name], probability)
-
-    def sd_ratio(self, name: str) -> float:
-        """Median of sd / sd_joint."""
-        return float(np.median(self.sd[name]))
+    mean: float
+    sd: float
+    inside: tuple[bool, ...]
 
 
-def inside(u: Sequence[float], probability: float) -> float:
-    """Share of u in the central interval of this probability.
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One calibration of one rotor.
 
-    >>> inside([0.01, 0.4, 0.9], 0.9)
-    0.6666666666666666
+    found       by name and blade ("" for what the rotor shares)
+    sweeps      of all loops; 0 for the joint calibration
+    converged   False where the sweeps of a loop ran out
+    plain_ess   particles that one plain weighting would have left in the worst shared step
     """
-    tail = (1 - probability) / 2
-    return float(np.mean([tail <= v <= 1 - tail for v in u]))
+
+    found: Mapping[str, Mapping[str, Found]]
+    sweeps: int = 0
+    converged: bool = True
+    plain_ess: float = np.inf
 
 
-def moments(posterior: Posterior, name: str) -> tuple[float, float]:
-    """Mean and standard deviation of one parameter."""
-    x, w = posterior.column(name), posterior.particles.w
-    mean = float(w @ x)
-    return mean, float(np.sqrt(w @ (x - mean) ** 2))
+Record = Mapping[Case, Outcome]
 
 
-def reading_pit(
-    model: Model,
-    posterior: Posterior,
-    quantity: str,
-    time_h: float,
-    value: float,
-    psi: str | None = None,
-) -> float:
-    """Predictive probability below a reading that was held out.
-
-    Σ w_i Φ((y − c_i Y_m,i) / sd_i) with c = 1 + theta1 − theta2 psi where there is a discrepancy,
-    and with the surrogate's, the simulation's and the instrument's variance in sd_i².
-    """
-    thin = posterior
-    if len(posterior.particles.log_w) > ENOUGH:
-        cut = posterior.particles.resampled(ENOUGH, np.random.default_rng(0))
-        thin = Posterior(posterior.names, cut)
-    mean, sd = model.surrogate.predict(inputs_of(model, thin), quantity, np.array([time_h]))
-    if psi is not None:
-        one, two = (thin.column(f"{t}.{quantity}") for t in ("theta1", "theta2"))
-        factor = (1 + one - two * thin.column(psi))[:, None]
-        mean, sd = mean * factor, sd * factor
-    sd = np.hypot(sd, model.network.quantity(quantity).numerical * mean)
-    spread = np.hypot(sd[:, 0], noise_of(model, thin, quantity))
-    return float(thin.particles.w @ ndtr((value - mean[:, 0]) / spread))
+def model_with(kind: Kind) -> Model:
+    """The built-in model with a discrepancy of the elongation."""
+    model = rotor_blade()
+    quantities = tuple(
+        replace(q, discrepancy=DISCREPANCIES[kind]) if q.name == READ else q
+        for q in model.network.quantities
+    )
+    return Model(replace(model.network, quantities=quantities), model.surrogate)
 
 
-def run(
-    model: Model,
-    *,
-    rotors: int,
-    blades: int,
-    times: Sequence[float],
-    seed: int,
-    particles: int = 1000,
-    arms: Mapping[str, Schedule] = ARMS,
-    quantity: str = "elongation",
-    progress: Callable[[int, int], None] | None = None,
-) -> dict[str, Arm]:
-    """Every arm, and the joint calibration as ``joint``, on `rotors` simulated rotors."""
-    found = {name: Arm() for name in (JOINT, *arms)}
-    for r in range(rotors):
-        shared, local, readings, held = simulate(model, r, blades, times, seed, quantity)
-        spec = RotorSpec(f"simulated-{r}", tuple(local), particles, seed)
-        state = update(model, spec, readings)
-        get = state.arrays.__getitem__
-        joint = shared_posterior(state.meta, get)
-        own = {b: blade_posterior(state.meta, get, b) for b in local}
-        _add(model, found[JOINT], shared, local, held, times[-1], quantity, joint, own, joint, own)
-        for name, schedule in arms.items():
-            got = calibrate(model, spec, readings, schedule)
-            each = {b: got.blade(b) for b in local}
-            arm = found[name]
-            _add(
-                model, arm, shared, local, held, times[-1], quantity, got.shared, each, joint, own
-            )  # fmt: skip
-            arm.sweeps.append(len(got.trace))
-            arm.converged.append(all(got.converged.values()))
-        if progress is not None:
-            progress(r + 1, rotors)
-    return found
+def drawn(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated:
+    """A simulated rotor whose readings name their outage, which a replaced blade's hours hide."""
+    made = simulate(model, variant, rotor, seed)
+    outage = {
+        (blade, own): f"outage-{k + 1}"
+        for k, rotor_h in enumerate(variant.outages_h)
+        for blade, own in hours(variant, rotor_h).items()
+    }
+    named = [replace(r, campaign=outage[r.blade, r.time_h]) for r in made.readings]
+    return replace(made, readings=tuple(named))
 
 
-def _add(
-    model: Model,
-    arm: Arm,
-    shared: Mapping[str, float],
-    local: Mapping[str, Mapping[str, float]],
-    held: Array,
-    time_h: float,
-    quantity: str,
-    posterior: Posterior,
-    blades: Mapping[str, Posterior],
-    joint: Posterior,
-    joint_blades: Mapping[str, Posterior],
-) -> None:
-    """One rotor's truths against one posterior."""
+def with_delta(model: Model, made: Simulated, rotor: int, seed: int) -> Simulated:
+    """The rotor with the model's discrepancy, theta drawn from their priors, in its elongations."""
+    quantity = model.network.quantity(READ)
+    rng = stream(seed, "schedule", quantity.discrepancy.kind, rotor)
+    theta = {n: float(p.quantile(rng.random(1))[0]) for n, p in parameters(model, quantity).items()}
+    shared = made.shared | theta
 
-    def compare(name: str, truth: float, one: Posterior, other: Posterior) -> None:
-        u = pit(one.column(name), one.particles.w, truth)
-        (mean, sd), (true_mean, true_sd) = moments(one, name), moments(other, name)
-        arm.pit.setdefault(name, []).append(u)
-        arm.sd.setdefault(name, []).append(sd / true_sd)
-        arm.off.setdefault(name, []).append(abs(mean - true_mean) / true_sd)
+    def delta(blade: str, time_h: float) -> float:
+        at = {**shared, **made.local[blade]}
+        x = np.array([[at[name] for name in model.input_names]])
+        row = model.part(READ).response(READ, np.array([time_h]), None, degree=DEGREE)
+        one = affine(model, quantity, time_h)
+        value = {name: np.array([v]) for name, v in shared.items()}.__getitem__
+        return float(
+            np.sum(total(one.gain, value) * row.evaluate(x)[0][0] + total(one.offset, value))
+        )
 
-    for name, truth in shared.items():
-        compare(name, truth, posterior, joint)
-    for b, (blade, values) in enumerate(local.items()):
-        for name, truth in values.items():
-            compare(name, truth, blades[blade], joint_blades[blade])
-        u = reading_pit(model, blades[blade], quantity, time_h, float(held[b]))
-        arm.pit.setdefault(HELD_OUT, []).append(u)
+    return replace(
+        made,
+        shared=shared,
+        readings=tuple(
+            replace(r, values=r.values + delta(r.blade, r.time_h)) if r.quantity == READ else r
+            for r in made.readings
+        ),
+        held=tuple(
+            replace(h, reading=h.reading + delta(h.blade, h.time_h)) if h.quantity == READ else h
+            for h in made.held
+        ),
+    )
 
 
 def plan_readings(plan: Plan, blades: Iterable[str]) -> list[Inspection]:
@@ -192,54 +182,102 @@ def plan_readings(plan: Plan, blades: Iterable[str]) -> list[Inspection]:
     ]
 
 
-def describe(
-    model: Model,
-    plan: Plan,
-    shared: Posterior,
-    blades: Mapping[str, Posterior],
-    psi: str | None = None,
-) -> dict[str, Any]:
-    """Mean and sd of every shared parameter and, over blades, of local ones; held-out coverage.
-
-    ``sd`` of a local parameter is the median over blades; ``blades`` has B001 (scanned) and B090
-    (the paper's) by themselves.
-    """
-    local = [p.name for p in model.network.of_level("local")]
-    each = {b: {n: moments(p, n) for n in local} for b, p in blades.items()}
-    u = [
-        reading_pit(model, blades[b], "elongation", t, y, psi)
-        for b, (t, y) in plan.held_out.items()
-        if b in blades
-    ]
-    return {
-        "shared": {n: moments(shared, n) for n in shared.names},
-        "sd": {n: float(np.median([e[n][1] for e in each.values()])) for n in local},
-        "blades": {b: each[b] for b in ("B001", "B090") if b in each},
-        "held_out_68": inside(u, 0.68),
-        "held_out_95": inside(u, 0.95),
+def shipped(model: Model) -> Simulated:
+    """The shipped inspection plan as a rotor; its truth is finite elements."""
+    found, names = inspection_plan.load(), inspection_plan.blades()
+    shared = {"t1t_rate": inspection_plan.T1T_RATE}
+    shared |= {f"sigma_obs.{q}": sd for q, sd in inspection_plan.NOISE.items()}
+    local = {
+        b: {p.name: float(x[model.input_names.index(p.name)]) for p in locals_of(model)}
+        for b, x in zip(names, found.inputs, strict=True)
     }
+    held = tuple(Held(b, READ, t, y, np.nan, np.nan) for b, (t, y) in found.held_out.items())
+    return Simulated(shared, local, tuple(plan_readings(found, names)), held, 0)
 
 
-def on_plan(
-    model: Model,
-    plan: Plan,
-    blades: Sequence[str],
-    schedule: Schedule | None,
-    *,
-    particles: int,
-    seed: int,
-) -> tuple[dict[str, Any], Scheduled | None]:
-    """The shipped plan by one reading of the schedule, or jointly (None)."""
-    spec = RotorSpec("plan", tuple(blades), particles, seed)
-    readings = plan_readings(plan, blades)
+def outcome(case: Case, made: Simulated, particles: int, seed: int) -> Outcome:
+    """One calibration of one rotor.
+
+    Blades with a reading count; the scanned blade's parameters have names of their own, too. A
+    discrepancy that the data lack has theta = 0 for its truth.
+    """
+    model, schedule = model_with(case.model), ARMS[case.arm]
+    spec = RotorSpec(f"rotor-{made.cluster}", tuple(made.local), particles, seed)
     if schedule is None:
-        state = update(model, spec, readings)
+        state = update(model, spec, made.readings)
         get = state.arrays.__getitem__
-        each = {b: blade_posterior(state.meta, get, b) for b in blades}
-        return describe(model, plan, shared_posterior(state.meta, get), each), None
-    got = calibrate(model, spec, readings, schedule)
-    each = {b: got.blade(b) for b in blades}
-    told = describe(model, plan, got.shared, each, schedule.discrepancy)
-    told["sweeps"], told["converged"] = len(got.trace), dict(got.converged)
-    told["plain_ess"] = min(s.plain_ess for s in got.trace)
-    return told, got
+        each = {b: blade_posterior(state.meta, get, b) for b in made.local}
+        return Outcome(_found(model, made, shared_posterior(state.meta, get), each))
+    got = calibrate(model, spec, made.readings, schedule)
+    return Outcome(
+        _found(model, made, got.shared, {b: got.blade(b) for b in made.local}),
+        len(got.trace),
+        all(got.converged.values()),
+        min(sweep.plain_ess for sweep in got.trace),
+    )
+
+
+def _found(
+    model: Model, made: Simulated, shared: Posterior, each: Mapping[str, Posterior]
+) -> dict[str, dict[str, Found]]:
+    out: dict[str, dict[str, Found]] = {}
+    for name in shared.names:
+        out[name] = {"": _one(shared, name, made.shared.get(name, 0.0))}
+    scanned = {r.blade for r in made.readings if r.quantity == "deformation"}
+    for b in sorted({r.blade for r in made.readings}):
+        for name, truth in made.local[b].items():
+            for label in (name, *([f"{name}, scanned blade"] if b in scanned else [])):
+                out.setdefault(label, {})[b] = _one(each[b], name, truth)
+    for held in made.held:
+        if held.quantity == READ:
+            band = predict(model, each[held.blade], READ, [held.time_h])
+            tails = [(1 - p) / 2 for p in PROBABILITIES]
+            q = {round(p, 3): float(v[0]) for p, v in band.quantiles.items()}
+            inside = tuple(q[round(a, 3)] <= held.reading <= q[round(1 - a, 3)] for a in tails)
+            found = Found(float(band.mean[0]), float(band.sd["total"][0]), inside)
+            out.setdefault(HELD_OUT, {})[held.blade] = found
+    return out
+
+
+def _one(posterior: Posterior, name: str, truth: float) -> Found:
+    x, w = posterior.column(name), posterior.particles.w
+    mean = float(w @ x)
+    off = abs(published_cdf(x, w, truth) - 0.5)
+    inside = tuple(off <= p / 2 for p in PROBABILITIES)
+    return Found(mean, float(np.sqrt(w @ (x - mean) ** 2)), inside)
+
+
+def run(
+    variant: Variant,
+    *,
+    rotors: int,
+    disturbed: int,
+    seed: int,
+    particles: int = 1000,
+    progress: Callable[[int], None] | None = None,
+) -> list[Record]:
+    """Cases of `PLAIN` on all rotors, those with a discrepancy on the first `disturbed` ones."""
+    records: list[Record] = []
+    model = rotor_blade()
+    for r in range(rotors):
+        clean = drawn(model, variant, r, seed)
+        cases = (*PLAIN, *(WITH_DISCREPANCY if r < disturbed else ()))
+        data = {"none": clean}
+        data |= {
+            k: with_delta(model_with(k), clean, r, seed) for k in {c.data for c in cases} - {"none"}
+        }
+        records.append({c: outcome(c, data[c.data], particles, seed) for c in cases})
+        if progress is not None:
+            progress(r + 1)
+    return records
+
+
+def same_in_turn(model: Model, variant: Variant, rotor: int, seed: int, particles: int) -> bool:
+    """True where the sealed state after outage upon outage is that of all readings at once."""
+    made = drawn(model, variant, rotor, seed)
+    spec = RotorSpec(f"rotor-{made.cluster}", tuple(made.local), particles, seed)
+    state, seen = None, list[Inspection]()
+    for _, own in instants(made.readings):
+        seen += own
+        state = update(model, spec, seen, state)
+    return state is not None and state.digest == update(model, spec, made.readings).digest

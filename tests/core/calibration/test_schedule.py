@@ -9,17 +9,18 @@ import pytest
 from scipy.stats import norm
 
 from core.builtin import inspection_plan
+from core.calibration.message import _readings as readings_at
 from core.calibration.online import update
 from core.calibration.schedule import Schedule, calibrate, instants
-from core.calibration.schedule_filter import SIGMA_DELTA, Readings
+from core.calibration.schedule_filter import Readings
 from core.calibration.state import RotorSpec, shared_posterior
-from core.calibration.target import assemble
+from core.calibration.target import assemble, shared_space
 from core.errors import InputError
 from core.model import Model, rotor_blade
-from core.network import Network, Parameter
+from core.network import Network, Parameter, Population, Prior
 from core.observation import Inspection
 from core.prediction import predict
-from core.validation.schedule_study import plan_readings
+from core.validation.schedule_study import DISCREPANCIES, model_with, plan_readings
 from tests.core.calibration.bar import LOCAL, bar, creep
 from tests.core.calibration.test_exact import SLOPES, conjugate, exact, readings
 
@@ -181,7 +182,6 @@ def test_the_cap_is_reported_and_the_order_of_arrival_is_not_seen() -> None:
         ({"draws": 1}, "draws"),
         ({"strategy": "both"}, "strategy"),
         ({"multi": ("z",)}, "quantity"),
-        ({"discrepancy": "z"}, "discrepancy"),
         ({"fix": "draws", "draws": 5000}, "particles"),
     ],
 )
@@ -189,6 +189,21 @@ def test_a_reading_that_cannot_be_used_is_refused(change: dict, what: str) -> No
     with pytest.raises(InputError) as error:
         calibrate(conjugate(1), SPEC, readings(1, [0.0], 1, 0.2), replace(TOY, **change))
     assert error.value.what == what
+
+
+def test_a_network_that_the_paper_does_not_know_is_refused() -> None:
+    model = conjugate(1)
+    drifting = replace(model.network, forgetting_h=10.0)
+    s, local = model.network.parameters
+    fleet = Population(Prior("uniform", -1.5, -0.5), Prior("uniform", 0.1, 1.0))
+    own = replace(
+        local, prior=Prior("uniform", local.prior.low, local.prior.high), population=fleet
+    )
+    drawn = replace(model.network, parameters=(s, own))
+    for network, what in ((drifting, "forgetting_h"), (drawn, "population")):
+        with pytest.raises(InputError) as error:
+            calibrate(Model(network, model.surrogate), SPEC, readings(1, [0.0], 1, 0.2), TOY)
+        assert error.value.what == what
 
 
 def test_a_blade_that_the_rotor_does_not_have_is_refused() -> None:
@@ -205,51 +220,62 @@ def test_outages_are_campaigns_not_the_hours_of_a_blade() -> None:
     assert {(i.blade, i.time_h) for i in found["outage-2"]} >= {("B028-2", 8000.0)}
 
 
-def test_the_likelihood_is_that_of_the_assembled_rows() -> None:
-    """With surrogate error, a scan's remainder and the paper's discrepancy; held and averaged."""
+def everywhere(kind: str) -> Model:
+    """The built-in model with this discrepancy of elongation and of deformation."""
     model = rotor_blade()
+    wrong = DISCREPANCIES[kind]  # type: ignore[index]
+    quantities = tuple(
+        replace(q, discrepancy=wrong) if q.name != "ceeq" else q for q in model.network.quantities
+    )
+    return Model(replace(model.network, quantities=quantities), model.surrogate)
+
+
+@pytest.mark.parametrize("kind", ["none", "constant", "paper"])
+def test_the_likelihood_is_that_of_the_assembled_rows(kind: str) -> None:
+    """With surrogate error, a scan's remainder and a discrepancy; held and averaged.
+
+    The reference goes by (y − o) / g, as messages do, the schedule by g Y_m + o.
+    """
+    model = everywhere(kind)
     data = [r for r in PLAN if r.blade == "B001" and r.campaign == "outage-2"]
     names = ("tbc_thickness", "t1t_rate", "creep_transient", "creep_steady")
     rng = np.random.default_rng(2)
     n = 5
     x = np.stack([rng.uniform(p.prior.low, p.prior.high, n) for p in model.network.parameters], 1)
+    rows = assemble(model, data)
+    assert rows is not None
+    space = shared_space(model, [rows])
     noise = {"sigma_obs.elongation": 0.02, "sigma_obs.deformation": 0.03}
-    delta = {"theta1.elongation": 0.1, "theta2.elongation": -0.05}
-    delta |= {"theta1.deformation": -0.02, "theta2.deformation": 0.03}
-    expected = np.zeros(n)
-    for reading in data:
-        rows = assemble(model, [reading])
-        q, sigma = reading.quantity, noise[f"sigma_obs.{reading.quantity}"]
-        factor = 1 + delta[f"theta1.{q}"] - delta[f"theta2.{q}"] * x[:, [1]]
-        mean, sd = rows.response.evaluate(x)
-        spread = np.sqrt(sigma**2 + rows.extra + SIGMA_DELTA**2 + (factor * sd) ** 2)
-        expected += norm.logpdf(rows.y, factor * mean, spread).sum(axis=1)
-        for d in rows.dense:
-            expected -= 0.5 * d.rss / sigma**2 + 0.5 * d.dof * np.log(2 * np.pi * sigma**2)
-    fixed = {name: np.array([value]) for name, value in (noise | delta).items()}
-    seen = Readings(model, data, {}, "t1t_rate")
+    theta = {t: 0.03 * (j + 1) for j, t in enumerate(sorted(rows.shared.difference(noise, names)))}
+    assert len(theta) == {"none": 0, "constant": 4, "paper": 4}[kind]
+    fixed = {name: np.array([value]) for name, value in (noise | theta).items()}
+    at = {**dict(zip(names, x.T, strict=True)), **{k: np.full(n, v) for k, v in fixed.items()}}
+    y, s2, rest = readings_at(rows, space, np.stack([at[name] for name in space.names], axis=1))
+    mean, sd = rows.response.evaluate(x)
+    expected = norm.logpdf(y, mean, np.sqrt(s2 + sd**2)).sum(axis=1) + rest
+    seen = Readings(model, data, None)
     assert seen.holding(fixed, names)(x) == pytest.approx(expected, abs=1e-6)
     held = {"t1t_rate": x[:, 1]} | {k: np.full(n, v[0]) for k, v in fixed.items()}
     own = np.delete(x, 1, axis=1)[:1]
-    at = [np.insert(own[0], 1, s) for s in x[:, 1]]
-    each = seen.holding(fixed, names)(np.array(at))
+    moved = [np.insert(own[0], 1, s) for s in x[:, 1]]
+    each = seen.holding(fixed, names)(np.array(moved))
     averaged = seen.holding(held, [n for n in names if n != "t1t_rate"])(own)
     top = each.max()
     assert averaged[0] == pytest.approx(top + np.log(np.exp(each - top).mean()), abs=1e-6)
 
 
 @pytest.mark.parametrize("strategy", ["offline", "online"])
-@pytest.mark.parametrize("discrepancy", [None, "t1t_rate"])
-def test_both_variants_run_on_the_inspection_plan(strategy: str, discrepancy: str | None) -> None:
-    model = rotor_blade()
-    how = Schedule(strategy=strategy, discrepancy=discrepancy, sweeps=2)  # type: ignore[arg-type]
+@pytest.mark.parametrize("kind", ["none", "paper"])
+def test_both_variants_run_on_the_inspection_plan(strategy: str, kind: str) -> None:
+    model = model_with(kind)  # type: ignore[arg-type]
+    how = Schedule(strategy=strategy, sweeps=2)  # type: ignore[arg-type]
     spec = RotorSpec("plan", ("B001", "B028", "B028-2", "B090", "B100"), 400, 1)
     got = calibrate(model, spec, PLAN, how)
     loops = {"all"} if strategy == "offline" else {"outage-1", "outage-2", "outage-3"}
     assert set(got.converged) == loops
     assert set(got.together) == {"B001", "B028"}
     theta = [n for n in got.shared.names if n.startswith("theta")]
-    assert len(theta) == (0 if discrepancy is None else 6)
+    assert theta == ([] if kind == "none" else ["theta1.elongation", "theta2.elongation"])
     assert {n for n in got.shared.names if n.startswith("sigma")} == {
         q.sigma_name for q in model.network.quantities
     }
