@@ -27,15 +27,15 @@ from core.calibration.online import update
 from core.calibration.schedule import Schedule, calibrate, instants
 from core.calibration.state import Posterior, RotorSpec, blade_posterior, shared_posterior
 from core.calibration.target import DEGREE, locals_of
-from core.discrepancy import affine, parameters, total
+from core.discrepancy import parameters
 from core.model import Model, rotor_blade
 from core.network import Discrepancy
 from core.observation import Inspection
 from core.prediction import predict
 from core.rng import stream
 from core.validation.sbc import published_cdf
-from core.validation.simulate import Held, Simulated, simulate
-from core.validation.variants import Variant, hours
+from core.validation.simulate import Held, Simulated, simulate, wrong
+from core.validation.variants import Variant, hours, model_of
 
 Array = NDArray[np.float64]
 Kind = Literal["none", "constant", "paper"]
@@ -112,12 +112,7 @@ Record = Mapping[Case, Outcome]
 
 def model_with(kind: Kind) -> Model:
     """The built-in model with a discrepancy of the elongation."""
-    model = rotor_blade()
-    quantities = tuple(
-        replace(q, discrepancy=DISCREPANCIES[kind]) if q.name == READ else q
-        for q in model.network.quantities
-    )
-    return Model(replace(model.network, quantities=quantities), model.surrogate)
+    return model_of(Variant(kind, wrong=((READ, DISCREPANCIES[kind]),)))
 
 
 def drawn(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated:
@@ -143,11 +138,8 @@ def with_delta(model: Model, made: Simulated, rotor: int, seed: int) -> Simulate
         at = {**shared, **made.local[blade]}
         x = np.array([[at[name] for name in model.input_names]])
         row = model.part(READ).response(READ, np.array([time_h]), None, degree=DEGREE)
-        one = affine(model, quantity, time_h)
-        value = {name: np.array([v]) for name, v in shared.items()}.__getitem__
-        return float(
-            np.sum(total(one.gain, value) * row.evaluate(x)[0][0] + total(one.offset, value))
-        )
+        gain, offset, _ = wrong(model, READ, time_h, shared, 0.0)
+        return (gain - 1.0) * float(row.evaluate(x)[0][0, 0]) + offset
 
     return replace(
         made,

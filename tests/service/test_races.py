@@ -350,16 +350,23 @@ def test_an_entry_that_comes_during_an_update_is_not_lost(
         assert tx.records.rotor(rotor).applied_seq == 2
 
 
-def test_an_entry_is_not_kept_waiting_by_a_sealing(
+def sealing(
     race: Race, rotor: str, reading: Make, post: Post
-) -> None:
+) -> tuple[updates.Updater, leases.Lease]:
+    """A worker that has claimed a provisional state to seal it."""
     race.provisional = True
     post(rotor, reading("a"))
     assert race.updater("before").run_once()
-    sealer = race.updater("sealer")
-    lease = leases.claim(race.store.engine, "sealer", 60.0, role="seal")
+    lease = leases.claim(race.store.engine, "sealer", 60.0, role="seal", overdue_s=0.0)
     assert lease is not None
     assert lease.sealing
+    return race.updater("sealer"), lease
+
+
+def test_an_entry_is_not_kept_waiting_by_a_sealing(
+    race: Race, rotor: str, reading: Make, post: Post
+) -> None:
+    sealer, lease = sealing(race, rotor, reading, post)
     assert leases.claim(race.store.engine, "second", 60.0) is None, "nothing is pending"
     task = sealer.read(lease)
     state = sealer.compute(task, quick=False)
@@ -425,12 +432,8 @@ def test_without_the_limit_a_stream_is_never_sealed(
 def test_entries_wait_for_a_sealing_that_is_overdue(
     race: Race, rotor: str, reading: Make, post: Post
 ) -> None:
-    race.provisional = True
-    post(rotor, reading("a"))
-    assert race.updater("before").run_once()
-    engine, sealer = race.store.engine, race.updater("sealer")
-    lease = leases.claim(engine, "sealer", 60.0, role="seal", overdue_s=0.0)
-    assert lease is not None
+    sealer, lease = sealing(race, rotor, reading, post)
+    engine = race.store.engine
     task = sealer.read(lease)
     post(rotor, reading("b", blade="B2"))
     assert leases.claim(engine, "applier", 60.0, role="apply", overdue_s=0.0) is None
