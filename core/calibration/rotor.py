@@ -13,16 +13,19 @@ the columns are kept, so that a new reading costs one blade's columns as long as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.message import BladeMessage, columns
+from core.calibration.surface import foreseen
 from core.calibration.target import SharedSpace
-from core.errors import CalibrationError
+from core.errors import CalibrationError, InputError
 from core.response import monomials
+from core.rng import seed_of
 from core.smc.particles import ess, normalised, tempering_exponent
 from core.smc.placement import Proposal, descend, improved, sobol
 
@@ -97,6 +100,8 @@ class Weighed:
 
 
 MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
+PANEL = 12  # blades of a kind whose exact messages place the nodes
+ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
 
 def node_count(dim: int) -> int:
@@ -146,6 +151,22 @@ def quadratic(unit: Array, values: Array, log_w: Array) -> tuple[Callable[[Array
     return lambda at: basis(at) @ coefficients, float(np.sqrt(np.sum(left**2)))
 
 
+def panel(messages: Mapping[str, BladeMessage]) -> dict[str, float]:
+    """Some blades of each kind, and how many blades each of them stands for.
+
+    Of a kind are blades whose readings rest on the same noises; `PANEL` of each are taken, in an
+    order that has nothing to do with the blades.
+    """
+    kinds: dict[tuple[str, ...], list[str]] = {}
+    for blade, message in messages.items():
+        kinds.setdefault(tuple(sorted({str(s) for s in message.rows.sigma})), []).append(blade)
+    found = dict[str, float]()
+    for blades in kinds.values():
+        taken = sorted(blades, key=lambda blade: seed_of(0, blade))[:PANEL]
+        found |= dict.fromkeys(taken, len(blades) / len(taken))
+    return {blade: found[blade] for blade in sorted(found)}
+
+
 def weigh(
     space: SharedSpace,
     messages: Mapping[str, BladeMessage],
@@ -156,60 +177,68 @@ def weigh(
     enough: float = 0.5,
 ) -> Weighed:
     """Place and weight the shared nodes for these messages."""
-    d = space.dim
-    blades = sorted(messages)
+    d, n = space.dim, node_count(space.dim) * space.tails
+    scouts = 16 if d <= 2 else 32 if d <= 4 else 128
+    base = sobol(max(n, 2 * scouts), d, seed)
+    counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
-    def total(unit: Array, key: bytes, how: str) -> Array:
-        out = space.log_prior(unit)
-        found = known.all(messages, key, unit, how)
-        for blade in blades:
-            out = out + found[blade]
+    def seen(unit: Array, key: bytes, how: str, blades: Mapping[str, float]) -> Array:
+        """Σ_b c_b log m_b at nodes, (n,); the blades' counts are c_b."""
+        found = known.all({b: messages[b] for b in blades}, key, unit, how)
+        out = np.zeros(len(unit))
+        for blade, count in blades.items():
+            out = out + count * found[blade]
         return out
 
-    scouts = 32 if d <= 2 else 64
-    proposal = descend(
-        lambda unit, key: total(unit, key, "rough"), start_of(space, messages), scouts, seed
-    )
-    assert proposal.chol is not None
-    rough_end = Proposal(proposal.mean, proposal.chol * 1.5)
-    unit, log_q = rough_end.nodes(sobol(32, d, seed + 2))
-    exact, rough = (total(unit, rough_end.key, how) for how in ("exact", "rough"))
-    missing, left = quadratic(unit, exact - rough, exact - log_q)
-    wide = descend(
-        lambda unit, key: total(unit, key, "rough") + missing(unit), rough_end, scouts, seed
-    )
-    n = node_count(d) * space.tails
-    base = sobol(n, d, seed + 1)
+    def exactly(start: Proposal, blades: Iterable[str]) -> Proposal:
+        """Where a descent on the exact messages of some blades ends."""
+        alike = dict.fromkeys(blades, 1.0)
+        return descend(
+            lambda unit, key: space.log_prior(unit) + seen(unit, key, "exact", alike),
+            start,
+            base[:scouts],
+        )
 
-    def settled(start: Proposal, turns: int) -> tuple[float, Proposal]:
+    def mended(start: Proposal, blades: Mapping[str, float]) -> Proposal | None:
+        """Where a descent on all rough messages ends, mended by the exact ones of some blades."""
+        unit, log_q = start.nodes(base[:scouts])
+        exact, rough = (seen(unit, start.key, how, blades) for how in ("exact", "rough"))
+        likely = space.log_prior(unit) + seen(unit, start.key, "exact", dict.fromkeys(blades, 1.0))
+        mend, left = quadratic(unit, exact - rough, likely - log_q)
+        if left > MISLED:
+            return None
+        return descend(
+            lambda unit, key: (
+                space.log_prior(unit) + seen(unit, key, "rough", everyone) + mend(unit)
+            ),
+            start,
+            base[: 2 * scouts],
+        )
+
+    def settled(start: Proposal, turns: int, least: float = 0.0) -> tuple[float, Proposal]:
         """The best share of effective nodes on the way from `start`, and its proposal."""
         best = (-1.0, start)
         for _ in range(turns):
-            unit, log_q = start.nodes(base)
-            log_p = total(unit, start.key, "exact")
-            best = max(best, (ess(log_p - log_q) / n, start), key=lambda found: found[0])
-            if best[0] >= enough:
+            unit, log_q = start.nodes(base[:n])
+            log_p = space.log_prior(unit) + seen(unit, start.key, "exact", everyone)
+            share, following = ess(log_p - log_q) / n, improved(unit, log_p, log_q, 0.3)
+            with suppress(InputError, np.linalg.LinAlgError):
+                beyond, following = foreseen(start, unit, log_p, log_q)
+                share = min(share, beyond)
+            best = max(best, (share, start), key=lambda found: found[0])
+            if best[0] >= enough or following.key == start.key or share < least:
                 break
-            start = improved(unit, log_p, log_q, 0.3)
+            start = following
         return best
 
-    best = settled(wide, 3) if left < MISLED else (-1.0, wide)
-    if best[0] < enough:  # the rough messages misled: look at nothing but the exact ones
-        exactly = descend(
-            lambda unit, key: total(unit, key, "exact"),
-            start_of(space, messages),
-            16 if d <= 2 else 32,
-            seed,
-        )
-        best = max(best, settled(exactly, rounds), key=lambda found: found[0])
-    if best[0] < enough:  # or start where the rough messages alone led
-        best = max(best, settled(rough_end, rounds), key=lambda found: found[0])
-    wide = best[1]
-    unit, log_q = wide.nodes(base)
-    return Weighed(
-        unit,
-        log_q,
-        space.log_prior(unit),
-        known.all({b: messages[b] for b in blades}, wide.key, unit, "exact"),
-        wide,
-    )
+    place, best = exactly(start_of(space, messages), counts), (-1.0, Proposal(np.zeros(d), None))
+    if len(counts) < len(messages):
+        nearer = mended(place, counts)
+        nearer = nearer and mended(nearer, everyone)
+        if nearer is not None:
+            best = settled(nearer, 3, ASTRAY)
+    if best[0] < enough:
+        best = max(best, settled(exactly(place, everyone), rounds), key=lambda found: found[0])
+    unit, log_q = best[1].nodes(base[:n])
+    columns = known.all(messages, best[1].key, unit, "exact")
+    return Weighed(unit, log_q, space.log_prior(unit), columns, best[1])

@@ -30,13 +30,14 @@ from core.calibration.target import SharedSpace
 from core.errors import InputError
 from core.response import monomials
 from core.smc.particles import ess, log_sum_exp, normalised
-from core.smc.placement import Proposal, moments, sobol
+from core.smc.placement import Proposal, moments, rounded, sobol
 
 Array = NDArray[np.float64]
 DEPTH = 25.0  # nats below the best node that still shape the surface
 LENGTHS = (1.0, 1.5, 2.0, 3.0, 4.5)
 NUGGETS = (1e-8, 1e-5, 1e-2)
 POINTS = 8192
+FORESEEN = 2.0  # nat of leave-one-out error up to which a surface tells where to go
 KEPT = 0.6  # of the effective nodes: a tilt that costs more is not believed
 TRUSTED = 0.5  # nat of leave-one-out error up to which a surface is
 GRAIN = 2.0**-20  # nat: tilts are rounded, so that the last bits of a solver do not matter
@@ -94,6 +95,30 @@ class Surface:
 def _bells(a: Array, b: Array, length: float) -> Array:
     square = np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2)
     return np.asarray(np.exp(-0.5 * square / length**2))
+
+
+def foreseen(proposal: Proposal, unit: Array, log_p: Array, log_q: Array) -> tuple[float, Proposal]:
+    """The share of effective nodes by a surface through log p that looks beyond them, and the
+    proposal that has its moments.
+
+    A proposal may sit aside of the posterior where log p is nearly flat over it: its weights are
+    even, and nothing at its own nodes tells. The surface is integrated over a proposal twice as
+    wide; with p normalised there, the share is 1 / ∫ p² / q. Raises InputError and LinAlgError
+    where no surface goes through.
+    """
+    w = normalised(log_p - log_q)
+    surface, error = Surface.through(unit, log_p, w)
+    if not error < FORESEEN:
+        raise InputError("surface", error, "nat off", "use the nodes alone")
+    assert proposal.chol is not None
+    wide = Proposal(proposal.mean, 2.0 * proposal.chol)
+    dense, log_dense_q = wide.nodes(sobol(POINTS, unit.shape[1], POINTS))
+    log_dense_p = surface(dense)
+    log_w = log_dense_p - log_dense_q
+    log_w -= log_sum_exp(log_w)
+    total = log_sum_exp(log_dense_p - log_dense_q) - np.log(POINTS)
+    ratio = log_sum_exp(log_w + log_dense_p - total - proposal.log_density(dense))
+    return float(np.exp(-ratio)), rounded(*moments(dense, normalised(log_w)))
 
 
 def evening(

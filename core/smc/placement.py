@@ -45,17 +45,26 @@ class Proposal:
 
     def nodes(self, base: Array) -> tuple[Array, Array]:
         """Nodes (n, d) from points of the unit cube (n, d), and log q at each."""
-        n, d = base.shape
+        return self._walk(base, base)
+
+    def log_density(self, u: Array) -> Array:
+        """log q at places of the unit box (n, d)."""
+        return self._walk(None, u)[1]
+
+    def _walk(self, base: Array | None, u: Array) -> tuple[Array, Array]:
+        """Coordinate by coordinate: places from points `base`, or given ones, and log q there."""
+        n, d = u.shape
         if self.chol is None:
-            return base.copy(), np.zeros(n)
-        u, z, log_q = np.empty((n, d)), np.empty((n, d)), np.zeros(n)
+            return u.copy(), np.zeros(n)
+        u, z, log_q = u.copy(), np.empty((n, d)), np.zeros(n)
         for i in range(d):
             sd = self.chol[i, i]
             centre = self.mean[i] + z[:, :i] @ self.chol[i, :i]
             f0, f1 = ndtr((0.0 - centre) / sd), ndtr((1.0 - centre) / sd)
             mass = np.maximum(f1 - f0, 1e-300)
-            z[:, i] = np.clip(ndtri(f0 + base[:, i] * mass), -9.0, 9.0)
-            u[:, i] = np.clip(centre + sd * z[:, i], 0.0, 1.0)
+            if base is not None:
+                step = np.clip(ndtri(f0 + base[:, i] * mass), -9.0, 9.0)
+                u[:, i] = np.clip(centre + sd * step, 0.0, 1.0)
             z[:, i] = (u[:, i] - centre) / sd
             log_q += -0.5 * z[:, i] ** 2 - np.log(sd * np.sqrt(2 * np.pi) * mass)
         return u, log_q
@@ -131,8 +140,7 @@ def _quadratic(
 def descend(
     target: Callable[[Array, bytes], Array],
     start: Proposal,
-    scouts: int,
-    seed: int,
+    base: Array,
     *,
     max_levels: int = 12,
     enough: float = 0.3,
@@ -142,14 +150,13 @@ def descend(
     target   log p(u, D) at nodes u (n, d); its second argument names the nodes, so that a caller
              can keep what it computed there
     start    where the descent begins
-    scouts   nodes of each level (a power of two)
+    base     points of the unit cube (scouts, d) that become the nodes of each level
     """
-    base = sobol(scouts, len(start.mean), seed)
     proposal, seen = start, set[bytes]()
     for _ in range(max_levels):
         u, log_q = proposal.nodes(base)
         log_p = target(u, proposal.key)
-        fits = ess(floored(log_p) - log_q) >= enough * scouts
+        fits = ess(floored(log_p) - log_q) >= enough * len(base)
         seen.add(proposal.key)
         proposal = improved(u, log_p, log_q, enough)
         if fits or proposal.key in seen:
