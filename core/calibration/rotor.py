@@ -221,7 +221,7 @@ def weigh(
         for _ in range(turns):
             unit, log_q = start.nodes(base[:n])
             log_p = space.log_prior(unit) + seen(unit, start.key, "exact", everyone)
-            share, following = ess(log_p - log_q) / n, improved(unit, log_p, log_q, 0.3)
+            share, following = ess(log_p - log_q) / n, improved(start, unit, log_p, log_q, 0.3)
             with suppress(InputError, np.linalg.LinAlgError):
                 beyond, following = foreseen(start, unit, log_p, log_q)
                 share = min(share, beyond)

@@ -3,7 +3,9 @@
 The outermost local parameter (the coating, for a rotor blade) runs along the ridge on which
 readings cannot tell the parameters apart. ``survey`` looks at the profile over it (the height of
 the mode, `modes`) at even stations over the support, which it narrows where hardly a station lies
-inside. Panels break at the ends of the support and where the set of active bounds changes;
+inside. Every fifth station is climbed from five places of the plane, and the modes found there
+are handed on from station to station: where the surrogate is unsure, a large variance makes a
+second summit that explains little and holds a climb. Panels break at the ends of the support and where the set of active bounds changes;
 ``volume_sums`` puts Gauss–Legendre points on each panel and splits a panel whose last Legendre
 coefficients are not small.
 
@@ -52,6 +54,7 @@ LEGENDRE = np.array(
         for n in range(N1)
     ]
 )
+STARTS = ((0.0, 0.0), (0.7, 0.7), (-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7))
 DEPTH = 11.5  # nats below the profile's top that still count
 SPLIT = 0.05
 PANELS = 40
@@ -63,14 +66,15 @@ LOW, HIGH, BEST = range(3)
 
 @compiled
 def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type: ignore[no-untyped-def]
-    """Climb at station s from the mode at station `start` (−1: the middle of the box)."""
+    """Climb at station s from the mode at station `start` (−1 − q: from the q-th of `STARTS`)."""
     rows = len(ka2)
     for i in range(LANES):
         w[X + i] = plan[LOW, i] + s * (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
         w[V + i] = -math.inf
-        w[TM + i] = w[TG + i] = 0.0
         if start >= 0:
             w[TM + i], w[TG + i] = seen[MID, start, i], seen[INN, start, i]
+        else:
+            w[TM + i], w[TG + i] = STARTS[-1 - start]
     collapse_volumes(a, rows, w, pa)
     collapse_volumes(b, rows, w, pb)
     collapse_volumes(v, rows, w, pv)
@@ -92,7 +96,10 @@ def survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan):  # type: ignore
         for s in range(STATIONS):
             for i in range(LANES):
                 seen[TOP, s, i] = -math.inf
-        for s in range(STATIONS):
+        for s in range(0, STATIONS, STATIONS // 3):
+            for start in range(-1, -1 - len(STARTS), -1):
+                look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start)
+        for s in range(1, STATIONS):
             look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, s - 1)
         for s in range(STATIONS - 2, -1, -1):
             look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, s + 1)
