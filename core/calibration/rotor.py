@@ -100,13 +100,15 @@ class Weighed:
 
 
 MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
+CARRIES = 0.15  # share of effective nodes from which a surface through them tells where to go
+IDLE = 4  # turns without a better placement after which no more are tried
 PANEL = 12  # blades of a kind whose exact messages place the nodes
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
 
 def node_count(dim: int) -> int:
     """Shared nodes for `dim` shared parameters."""
-    return 64 if dim <= 4 else 128
+    return 64 if dim <= 4 else 256
 
 
 def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Proposal:
@@ -174,11 +176,11 @@ def weigh(
     seed: int,
     *,
     rounds: int = 12,
-    enough: float = 0.5,
 ) -> Weighed:
     """Place and weight the shared nodes for these messages."""
     d, n = space.dim, node_count(space.dim) * space.tails
-    scouts = 16 if d <= 2 else 32 if d <= 4 else 128
+    scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
+    fitting = min(0.3, 1.2 / d)
     base = sobol(max(n, 2 * scouts), d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
@@ -197,6 +199,7 @@ def weigh(
             lambda unit, key: space.log_prior(unit) + seen(unit, key, "exact", alike),
             start,
             base[:scouts],
+            enough=fitting,
         )
 
     def mended(start: Proposal, blades: Mapping[str, float]) -> Proposal | None:
@@ -212,21 +215,25 @@ def weigh(
                 space.log_prior(unit) + seen(unit, key, "rough", everyone) + mend(unit)
             ),
             start,
-            base[: 2 * scouts],
+            base[: scouts if d > 4 else 2 * scouts],
+            enough=fitting,
+            max_levels=6,
         )
 
     def settled(start: Proposal, turns: int, least: float = 0.0) -> tuple[float, Proposal]:
         """The best share of effective nodes on the way from `start`, and its proposal."""
-        best = (-1.0, start)
+        best, idle = (-1.0, start), 0
         for _ in range(turns):
             unit, log_q = start.nodes(base[:n])
             log_p = space.log_prior(unit) + seen(unit, start.key, "exact", everyone)
-            share, following = ess(log_p - log_q) / n, improved(start, unit, log_p, log_q, 0.3)
+            share, following = ess(log_p - log_q) / n, improved(start, unit, log_p, log_q, fitting)
             with suppress(InputError, np.linalg.LinAlgError):
-                beyond, following = foreseen(start, unit, log_p, log_q)
+                beyond, further = foreseen(start, unit, log_p, log_q)
+                following = further if share > CARRIES else following
                 share = min(share, beyond)
+            idle = 0 if share > 1.05 * best[0] else idle + 1
             best = max(best, (share, start), key=lambda found: found[0])
-            if best[0] >= enough or following.key == start.key or share < least:
+            if best[0] >= enough or following.key == start.key or share < least or idle == IDLE:
                 break
             start = following
         return best

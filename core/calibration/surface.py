@@ -4,7 +4,8 @@ The nodes hold log p(s | D) exactly at K places u_k of the unit box. A surface t
 
     log p(u) ≈ quadratic(z) + Σ_k alpha_k exp(−|z − z_k|² / 2 l²),    z = whitened u,
 
-is universal kriging; beyond the outermost node it falls like the normal of the nodes' moments. What
+is universal kriging; beyond the outermost node it goes on as steeply as the normal of the nodes'
+moments falls there: the tails of a posterior are longer than a normal's. What
 it may be off is known beforehand: the weighted root mean square of its leave-one-out errors
 (Dubrule, Math. Geology 15, 1983).
 
@@ -60,7 +61,7 @@ class Surface:
         r = np.sqrt(np.sum(z**2, axis=1))
         z = z * np.minimum(1.0, self.reach / np.maximum(r, 1e-300))[:, None]
         inside = np.hstack([_bells(z, self.nodes, self.length), monomials(z, 2)]) @ self.alpha
-        return np.asarray(inside - 0.5 * np.maximum(r**2 - self.reach**2, 0.0))
+        return np.asarray(inside - self.reach * np.maximum(r - self.reach, 0.0))
 
     @staticmethod
     def through(unit: Array, log_p: Array, w: Array) -> tuple[Surface, float]:

@@ -3,11 +3,11 @@
 The outermost local parameter (the coating, for a rotor blade) runs along the ridge on which
 readings cannot tell the parameters apart. ``survey`` looks at the profile over it (the height of
 the mode, `modes`) at even stations over the support, which it narrows where hardly a station lies
-inside. Every fifth station is climbed from five places of the plane, and the modes found there
-are handed on from station to station: where the surrogate is unsure, a large variance makes a
-second summit that explains little and holds a climb. Panels break at the ends of the support and where the set of active bounds changes;
-``volume_sums`` puts Gauss–Legendre points on each panel and splits a panel whose last Legendre
-coefficients are not small.
+inside. Every fifth station is climbed from five places of the plane, and the modes found there are
+handed on from station to station: where the surrogate is unsure, its large variance makes a second
+summit that explains little and holds a climb. Panels break at the ends of the support and where
+the set of active bounds changes; ``volume_sums`` puts Gauss–Legendre points on each panel and
+splits a panel whose last Legendre coefficients are not small.
 
 Coefficients of a block of volumes are flat: ``a[(((6 r + d) 6 + j) 6 + k) LANES + i]`` belongs to
 the powers d, j, k of the outer, middle and inner parameter of row r at the i-th shared value.

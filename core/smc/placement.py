@@ -30,7 +30,7 @@ from scipy.stats import qmc
 from core.smc.particles import ess, normalised, tempering_exponent
 
 Array = NDArray[np.float64]
-WIDEN = 1.25  # proposals are a little wider than what they propose for
+WIDEN = 1.4  # proposals are wider than what they propose for: tails are longer than a normal's
 EXPLAINED = 0.3  # of log p's spread that a quadratic may miss and still be followed
 STEP, SCALES, SHRINK = 2.0, (0.15, 2.0), 0.55  # of a proposal's spread, from level to level
 
@@ -176,9 +176,7 @@ def floored(log_p: Array) -> Array:
     return np.asarray(np.maximum(log_p, np.max(log_p) - 1e7))
 
 
-def improved(
-    proposal: Proposal, u: Array, log_p: Array, log_q: Array, enough: float
-) -> Proposal:
+def improved(proposal: Proposal, u: Array, log_p: Array, log_q: Array, enough: float) -> Proposal:
     """The next proposal from a target known at this one's nodes u (n, d).
 
     Where the weights keep `enough` of the nodes, their moments; else the quadratic through the
