@@ -2,13 +2,15 @@
 
     log p(s, D) = log p(s) + Σ_b log m_b(s)
 
-The shared nodes are placed in two steps. A descent on rough messages finds where the posterior is
-(`core.smc.placement`). What the rough messages miss is smooth: a quadratic through the difference
-at a few places mends them, and a second descent ends where the exact messages at the nodes give
-even weights. Where that fails (few readings of each blade, small noise: there rough messages are
-worst, and no quadratic mends them), a descent looks at the exact messages alone, and at last the
-nodes start again where the first descent ended. Everything is a function of the set of readings;
-the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
+The shared nodes are placed from a few blades to all. A descent on the exact messages of some blades
+of each kind (`panel`) goes from the whole box to where the posterior is; these messages also tell
+what the rough ones miss, which is smooth: a quadratic through the difference, times the number of
+blades that each stands for, mends the rough messages of all, and a descent on those is nearly free.
+Where the quadratic leaves too much (few readings of each blade, small noise), the descent goes on
+with the exact messages of all. At the end the exact messages at the nodes must give even weights,
+seen by a surface that looks beyond them (`surface.foreseen`): nodes beside the posterior can have
+even weights, too. Everything is a function of the set of readings; the columns are kept, so that a
+new reading costs one blade's columns as long as the nodes stay.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.calibration.draws import SHARE
+from core.calibration.draws import SHARE, even_points
 from core.calibration.message import BladeMessage
 from core.calibration.target import assemble, locals_of, shared_space
 from core.model import rotor_blade
@@ -82,6 +82,46 @@ def test_a_single_low_reading_is_integrated_over_its_whole_surface(
     density = np.exp(-0.5 * (mean - value) ** 2 / var) / np.sqrt(2 * np.pi * var)
     message = BladeMessage(model, rows, space, {})
     assert message.column(unit)[0] == pytest.approx(np.log(weight @ density), abs=2e-3)
+
+
+def test_a_second_summit_where_the_surrogate_is_unsure_holds_no_climb() -> None:
+    """The hottest rotor, a blade that stretches most: climbs once ended on a summit of variance.
+
+    The column jumped by 2.6 nat between neighbours, and the draws missed the posterior.
+    """
+    model = rotor_blade()
+    values = {8e3: 0.9262, 16e3: 1.4326, 24e3: 1.8752}
+    rows = assemble(
+        model, [Inspection(f"i{t}", "b", "elongation", t, np.array([y])) for t, y in values.items()]
+    )
+    assert rows is not None
+    message = BladeMessage(model, rows, shared_space(model, [rows]), {})
+    rng = np.random.default_rng(0)
+    step = np.array([2e-3, 4e-3])
+    unit = np.array([0.994, 0.389]) + step * rng.uniform(-1, 1, (128, 2))
+    column = message.column(unit)
+    z = (unit - unit.mean(axis=0)) / step
+    plane = np.column_stack([np.ones(len(z)), z, z**2, z[:, :1] * z[:, 1:]])
+    left = column - plane @ np.linalg.lstsq(plane, column, rcond=None)[0]
+    assert np.abs(left).max() < 0.02
+    _, log_w = message.draws(unit, 480, rng, column)
+    assert np.abs(np.log(np.exp(log_w).sum(axis=1))).max() < 0.1
+
+
+def test_even_points_are_even_at_a_node_and_over_all_of_them() -> None:
+    u = even_points(np.random.default_rng(1), 64, 72, 12, 3)
+    groups = np.sort(u[:, ::12, 0], axis=1)
+    assert np.diff(groups, axis=1) == pytest.approx(np.full((64, 5), 1 / 6))
+    for column in (groups.ravel(), u[:, :, 1].ravel(), u[:, :, 2].ravel()):
+        n = len(column)
+        off = np.abs(np.sort(column) - (np.arange(n) + 0.5) / n).max()
+        assert off < 4 / n, "independent numbers are off by about 1 / sqrt(n)"
+    shifts = [even_points(np.random.default_rng(s), 2, 4, 2, 2) for s in range(400)]
+    assert np.mean(shifts, axis=0)[..., 1:] == pytest.approx(
+        np.tile(np.array([0.5, 0.5]), (2, 4, 1)), abs=0.27
+    )
+    first = np.array(shifts)[:, 0, 0, 2]
+    assert np.mean(first) == pytest.approx(0.5, abs=0.05)
 
 
 def test_draws_estimate_the_message_and_stay_in_the_box() -> None:
