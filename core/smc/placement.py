@@ -8,7 +8,7 @@ readings arrive. Its particles are nodes drawn from a proposal q and weighted ex
 so q decides only how evenly the weights fall, never what is right. q is found by a descent that
 starts from the whole box and looks at nothing but the target itself: on each level the target is
 known at a few nodes; where their weights collapse, a quadratic through them gives the next centre
-and spread, in steps that are bounded in every direction of its own, and where no quadratic fits, the
+and spread, in steps bounded in every direction of its own, and where no quadratic fits, the
 spread shrinks about the best node (a trust region: Powell, Acta Numerica 15, 2006). Centres and
 spreads are rounded to a coarse lattice, so that one more reading mostly leaves the nodes where they
 are and the work done at them stays valid. Two event sets that are equal give bit-identical nodes,
