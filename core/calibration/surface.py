@@ -137,7 +137,10 @@ def evening(
         if not error < TRUSTED:
             return none, None
         dense, log_dense_q = proposal.nodes(sobol(POINTS, space.dim, POINTS))
-        mean, cov = moments(space.to_x(dense), normalised(surface(dense) - log_dense_q))
+        log_dense_w = surface(dense) - log_dense_q
+        if ess(log_dense_w) / POINTS < KEPT * ess(log_w) / len(log_w):  # it rises between nodes
+            return none, None
+        mean, cov = moments(space.to_x(dense), normalised(log_dense_w))
         z = np.linalg.solve(np.linalg.cholesky(cov), (x - mean).T).T
     except (InputError, np.linalg.LinAlgError):
         return none, None

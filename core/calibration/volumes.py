@@ -3,11 +3,11 @@
 The outermost local parameter (the coating, for a rotor blade) runs along the ridge on which
 readings cannot tell the parameters apart. ``survey`` looks at the profile over it (the height of
 the mode, `modes`) at even stations over the support, which it narrows where hardly a station lies
-inside. Every fifth station is climbed from five places of the plane, and the modes found there are
-handed on from station to station: where the surrogate is unsure, its large variance makes a second
-summit that explains little and holds a climb. Panels break at the ends of the support and where
-the set of active bounds changes; ``volume_sums`` puts Gauss–Legendre points on each panel and
-splits a panel whose last Legendre coefficients are not small.
+inside. A plane may have a second summit at one of its sides, which holds a climb where the noise is
+small; so every fifth station is climbed from five places, and its mode is handed on from station
+to station along the ridge. Panels break at the ends of the support and where the set of active
+bounds changes; ``volume_sums`` puts Gauss–Legendre points on each panel and splits a panel whose
+last Legendre coefficients are not small.
 
 Coefficients of a block of volumes are flat: ``a[(((6 r + d) 6 + j) 6 + k) LANES + i]`` belongs to
 the powers d, j, k of the outer, middle and inner parameter of row r at the i-th shared value.
@@ -66,7 +66,11 @@ LOW, HIGH, BEST = range(3)
 
 @compiled
 def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type: ignore[no-untyped-def]
-    """Climb at station s from the mode at station `start` (−1 − q: from the q-th of `STARTS`)."""
+    """Climb at station s from the mode at station `start` (−1 − q: from the q-th of `STARTS`).
+
+    From a station also with the step that led there from the one behind it: a narrow ridge leaves
+    the mode of one station far below the ridge at the next.
+    """
     rows = len(ka2)
     for i in range(LANES):
         w[X + i] = plan[LOW, i] + s * (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
@@ -79,6 +83,13 @@ def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type
     collapse_volumes(b, rows, w, pb)
     collapse_volumes(v, rows, w, pv)
     plane_modes(pa, pb, pv, y, s2, ka2, kb2, w)
+    behind = 2 * start - s
+    if start >= 0 and 0 <= behind < STATIONS:
+        for i in range(LANES):
+            m, g = 2.0 * seen[MID, start, i], 2.0 * seen[INN, start, i]
+            w[TM + i] = min(max(m - seen[MID, behind, i], -1.0), 1.0)
+            w[TG + i] = min(max(g - seen[INN, behind, i], -1.0), 1.0)
+        plane_modes(pa, pb, pv, y, s2, ka2, kb2, w)
     codes(w)
     for i in range(LANES):
         if w[V + i] > seen[TOP, s, i] + 1e-6:
