@@ -60,14 +60,14 @@ def make(name: str, draws: int, chains: int, seed: int) -> None:
     from core.model import rotor_blade
     from core.rng import stream
     from core.validation.compare import ours, stored
-    from core.validation.nuts import Target, Tubes, sample, seen_by_blades
+    from core.validation.nuts import Target, Tubes, joint_draws, sample
 
     model = rotor_blade()
     blades, readings, truth = readings_of(model, name)
     rotor = RotorSpec(name, blades, PARTICLES)
     target = Target.of(model, rotor, readings)
     _, states = ours(model, rotor, readings)
-    tubes = Tubes.fitted(target, *seen_by_blades(target, states[0], stream(seed, "tubes", name)))
+    tubes = Tubes.fitted(target, *joint_draws(target, states[0], stream(seed, "tubes", name)))
     reference = sample(target, seed=seed, tubes=tubes, draws=draws, chains=chains)
     stored(model, rotor, readings, reference, truth).save(FOLDER)
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +174,7 @@ class Comparison:
 
     def beyond(self, errors: float = 0.0) -> dict[str, list[str]]:
         """What lies outside the acceptance by more than so many Monte-Carlo errors."""
-        p = np.triu_indices(len(self.names), 1)
+        pairs = list(combinations(range(len(self.names)), 2))
         found: dict[str, list[str]] = {"mean": [], "ratio": [], "correlation": []}
         for b, blade in enumerate(self.blades):
             for j, name in enumerate(self.names):
@@ -181,7 +182,7 @@ class Comparison:
                     found["mean"].append(f"{blade} {name} {self.mean[b, j]:+.3f}")
                 if abs(self.ratio[b, j] - 1) > SPREAD + errors * self.error_ratio[b, j]:
                     found["ratio"].append(f"{blade} {name} {self.ratio[b, j]:.3f}")
-            for i, j in zip(*p, strict=True):
+            for i, j in pairs:
                 difference = self.correlation[b, i, j]
                 if abs(difference) > CORRELATION + errors * self.error_correlation[b, i, j]:
                     names = f"{self.names[i]}~{self.names[j]}"
@@ -335,7 +336,7 @@ def log_evidence(
     tables = []
     for k in range(scrambles):
         total = np.zeros((nodes, nodes))
-        for b in np.unique(target.blade):
+        for b in map(int, np.unique(target.blade)):
             own = np.flatnonzero(target.blade == b)
             rng = np.random.default_rng(seed_of(seed, "evidence", k, int(b)))
             local = qmc.Sobol(len(target.local), rng=rng).random(points)

@@ -10,10 +10,10 @@ largest difference of a mean in reference sd, and the range of sd ratios, over a
 shared parameters and predictions.
 
 What is compared: *ours* is the state that the service persists (10,000 particles a blade). NUTS and
-PyMC are as a user would write them: the same target and compiled rows, defaults, a dense mass matrix
-for NUTS; one chain, which costs them one adaptation only, sampled until T1T has 64 and 400 effective
-draws (ours: 64 nodes in a low-discrepancy net). For one more reading they start again: there is no
-other way (numpyro#534, pymc#1780).
+PyMC are as a user would write them: the same target and compiled rows, defaults, a dense mass
+matrix for NUTS; one chain, which costs them one adaptation only, sampled until T1T has 64 and 400
+effective draws (ours: 64 nodes in a low-discrepancy net). For one more reading they start again:
+there is no other way (numpyro#534, pymc#1780).
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def until_enough(
         while (size := effective(shared[None, :, 0])) < enough:
             if clock.read()["cpu_s"] > LIMIT_S:
                 break
-            s, l = batch()
-            shared, local = np.concatenate([shared, s]), np.concatenate([local, l])
+            more = batch()
+            shared, local = np.concatenate([shared, more[0]]), np.concatenate([local, more[1]])
         label = f"{name}, ESS {enough}" + ("" if size >= enough else f" not reached: {size:.0f}")
         rows.append({"method": label, **clock.read(), "adaptation_cpu_s": first["cpu_s"]})
         rows[-1] |= {"draws": len(shared), **judged(shared, local)}
@@ -174,10 +174,10 @@ def pymc(model: Model, kept: Stored) -> list[Row]:
             draws=1000, tune=500, chains=1, cores=1, random_seed=1, progressbar=False,
             compute_convergence_checks=False,
         )  # fmt: skip
-    s, l = drawn_.posterior["shared"].values[0], drawn_.posterior["local"].values[0]
-    size = effective(s[None, :, 0])
+    one, each_one = (drawn_.posterior[name].values[0] for name in ("shared", "local"))
+    size = effective(one[None, :, 0])
     row = {"method": f"PyMC NUTS, 1000 draws, ESS {size:.0f}", **clock.read()}
-    return [row | {"draws": len(s)} | drawn(model, kept, target, s, l)]
+    return [row | {"draws": len(one)} | drawn(model, kept, target, one, each_one)]
 
 
 def schedule(model: Model, kept: Stored) -> list[Row]:

@@ -13,15 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.calibration.message import BladeMessage
 from core.calibration.online import update
 from core.calibration.state import RotorState
-from core.calibration.target import assemble, nominal, shared_space
 from core.model import Model, rotor_blade
-from core.observation import Inspection
-from core.smc.particles import normalised
-from core.validation.compare import Comparison, Stored, log_evidence, of_state
-from core.validation.nuts import Target, diagnosed
+from core.validation.compare import Comparison, Stored, of_state
 
 FOLDER = Path(__file__).with_name("results") / "reference"
 ROTORS = sorted(path.stem for path in FOLDER.glob("*.json"))
@@ -44,3 +39,40 @@ def calibrated(name: str) -> RotorState:
 
 def compared(name: str, state: RotorState) -> Comparison:
     return Comparison.of(of_state(model(), kept(name).rotor, state), kept(name).moments)
+
+
+@pytest.mark.parametrize("name", ROTORS)
+def test_the_references_have_converged(name: str) -> None:
+    """R-hat, effective draws of every parameter, and the thinned draws against all of them."""
+    head, m = kept(name).head, kept(name).moments
+    assert head["worst_r_hat"] < 1.05
+    assert head["least_ess_of_blades"] > 200
+    assert head["nuts"]["divergences"] < 0.01 * head["nuts"]["draws"] * head["nuts"]["chains"]
+    shared = kept(name).shared
+    first = len(m.names) - 1 - shared.shape[1]
+    for j in range(shared.shape[1]):
+        far = 5 * np.hypot(1 / np.sqrt(len(shared)), m.error_mean[0, first + j])
+        assert abs(shared[:, j].mean() - m.mean[0, first + j]) < far * m.sd[0, first + j]
+
+
+@pytest.mark.parametrize("name", ROTORS)
+def test_means_spreads_and_correlations_are_those_of_the_reference(name: str) -> None:
+    """Within 0.1 sd, 5 % and 0.05, beyond which only Monte-Carlo errors of the reference are let.
+
+    Every parameter of every blade, the shared ones and predictions; none is left out.
+    """
+    found = compared(name, calibrated(name)).beyond(errors=3.0)
+    assert not any(found.values()), found
+
+
+@pytest.mark.parametrize("name", ROTORS[:1])
+def test_a_posterior_of_other_readings_is_told_apart(name: str) -> None:
+    """Negative control: one blade's readings higher by half the noise."""
+    blade = kept(name).rotor.blades[0]
+    sigma = kept(name).head["truth"]["sigma_obs.elongation"]
+    moved = [
+        replace(i, values=i.values + 0.5 * sigma) if i.blade == blade else i
+        for i in kept(name).readings
+    ]
+    state = update(model(), kept(name).rotor, moved)
+    assert any(compared(name, state).beyond(errors=3.0).values())
