@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from core.calibration.online import update
-from core.calibration.state import RotorState
+from core.calibration.state import RotorSpec, RotorState
 from core.model import Model, rotor_blade
 from core.validation.compare import Comparison, Stored, of_state
 
@@ -76,3 +76,21 @@ def test_a_posterior_of_other_readings_is_told_apart(name: str) -> None:
     ]
     state = update(model(), kept(name).rotor, moved)
     assert any(compared(name, state).beyond(errors=3.0).values())
+
+
+def test_the_sampled_target_is_the_product_of_the_readings_densities() -> None:
+    """Against the rows themselves, at a point off every centre."""
+    _, readings, _ = readings_of(model(), "small")
+    blades = ("B000", "B001")
+    target = Target.of(model(), RotorSpec("small", blades), readings)
+    rng = np.random.default_rng(3)
+    shared, local, total = rng.random(2), rng.random((2, 3)), 0.0
+    for b, blade in enumerate(blades):
+        rows = assemble(model(), [i for i in readings if i.blade == blade])
+        assert rows is not None
+        u = target.low + np.concatenate([shared, local[b]]) * (target.high - target.low)
+        x = dict(zip(target.shared + target.local, u, strict=True))
+        mean, sd = rows.response.evaluate(np.array([[x[n] for n in model().input_names]]))
+        var = np.exp(2 * u[1]) + rows.extra + sd[0] ** 2
+        total += float(np.sum(-0.5 * (rows.y - mean[0]) ** 2 / var - 0.5 * np.log(2 * np.pi * var)))
+    assert abs(target.log_joint(np, shared, local) - total) < 1e-9 * abs(total)
