@@ -15,8 +15,11 @@ import pytest
 
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, RotorState
+from core.calibration.target import assemble
 from core.model import Model, rotor_blade
 from core.validation.compare import Comparison, Stored, of_state
+from core.validation.nuts import Target
+from service.study_reference import readings_of
 
 FOLDER = Path(__file__).with_name("results") / "reference"
 ROTORS = sorted(path.stem for path in FOLDER.glob("*.json"))
