@@ -1,7 +1,8 @@
-"""The two ways in which this project compiles a function with numba.
+"""The ways in which this project compiles a function with numba.
 
-``compiled`` keeps every rule of IEEE arithmetic; ``contracted`` allows what makes sums over rows
-vectorise (fused products, regrouping), but no assumption on NaN or infinity. Both release the
+``compiled`` keeps every rule of IEEE arithmetic; ``fused`` lets a product and a sum become one
+operation; ``contracted`` also allows what makes sums over rows vectorise (regrouping), but no
+assumption on NaN or infinity. All release the
 interpreter's lock, so that threads share a column, and divide as numpy does: 1 / 0 is inf, and
 callers refuse results that are not finite.
 
@@ -44,6 +45,11 @@ def _made(function: Function, **options: Any) -> Any:
 def compiled(function: Function) -> Any:
     """Compile on the first call, with strict arithmetic."""
     return _made(function)
+
+
+def fused(function: Function) -> Any:
+    """Compile on the first call; products may be fused with sums, nothing else."""
+    return _made(function, fastmath={"contract"})
 
 
 def contracted(function: Function) -> Any:

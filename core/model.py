@@ -1,4 +1,8 @@
-"""A model: the network that is calibrated and the surrogate that answers for the physics."""
+"""A model: the network that is calibrated and the surrogate that answers for the physics.
+
+Where different models answer for different quantities (creep coupons below blades, say), they are
+`Stacked`: one network over all of them, in which they may share parameters.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +16,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import ModelError
+from core.errors import InputError, ModelError
 from core.network import Network, rotor_blade_network
 from core.response import Response
 
 Array = NDArray[np.float64]
+MOST_LOCAL = 3  # local parameters that one component's readings may speak of
 
 
 class Input(Protocol):
@@ -55,12 +60,100 @@ class Answers(Protocol):
     def mode_covariance(self, time_h: float) -> Array: ...
 
 
+@dataclass(frozen=True, slots=True)
+class Range:
+    """An input of several surrogates and the range that all of them cover."""
+
+    name: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """Several surrogates as one; each quantity is answered by one of them.
+
+    parts  (surrogate, the quantities it answers for)
+
+    Raises InputError for a quantity in two parts and for an input whose ranges do not overlap.
+    """
+
+    parts: tuple[tuple[Answers, tuple[str, ...]], ...]
+
+    def __post_init__(self) -> None:
+        quantities = [q for _, own in self.parts for q in own]
+        twice = sorted({q for q in quantities if quantities.count(q) > 1})
+        if twice:
+            raise InputError(
+                "quantities", twice, "are answered by two surrogates", "give each to one of them"
+            )
+        for i in self.inputs:
+            if not i.low < i.high:
+                raise InputError(
+                    f"input {i.name}",
+                    (i.low, i.high),
+                    "has no range that all surrogates cover",
+                    "rename the input of one of them or add training runs",
+                )
+
+    @cached_property
+    def inputs(self) -> tuple[Range, ...]:
+        """Every input once, in the order of the parts."""
+        every = [i for part, _ in self.parts for i in part.inputs]
+        same = {i.name: [j for j in every if j.name == i.name] for i in every}
+        return tuple(
+            Range(n, max(j.low for j in own), min(j.high for j in own)) for n, own in same.items()
+        )
+
+    @property
+    def _largest(self) -> Answers:
+        return max((part for part, _ in self.parts), key=lambda part: part.node_count)
+
+    @property
+    def horizon_h(self) -> float:
+        return max(part.horizon_h for part, _ in self.parts)
+
+    @property
+    def node_count(self) -> int:
+        return self._largest.node_count
+
+    @property
+    def named(self) -> Mapping[str, int]:
+        """Named nodes of the largest mesh."""
+        return self._largest.named
+
+    @cached_property
+    def digest(self) -> str:
+        text = "".join(f"{part.digest}{sorted(own)}" for part, own in self.parts)
+        return sha256(text.encode()).hexdigest()
+
+    def part(self, quantity: str) -> Answers:
+        """The surrogate that answers for `quantity`."""
+        for part, own in self.parts:
+            if quantity in own:
+                return part
+        raise InputError(
+            "quantity",
+            quantity,
+            "is answered by no surrogate",
+            f"use one of {[q for _, own in self.parts for q in own]}",
+        )
+
+    def predict(
+        self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None
+    ) -> tuple[Array, Array]:
+        part, names = self.part(quantity), [i.name for i in self.inputs]
+        return part.predict(
+            x[:, [names.index(i.name) for i in part.inputs]], quantity, times, nodes
+        )
+
+
 @dataclass(frozen=True)
 class Model:
     """Network + surrogate. `version` names the pair in every answer (64 bits of its digest)."""
 
     network: Network
-    surrogate: Answers
+    surrogate: Answers | Stacked
     _rows: dict[object, Response] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -78,6 +171,25 @@ class Model:
                     f"the prior of {i.name!r}, {prior.low:g} … {prior.high:g}, leaves the range of "
                     f"the training runs, {i.low:g} … {i.high:g}; narrow it or add runs"
                 )
+        for quantity in self.network.quantities:
+            self.few_locals([i.name for i in self.part(quantity.name).inputs], quantity.name)
+
+    def part(self, quantity: str) -> Answers:
+        """The surrogate that answers for `quantity`."""
+        return (
+            self.surrogate.part(quantity) if isinstance(self.surrogate, Stacked) else self.surrogate
+        )
+
+    def few_locals(self, names: Sequence[str], what: str) -> None:
+        """Refuse inputs with more local parameters than a message integrates over."""
+        local = [n for n in names if self.network.parameter(n).level == "local"]
+        if len(local) > MOST_LOCAL:
+            raise InputError(
+                f"local parameters of {what}",
+                local,
+                f"are more than {MOST_LOCAL}",
+                "declare some as shared, known or dormant",
+            )
 
     @cached_property
     def digest(self) -> str:

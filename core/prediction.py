@@ -1,18 +1,19 @@
 """Predictions with their uncertainty split by source.
 
-With particles (psi_i, w_i) of a blade's posterior and the surrogate's mean Y_m and standard
-deviation s,
+With particles (psi_i, w_i) of a blade's posterior, the surrogate's mean Y_m and standard deviation
+s, and the discrepancy delta_i = (g_i − 1) Y_m,i + o_i of each particle (`core.discrepancy`),
 
-    mean   = Σ w_i Y_m(t; psi_i)
-    total² = Var_w(Y_m) + Σ w_i s(t; psi_i)² + sigma_delta² + Σ w_i sigma_obs,i²
-             parameters   surrogate            discrepancy   noise of one more reading
+    mean   = Σ w_i (Y_m(t; psi_i) + delta_i)
+    total² = Var_w((1 + b) Y_m) + Σ w_i g_i² s_i² + Var_w(r) + sigma_delta² + Σ w_i sigma_obs,i²
+             parameters           surrogate         discrepancy               one more reading
 
-(the surrogate's part holds the simulation's numerical error, too),
-
+where delta_i = a + b Y_m,i + r_i by weighted least squares: what of the discrepancy goes with the
+model's own answer counts as the parameters', the rest as its own. As r is uncorrelated with Y_m,
+the first and third term are exactly Var_w(Y_m + delta),
 so the squares of the sources add up to the square of the total. Quantiles and bounds are those
-of the mixture of normals Σ w_i N(Y_m,i, s_i² + sigma_i²), not of a fitted bell: they are the bounds
-between which a *reading* falls with the stated probability. Whoever wants the band of the blade
-itself, without the instrument, asks for ``noise=False``.
+of the mixture of normals Σ w_i N(Y_m,i + delta_i, g_i² s_i² + sigma_delta² + sigma_i²), not of a
+fitted bell: they are the bounds between which a *reading* falls with the stated probability.
+Whoever wants the band of the blade itself, without the instrument, asks for ``noise=False``.
 """
 
 from __future__ import annotations
@@ -26,12 +27,16 @@ from scipy.special import ndtr
 
 from core.calibration.state import Posterior
 from core.calibration.target import nominal
+from core.discrepancy import affine, parameters, total
 from core.errors import InputError, RangeError
 from core.model import Model
+from core.network import Prior, Quantity
 
 Array = NDArray[np.float64]
 SOURCES = ("parameters", "surrogate", "discrepancy", "noise", "total")
 QUANTILES = (0.025, 0.05, 0.16, 0.5, 0.84, 0.95, 0.975)
+# fractional parts of roots: golden, 2, 3, 7, 11, 13, 17
+IRRATIONAL = tuple(float(v) for v in (0.6180339887498949, *(np.sqrt([2, 3, 7, 11, 13, 17]) % 1.0)))
 ENOUGH = 4000  # particles that a prediction rests on; more move a quantile by < 0.02 sd
 
 
@@ -40,6 +45,7 @@ class Prediction:
     """One quantity of one blade at T times.
 
     mean, lower, upper (T,) and each sd by source (T,) in `unit`; quantiles {p: (T,)}.
+    instrument  whose noise the reading has, where noises are by instrument
     """
 
     quantity: str
@@ -52,31 +58,93 @@ class Prediction:
     probability: float
     quantiles: Mapping[float, Array]
     particles: int
+    instrument: str | None = None
 
 
 def inputs_of(
-    model: Model, posterior: Posterior, known: Mapping[str, float] | None = None
+    model: Model, posterior: Posterior, quantity: str, known: Mapping[str, float] | None = None
 ) -> Array:
-    """Inputs of the surrogate for each particle, (N, d)."""
-    fixed = nominal(model, known)
+    """Inputs of the surrogate that answers for `quantity`, for each particle, (N, d)."""
+    names = [i.name for i in model.part(quantity).inputs]
+    fixed = nominal(model, names, known)
     n = len(posterior.particles.log_w)
     return np.stack(
-        [
-            np.full(n, fixed[name]) if name in fixed else posterior.column(name)
-            for name in model.input_names
-        ],
+        [np.full(n, fixed[name]) if name in fixed else posterior.column(name) for name in names],
         axis=1,
     )
 
 
-def noise_of(model: Model, posterior: Posterior, quantity: str) -> Array:
+def spread(prior: Prior, n: int, place: int) -> Array:
+    """n values for the prior of what nobody measured yet: strata by a Kronecker sequence.
+
+    place   number of the parameter; those of other numbers are spread independently
+    """
+    return prior.quantile(np.asarray((np.arange(n) * IRRATIONAL[place] + 0.5) % 1.0, float))
+
+
+def instrument_of(posterior: Posterior, quantity: Quantity) -> str | None:
+    """The instrument whose noise is known best, which is to say: the one with most readings.
+
+    None where readings named none, or the quantity has one noise for all.
+    """
+    of_each = f"{quantity.sigma_name}@"
+    w = posterior.particles.w
+
+    def doubt(name: str) -> float:
+        log = np.log(posterior.column(name))
+        return float(w @ (log - w @ log) ** 2)
+
+    met = [n for n in posterior.names if n == quantity.sigma_name or n.startswith(of_each)]
+    best = min(met, key=doubt, default=quantity.sigma_name)
+    return best.removeprefix(of_each) if best != quantity.sigma_name else None
+
+
+def noise_of(
+    model: Model, posterior: Posterior, quantity: str, instrument: str | None = None
+) -> Array:
     """sigma_obs of each particle; a noise that nobody measured yet keeps its prior (N,)."""
     declared = model.network.quantity(quantity)
-    if declared.sigma_name in posterior.names:
-        return posterior.column(declared.sigma_name)
+    name = declared.sigma_of(instrument)
+    if name in posterior.names:
+        return posterior.column(name)
+    return spread(declared.sigma_obs, len(posterior.particles.log_w), 0)
+
+
+def corrected(
+    model: Model, posterior: Posterior, quantity: Quantity, time: Array, component: int | None
+) -> tuple[Array, Array, Array, Array]:
+    """Gain and offset of each particle (N, T), sigma_delta (T,) [unit] and r (T,) [1]."""
     n = len(posterior.particles.log_w)
-    spread = (np.arange(n) * 0.6180339887498949 + 0.5) % 1.0  # golden-ratio strata
-    return declared.sigma_obs.quantile(np.asarray(spread, float))
+    priors = parameters(model, quantity)
+    values = {
+        name: posterior.column(name) if name in posterior.names else spread(prior, n, 1 + place)
+        for place, (name, prior) in enumerate(priors.items())
+    }
+
+    def value(name: str) -> Array:
+        return values[name] if name in values else posterior.column(name)
+
+    gain, offset = np.ones((n, time.size)), np.zeros((n, time.size))
+    sigma, left = np.zeros(time.size), np.zeros(time.size)
+    for i, t in enumerate(time):
+        one = affine(model, quantity, float(t), component)
+        gain[:, i] += total(one.gain, value)
+        offset[:, i] += total(one.offset, value)
+        sigma[i], left[i] = one.sigma, one.left
+    return gain, offset, sigma, left
+
+
+def split_variance(mean: Array, delta: Array, w: Array) -> tuple[Array, Array]:
+    """Var_w(mean + delta) (T,) as what goes with `mean` and what does not; both (n, T).
+
+    >>> y, w = np.array([[0.0], [1.0], [2.0]]), np.ones(3) / 3
+    >>> [v.round(9).tolist() for v in split_variance(y, 0.5 * y, w)]
+    [[1.5], [0.0]]
+    """
+    centred, apart = mean - w @ mean, delta - w @ delta
+    variance = w @ centred**2
+    slope = (w @ (centred * apart)) / np.where(variance > 0, variance, 1.0)
+    return (1 + slope) ** 2 * variance, w @ (apart - slope * centred) ** 2
 
 
 GROUPS = 160
@@ -133,56 +201,72 @@ def predict(
     *,
     component: int | None = None,
     noise: bool = True,
+    instrument: str | None = None,
     known: Mapping[str, float] | None = None,
 ) -> Prediction:
     """Predict `quantity` at `times` [h] from a blade's posterior.
 
     node        for fields: the node (default: the quantity's own)
     component   for 3-D deformation: 0, 1, 2 for x, y, z
+    noise       False: the blade itself, without one more reading's noise
+    instrument  of that reading (default: `instrument_of`); a new one has its prior's noise
     Raises RangeError for times or nodes outside the model, InputError for a bad probability.
     """
-    declared = model.network.quantity(quantity)
+    declared, surrogate = model.network.quantity(quantity), model.part(quantity)
     if not 0 < probability < 1:
         raise InputError("probability", probability, "lies outside 0 … 1", "give 0.95, say")
     time = np.atleast_1d(np.asarray(times, float))
-    if time.size == 0 or not np.all((time >= 0) & (time <= model.surrogate.horizon_h)):
+    if time.size == 0 or not np.all((time >= 0) & (time <= surrogate.horizon_h)):
         raise RangeError(
             "times",
             time.tolist()[:5],
-            f"are not all within 0 … {model.surrogate.horizon_h:g} h",
+            f"are not all within 0 … {surrogate.horizon_h:g} h",
             "ask for times that the model covers",
         )
     nodes = None
     if declared.kind != "scalar":
         if node is None:
-            node = model.surrogate.named[declared.node or "tip"]
-        if not 0 <= node < model.surrogate.node_count:
+            node = surrogate.named[declared.node or "tip"]
+        if not 0 <= node < surrogate.node_count:
             raise RangeError(
-                "node", node, f"does not exist: 0 … {model.surrogate.node_count - 1}", "name a node"
+                "node", node, f"does not exist: 0 … {surrogate.node_count - 1}", "name a node"
             )
         nodes = [node]
     if declared.kind == "vector" and component not in (0, 1, 2):
         raise InputError("component", component, "is none of 0, 1, 2", "choose x, y or z")
+    if instrument is not None and not declared.by_instrument:
+        raise InputError(
+            "instrument",
+            instrument,
+            f"has no noise of its own: {quantity} has one for all",
+            "leave it out, or declare the quantity by_instrument",
+        )
     thin = _thinned(posterior)
     w = thin.particles.w
-    mean, sd = model.surrogate.predict(inputs_of(model, thin, known), quantity, time, nodes)
+    mean, sd = surrogate.predict(inputs_of(model, thin, quantity, known), quantity, time, nodes)
     if declared.kind == "field":
         mean, sd = mean[:, :, 0], sd[:, :, 0]
     elif declared.kind == "vector":
         mean, sd = mean[:, :, 0, component], sd[:, :, 0, component]
-    sd = np.hypot(sd, declared.numerical * mean)
-    sigma = noise_of(model, thin, quantity) if noise else np.zeros(len(w))
-    centre = w @ mean
+    gain, offset, sigma_delta, left = corrected(model, thin, declared, time, component)
+    sd = gain * np.hypot(sd, declared.numerical * mean)
+    corrected_mean = gain * mean + offset
+    own = sigma_delta**2 + (left * gain * mean) ** 2  # of the discrepancy, by particle
+    if instrument is None and noise:
+        instrument = instrument_of(thin, declared)
+    sigma = noise_of(model, thin, quantity, instrument) if noise else np.zeros(len(w))
+    centre = w @ corrected_mean
+    by_parameters, by_discrepancy = split_variance(mean, corrected_mean - mean, w)
     parts = {
-        "parameters": np.sqrt(w @ (mean - centre) ** 2),
+        "parameters": np.sqrt(by_parameters),
         "surrogate": np.sqrt(w @ sd**2),
-        "discrepancy": np.zeros(time.size),
+        "discrepancy": np.sqrt(by_discrepancy + w @ own),
         "noise": np.full(time.size, np.sqrt(w @ sigma**2)),
     }
     parts["total"] = np.sqrt(sum(v**2 for v in parts.values()))
     tail = (1 - probability) / 2
     p = np.array([tail, 1 - tail, *QUANTILES])
-    q = mixture_quantiles(mean, np.sqrt(sd**2 + sigma[:, None] ** 2), w, p)
+    q = mixture_quantiles(corrected_mean, np.sqrt(sd**2 + own + sigma[:, None] ** 2), w, p)
     return Prediction(
         quantity,
         declared.unit,
@@ -194,6 +278,7 @@ def predict(
         probability,
         {float(k): v for k, v in zip(QUANTILES, q[2:], strict=True)},
         len(w),
+        instrument,
     )
 
 

@@ -146,6 +146,32 @@ class Response:
             self.log_v @ turn,
         )
 
+    def over(self, names: Sequence[str], low: Array, high: Array) -> Response:
+        """The same rows over more inputs, on which they do not depend; boxes (d,) as given.
+
+        >>> x = np.linspace(0, 2, 9)[:, None]
+        >>> r = Response.fit(["l"], np.array([0.0]), np.array([2.0]), 2, x, a=3 + x**2)
+        >>> r.over(["s", "l"], np.zeros(2), np.array([1.0, 4.0])).evaluate(
+        ...     np.array([[0.3, 1.5]]))[0].round(9).tolist()
+        [[5.25]]
+        """
+        at = [list(names).index(n) for n in self.names]
+        same = self.reboxed(low[at], high[at])
+        if tuple(names) == self.names:
+            return same
+        wide = np.zeros((same.a.shape[1], len(names)), dtype=np.int64)
+        wide[:, at] = multi_indices(len(self.names), self.degree)
+        place = {tuple(e): i for i, e in enumerate(multi_indices(len(names), self.degree).tolist())}
+        to = [place[tuple(e)] for e in wide.tolist()]
+
+        def spread(c: Array) -> Array:
+            out = np.zeros((len(c), len(place)))
+            out[:, to] = c
+            return out
+
+        a, b, log_v = spread(same.a), spread(same.b), spread(same.log_v)
+        return Response(tuple(names), low, high, self.degree, a, b, self.ka, self.kb, log_v)
+
     @staticmethod
     def stack(parts: Sequence[Response]) -> Response:
         """The rows of several responses over the same inputs and of one degree as one."""

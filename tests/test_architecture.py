@@ -17,6 +17,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.surrogate",),
     ("core.builtin",),
     ("core.model",),
+    ("core.discrepancy",),
     ("core.calibration",),
     ("core.prediction",),
     ("core.validation",),

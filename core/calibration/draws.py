@@ -1,11 +1,11 @@
-"""Weighted draws of a blade's local parameters at one value of the shared ones.
+"""Weighted draws of a blade's local parameters at 16 values of the shared ones at once.
 
 The filter's move: particles are not pushed around but drawn anew from the tube that the message
 was integrated over, with exact weights. A particle's outer parameter falls into a station's cell
-with the cell's rough probability and is uniform inside; the two inner ones come from the bell at
-that place, or cell by cell from the nested points. With q the density of that draw the weight is
-L / q. The average of the weights estimates the message, independently of the quadrature: tests
-hold the two against each other.
+with the cell's rough probability and is uniform inside; the middle one is drawn from the chords of
+the log of a rough inner integral along the plane there, the inner one from the chords of log L
+along its line. With q the density of that draw the weight is L / q. The average of the weights
+estimates the message, independently of the quadrature: tests hold the two against each other.
 
 `SHARE` particles have one outer value: their inner parameters are drawn from one plane.
 """
@@ -16,171 +16,193 @@ import math
 
 import numpy as np
 
-from core.calibration.kernel import collapse_shared
-from core.calibration.lines import half_width, line_mode, line_value
-from core.calibration.planes import (
-    collapse_plane,
-    plane_bell,
-    plane_mode,
-    plane_sum,
-    plane_value,
-)
-from core.calibration.volumes import STATIONS, log_sum, station, volume_glance
+from core.calibration import lines, modes
+from core.calibration.lines import LEFT, RIGHT, TV, G, T, X, line_ranges, line_values
+from core.calibration.modes import plane_modes
+from core.calibration.planes import AT, BEND, BOUND, MODE, STEEP, TOP, profile, scan
+from core.calibration.planes import FIELDS as PLANE_FIELDS
+from core.calibration.planes import STATIONS as PLANE_STATIONS
+from core.calibration.vector import LANES, fast_exp
+from core.calibration.volumes import FIELDS, HIGH, IXX, LOW, STATIONS, near, volume_glances
 from core.compiled import compiled
 
 SHARE = 12
-SLICES = 12
+SLICES = 8
+FLOOR = 9.0  # nats below the whole: a thin floor under the rough values, so that no place is missed
 
 
 @compiled
-def pick(nodes, count, u):  # type: ignore[no-untyped-def]
-    """Index of the point whose share of Σ weight · exp(log value) holds the quantile u."""
-    peak = -1e300
-    for i in range(count):
-        peak = max(peak, nodes[i, 2])
+def pick(mass, count, i, u):  # type: ignore[no-untyped-def]
+    """The cell of lane i that holds the quantile u of mass (cells, LANES)."""
     total = 0.0
-    for i in range(count):
-        total += nodes[i, 1] * math.exp(nodes[i, 2] - peak)
+    for q in range(count):
+        total += mass[q, i]
     left = u * total
-    for i in range(count):
-        left -= nodes[i, 1] * math.exp(nodes[i, 2] - peak)
+    for q in range(count):
+        left -= mass[q, i]
         if left <= 0.0:
-            return i
+            return q
     return count - 1
 
 
 @compiled
-def draw_line(la, lb, lv, y, s2, ka2, kb2, g, iv, u1, u2):  # type: ignore[no-untyped-def]
-    """Inner parameter on a line: (value, log L there − log q)."""
-    value, g, slope, bend, _ = line_mode(la, lb, lv, y, s2, ka2, kb2, g, iv)
-    top = line_value(la, lb, y, iv, g)
-    left, _ = half_width(la, lb, y, iv, g, top, slope, bend, -1.0)
-    right, _ = half_width(la, lb, y, iv, g, top, slope, bend, 1.0)
-    at, log_q = draw_chords(la, lb, y, iv, g - left, g + right, u1, u2)
-    return at, value + line_value(la, lb, y, iv, at) - top - log_q
-
-
-@compiled
-def draw_chords(la, lb, y, iv, low, high, u1, u2):  # type: ignore[no-untyped-def]
-    """A draw from the chords of log L between `SLICES` + 1 even points, and its log density."""
-    h = (high - low) / SLICES
-    edge, mass = np.empty(SLICES + 1), np.empty(SLICES)
-    peak = -1e300
-    for i in range(SLICES + 1):
-        edge[i] = line_value(la, lb, y, iv, low + i * h)
-        peak = max(peak, edge[i])
-    total, before = 0.0, math.exp(edge[0] - peak)  # the best edge is 1: nothing overflows
-    for i in range(SLICES):
-        after, d = math.exp(edge[i + 1] - peak), edge[i + 1] - edge[i]
-        mass[i] = h * ((after - before) / d if abs(d) > 1e-6 else before)
-        total += mass[i]
+def chords(edge, count, i, h, mass):  # type: ignore[no-untyped-def]
+    """Masses of exp(chord) between `count` + 1 even values of lane i; (log of their sum, peak)."""
+    peak = edge[0, i]
+    for q in range(1, count + 1):
+        peak = max(peak, edge[q, i])
+    total, before = 0.0, fast_exp(edge[0, i] - peak)
+    for q in range(count):
+        after, d = fast_exp(edge[q + 1, i] - peak), edge[q + 1, i] - edge[q, i]
+        mass[q, i] = h * ((after - before) / d if abs(d) > 1e-6 else before)
+        total += mass[q, i]
         before = after
-    left, cell = u1 * total, SLICES - 1
-    for i in range(SLICES):
-        left -= mass[i]
-        if left <= 0.0:
-            cell = i
-            break
-    d = edge[cell + 1] - edge[cell]
+    return math.log(total) + peak
+
+
+@compiled
+def along(edge, cell, i, u):  # type: ignore[no-untyped-def]
+    """A draw inside a cell under its chord: (place in the cell 0 … 1, log value there)."""
+    d = edge[cell + 1, i] - edge[cell, i]
     if abs(d) <= 1e-6:
-        t = u2
+        t = u
     elif d > 0.0:  # from the high end, so that exp() stays below 1
-        t = 1.0 + math.log1p(u2 * math.expm1(-d)) / d
+        t = 1.0 + math.log1p(u * math.expm1(-d)) / d
     else:
-        t = math.log1p(u2 * math.expm1(d)) / d
-    return low + (cell + t) * h, edge[cell] + d * t - peak - math.log(total)
+        t = math.log1p(u * math.expm1(d)) / d
+    return t, edge[cell, i] + d * t
 
 
 @compiled
-def draw_plane(a, b, v, y, s2, ka2, kb2, start, slopes, top, u, z, out, log_w):  # type: ignore[no-untyped-def]
-    """Draws of the two inner parameters into out[:, 1:3]; log_w += log(L / q)."""
-    rows, p, many = a.shape[0], a.shape[1], out.shape[0]
-    bell, _ = plane_bell(a, b, v, y, s2, ka2, kb2, start, slopes, top)
-    if bell:
-        hxx, hxg, hgg = slopes[2], slopes[3], slopes[4]
-        wide = 1.1  # heavier than the bell, so that weights stay bounded
-        sd_x = wide / math.sqrt(hxx - hxg * hxg / hgg)
-        sd_g = wide / math.sqrt(hgg)
-        for i in range(many):
-            x = start[0] + sd_x * z[i, 0]
-            g = start[1] - hxg / hgg * (x - start[0]) + sd_g * z[i, 1]
-            if abs(x) > 1.0 or abs(g) > 1.0:  # no weight, and a place that the model knows
-                out[i, 1], out[i, 2] = start[0], start[1]
-                log_w[i] = -math.inf
-                continue
-            out[i, 1], out[i, 2] = x, g
-            q = -0.5 * (z[i, 0] ** 2 + z[i, 1] ** 2) - math.log(2.0 * math.pi * sd_x * sd_g)
-            log_w[i] += plane_value(a, b, v, y, s2, ka2, kb2, x, g) - q
-        return
-    la, lb, lv, iv = np.empty((rows, p)), np.empty((rows, p)), np.empty((rows, p)), np.empty(rows)
-    nodes = np.empty((96, 4))
-    total, count = plane_sum(a, b, v, y, s2, ka2, kb2, start, slopes, top, nodes)
-    for i in range(many):
-        j = pick(nodes, count, u[i, 2])
-        x = nodes[j, 3] + u[i, 3] * nodes[j, 1]
-        if abs(x) > 1.0:
-            log_w[i] = -math.inf
-            continue
-        collapse_plane(a, x, la)
-        collapse_plane(b, x, lb)
-        collapse_plane(v, x, lv)
-        g, ratio = draw_line(la, lb, lv, y, s2, ka2, kb2, start[1], iv, u[i, 4], u[i, 5])
-        out[i, 1], out[i, 2] = x, g
-        log_w[i] += ratio - (nodes[j, 2] - total)
+def rough_inner(seen, s, i):  # type: ignore[no-untyped-def]
+    """log of a bell's integral inside the box, from its mode, slope and curvature."""
+    bend, g = seen[BEND, s, i] + 1e-12, seen[MODE, s, i]
+    if seen[BOUND, s, i] != 0.0:  # falls off from the bound: an approximate Mills ratio
+        steep = abs(seen[STEEP, s, i])
+        return seen[TOP, s, i] + math.log(2.0 / (steep + math.sqrt(steep * steep + 2.5 * bend)))
+    root = math.sqrt(0.5 * bend)
+    inside = math.erf((1.0 - g) * root) + math.erf((1.0 + g) * root)
+    return seen[TOP, s, i] + math.log(math.sqrt(0.5 * math.pi / bend) * inside)
 
 
 @compiled
-def draw(a, b, v, y, s2, ka2, kb2, dim, u, z, out, log_w):  # type: ignore[no-untyped-def]
-    """Draws for collapsed rows (R, P, P, P): out (m, 3) scaled locals, log_w (m,) = log L / q.
+def draw_lines(la, lb, lv, y, s2, ka2, kb2, w, edge, mass, u, out, log_w, n):  # type: ignore[no-untyped-def]
+    """Draw n of the inner parameter on each line: out[i, n, 2], and log_w[i, n] += log L / q."""
+    line_ranges(la, lb, lv, y, s2, ka2, kb2, w, edge)
+    for q in range(SLICES + 1):
+        for i in range(LANES):
+            w[T + i] = w[G + i] - w[LEFT + i] + (w[LEFT + i] + w[RIGHT + i]) * q / SLICES
+        line_values(la, lb, lv, y, s2, ka2, kb2, w)
+        for i in range(LANES):
+            edge[q, i] = w[TV + i]
+    for i in range(LANES):
+        wide = w[LEFT + i] + w[RIGHT + i]
+        total = chords(edge, SLICES, i, wide / SLICES, mass)
+        cell = pick(mass, SLICES, i, u[i, n, 4])
+        part, value = along(edge, cell, i, u[i, n, 5])
+        w[T + i] = min(max(w[G + i] - w[LEFT + i] + wide * (cell + part) / SLICES, -1.0), 1.0)
+        log_w[i, n] -= value - total
+    line_values(la, lb, lv, y, s2, ka2, kb2, w)
+    for i in range(LANES):
+        out[i, n, 2] = w[T + i]
+        log_w[i, n] += w[TV + i]
 
-    u (m, 6) uniforms (the first column stratified), z (m, 2) normals.
-    """
-    rows, p, m = a.shape[0], a.shape[1], out.shape[0]
-    slopes, start = np.empty(5), np.zeros(2)
+
+@compiled
+def draw_planes(  # type: ignore[no-untyped-def]
+    pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan, work, u, out, log_w, first, last
+):
+    """Draws first … last of the two inner parameters on the planes whose modes wp holds."""
+    rough, mass, edge, share = work[0], work[1], work[2], work[3]
+    scan(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan)
+    cells = PLANE_STATIONS - 1
+    total = np.empty(LANES)
+    for i in range(LANES):
+        peak = -math.inf
+        for s in range(PLANE_STATIONS):
+            rough[s, i] = rough_inner(seen, s, i)
+            peak = max(peak, rough[s, i])
+        for s in range(PLANE_STATIONS):
+            rough[s, i] = max(rough[s, i], peak - FLOOR - 7.0)
+        h = (seen[AT, cells, i] - seen[AT, 0, i]) / cells
+        total[i] = chords(rough, cells, i, h, mass)
+    for n in range(first, last):
+        for i in range(LANES):
+            h = (seen[AT, cells, i] - seen[AT, 0, i]) / cells
+            cell = pick(mass, cells, i, u[i, n, 2])
+            part, value = along(rough, cell, i, u[i, n, 3])
+            w[X + i] = min(max(seen[AT, cell, i] + part * h, -1.0), 1.0)
+            rise = seen[MODE, cell + 1, i] - seen[MODE, cell, i]
+            w[G + i] = seen[MODE, cell, i] + part * rise
+            out[i, n, 1] = w[X + i]
+            log_w[i, n] -= value - total[i]
+        profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv)
+        draw_lines(la, lb, lv, y, s2, ka2, kb2, w, edge, share, u, out, log_w, n)
+
+
+@compiled
+def draw_volumes(a, b, v, y, s2, ka2, kb2, u, out, log_w):  # type: ignore[no-untyped-def]
+    """Draws of three local parameters for a block of volumes: out (LANES, m, 3)."""
+    rows, m = len(ka2), out.shape[1]
+    wp, w = np.empty(modes.SCRATCH), np.empty(lines.SCRATCH)
+    la, lb, lv = np.empty(6 * rows * LANES), np.empty(6 * rows * LANES), np.empty(6 * rows * LANES)
+    pa, pb = np.empty(36 * rows * LANES), np.empty(36 * rows * LANES)
+    pv = np.empty(36 * rows * LANES)
+    seen, plan = np.empty((FIELDS, STATIONS, LANES)), np.empty((3, LANES))
+    seen2, plan2 = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
+    work, mass, total = np.empty((4, 16, LANES)), np.empty((STATIONS, LANES)), np.empty(LANES)
+    volume_glances(a, b, v, y, s2, ka2, kb2, seen, plan, total)
+    for i in range(LANES):
+        h = (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
+        for s in range(STATIONS):
+            low = max(seen[AT, s, i] - 0.5 * h, -1.0)
+            high = min(seen[AT, s, i] + 0.5 * h, 1.0)
+            mass[s, i] = (high - low) * math.exp(max(seen[IXX, s, i] - total[i], -FLOOR))
+    for first in range(0, m, SHARE):
+        last = min(first + SHARE, m)
+        for i in range(LANES):
+            s = pick(mass, STATIONS, i, u[i, first, 0])
+            h = (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
+            low = max(seen[AT, s, i] - 0.5 * h, -1.0)
+            high = min(seen[AT, s, i] + 0.5 * h, 1.0)
+            x = low + u[i, first, 1] * (high - low)
+            whole = 0.0
+            for q in range(STATIONS):
+                whole += mass[q, i]
+            for n in range(first, last):
+                out[i, n, 0] = x
+                log_w[i, n] = -math.log(mass[s, i] / whole / (high - low))
+            wp[modes.X + i] = x
+        near(a, b, v, y, s2, ka2, kb2, wp, pa, pb, pv, seen, plan)
+        draw_planes(
+            pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen2, plan2, work, u, out, log_w,
+            first, last,
+        )  # fmt: skip
+
+
+@compiled
+def draw_block(a, b, v, y, s2, ka2, kb2, dim, u, out, log_w):  # type: ignore[no-untyped-def]
+    """Draws of one or two local parameters for a block of collapsed rows."""
+    rows, m = len(ka2), out.shape[1]
+    w = np.empty(lines.SCRATCH)
+    la, lb, lv = np.empty(6 * rows * LANES), np.empty(6 * rows * LANES), np.empty(6 * rows * LANES)
+    work = np.empty((4, 16, LANES))
     out[:] = 0.0
-    if dim == 1:
-        iv = np.empty(rows)
-        la, lb, lv = a[:, 0, 0].copy(), b[:, 0, 0].copy(), v[:, 0, 0].copy()
-        for i in range(m):
-            out[i, 2], log_w[i] = draw_line(la, lb, lv, y, s2, ka2, kb2, 0.0, iv, u[i, 0], u[i, 1])
-        return
     log_w[:] = 0.0
     if dim == 2:
-        pa, pb, pv = a[:, 0].copy(), b[:, 0].copy(), v[:, 0].copy()
-        top, _ = plane_mode(pa, pb, pv, y, s2, ka2, kb2, start, slopes)
-        draw_plane(pa, pb, pv, y, s2, ka2, kb2, start, slopes, top, u, z, out, log_w)
-        return
-    qa, qb, qv = np.empty((rows, p, p)), np.empty((rows, p, p)), np.empty((rows, p, p))
-    nodes = np.empty((STATIONS, 4))
-    count = nodes.shape[0]
-    total = volume_glance(a, b, v, y, s2, ka2, kb2, nodes)
-    floor = total - 9.0  # a thin floor under the rough values: no place is proposed never
-    for j in range(count):
-        nodes[j, 2] = max(nodes[j, 2], floor)
-    total = log_sum(nodes, count)
-    for first in range(0, m, SHARE):
-        own = slice(first, min(first + SHARE, m))
-        j = pick(nodes, count, u[first, 0])
-        x = nodes[j, 3] + u[first, 1] * nodes[j, 1]
-        start[0] = start[1] = 0.0
-        top, _ = station(a, b, v, y, s2, ka2, kb2, x, start, slopes, qa, qb, qv)
-        out[own, 0] = x
-        log_w[own] = total - nodes[j, 2]
-        draw_plane(
-            qa, qb, qv, y, s2, ka2, kb2, start, slopes, top, u[own], z[own], out[own], log_w[own]
+        wp = np.empty(modes.SCRATCH)
+        pa, pb = np.empty(36 * rows * LANES), np.empty(36 * rows * LANES)
+        pv = np.empty(36 * rows * LANES)
+        modes.middle_plane(a, b, v, rows, wp, pa, pb, pv)
+        plane_modes(pa, pb, pv, y, s2, ka2, kb2, wp)
+        seen, plan = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
+        draw_planes(
+            pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan, work, u, out, log_w, 0, m
         )
-
-
-@compiled
-def draws(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, u, z, out, log_w):  # type: ignore[no-untyped-def]
-    """Draws at K values of the shared parameters: out (K, m, 3), log_w (K, m); u, z likewise."""
-    rows, p = a.shape[0], 0
-    for q in range(exponents.shape[0]):
-        p = max(p, exponents[q, 0] + exponents[q, 1] + exponents[q, 2])
-    p += 1
-    ca, cb, cv = np.empty((rows, p, p, p)), np.empty((rows, p, p, p)), np.empty((rows, p, p, p))
-    for k in range(factors.shape[0]):
-        collapse_shared(a, exponents, factors[k], ca)
-        collapse_shared(b, exponents, factors[k], cb)
-        collapse_shared(v, exponents, factors[k], cv)
-        draw(ca, cb, cv, y[k], s2[k], ka2, kb2, dim, u[k], z[k], out[k], log_w[k])
+        return
+    modes.only_line(a, b, v, rows, la, lb, lv)
+    for i in range(LANES):
+        w[G + i] = 0.0
+    lines.line_modes(la, lb, lv, y, s2, ka2, kb2, w)
+    for n in range(m):
+        draw_lines(la, lb, lv, y, s2, ka2, kb2, w, work[0], work[1], u, out, log_w, n)

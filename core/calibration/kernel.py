@@ -4,73 +4,127 @@
 
 over the box of one, two or three local parameters l (`lines`, `planes`, `volumes`). The rows'
 polynomials over all inputs are first collapsed to the local ones at each s. Parameters that do
-not exist take the outer places with no dependence, and are not integrated.
+not exist take the outer places with no dependence, and are not integrated. `LANES` values of s go
+through the quadrature together; their neighbourhood decides how well they keep step, never what
+comes out.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from core.calibration.lines import line_mode, line_sum
-from core.calibration.planes import plane_mode, plane_sum
-from core.calibration.volumes import MAX_NODES, STATIONS, log_sum, volume_glance, volume_nodes
-from core.compiled import compiled
+from core.calibration import lines, modes
+from core.calibration.draws import draw_block, draw_volumes
+from core.calibration.planes import FIELDS as PLANE_FIELDS
+from core.calibration.planes import NODES, plane_sums
+from core.calibration.planes import STATIONS as PLANE_STATIONS
+from core.calibration.vector import LANES
+from core.calibration.volumes import FIELDS, STATIONS, volume_glances, volume_sums
+from core.compiled import compiled, contracted
 
 
-@compiled
-def collapse_shared(c, exponents, factor, out):  # type: ignore[no-untyped-def]
-    """Fix all but the local inputs: (R, M) → out (R, P, P, P); factor (M,) = shared monomials."""
+@contracted
+def collapse_shared(c, exponents, factors, out):  # type: ignore[no-untyped-def]
+    """Fix all but the local inputs: (R, M) → a block of volumes; factors (M, LANES)."""
     out[:] = 0.0
     rows, m = c.shape
-    for q in range(m):
-        i, j, k = exponents[q, 0], exponents[q, 1], exponents[q, 2]
-        for r in range(rows):
-            out[r, i, j, k] += c[r, q] * factor[q]
+    for r in range(rows):
+        for q in range(m):
+            d, j, k = exponents[q, 0], exponents[q, 1], exponents[q, 2]
+            o = (((6 * r + d) * 6 + j) * 6 + k) * LANES
+            for i in range(LANES):
+                out[o + i] += c[r, q] * factors[q, i]
 
 
 @compiled
-def message(a, b, v, y, s2, ka2, kb2, dim, rough):  # type: ignore[no-untyped-def]
-    """log of the message for collapsed rows (R, P, P, P) and `dim` local parameters.
-
-    `rough` asks for a glance instead of the integral where there are three of them.
-    """
-    rows = a.shape[0]
-    if dim == 3 and rough:
-        value = volume_glance(a, b, v, y, s2, ka2, kb2, np.empty((STATIONS, 4)))
-    elif dim == 3:
-        points = np.empty((MAX_NODES, 4))
-        count = volume_nodes(a, b, v, y, s2, ka2, kb2, points)
-        value = log_sum(points, count)
-    elif dim == 2:
-        start, slopes, nodes = np.zeros(2), np.empty(5), np.empty((96, 4))
-        pa, pb, pv = a[:, 0].copy(), b[:, 0].copy(), v[:, 0].copy()
-        top, _ = plane_mode(pa, pb, pv, y, s2, ka2, kb2, start, slopes)
-        value, _ = plane_sum(pa, pb, pv, y, s2, ka2, kb2, start, slopes, top, nodes)
-    else:
-        iv = np.empty(rows)
-        la, lb, lv = a[:, 0, 0].copy(), b[:, 0, 0].copy(), v[:, 0, 0].copy()
-        top, g, slope, bend, _ = line_mode(la, lb, lv, y, s2, ka2, kb2, 0.0, iv)
-        value, _, _ = line_sum(la, lb, y, iv, g, top, slope, bend)
-    return value - 0.5 * rows * math.log(2.0 * math.pi) - dim * math.log(2.0)
+def collapsed(a, b, v, exponents, factors, ca, cb, cv):  # type: ignore[no-untyped-def]
+    """`collapse_shared` for the three polynomials."""
+    collapse_shared(a, exponents, factors, ca)
+    collapse_shared(b, exponents, factors, cb)
+    collapse_shared(v, exponents, factors, cv)
 
 
 @compiled
-def messages(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, rough, out):  # type: ignore[no-untyped-def]
-    """Messages at K values of the shared parameters.
+def volume_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, rough, out):  # type: ignore[no-untyped-def]
+    """log ∫ L over the box of three local parameters, or a glance at it.
 
-    a, b, v (R, M); factors (K, M); y and s2 (K, R) readings and noise variances; out (K,).
+    a, b, v (R, M); factors (N, M, LANES); y and s2 (N, R, LANES) readings and noise variances;
+    out (N, LANES).
     """
-    rows, p = a.shape[0], 0
-    for q in range(exponents.shape[0]):
-        p = max(p, exponents[q, 0] + exponents[q, 1] + exponents[q, 2])
-    p += 1
-    ca = np.empty((rows, p, p, p))
-    cb = np.empty((rows, p, p, p))
-    cv = np.empty((rows, p, p, p))
-    for k in range(factors.shape[0]):
-        collapse_shared(a, exponents, factors[k], ca)
-        collapse_shared(b, exponents, factors[k], cb)
-        collapse_shared(v, exponents, factors[k], cv)
-        out[k] = message(ca, cb, cv, y[k], s2[k], ka2, kb2, dim, rough)
+    size = 216 * len(ka2) * LANES
+    ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
+    seen, plan = np.empty((FIELDS, STATIONS, LANES)), np.empty((3, LANES))
+    for n in range(len(factors)):
+        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        if rough:
+            volume_glances(ca, cb, cv, y[n].ravel(), s2[n].ravel(), ka2, kb2, seen, plan, out[n])
+        else:
+            volume_sums(ca, cb, cv, y[n].ravel(), s2[n].ravel(), ka2, kb2, out[n])
+
+
+@compiled
+def plane_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
+    """The same for two local parameters."""
+    rows = len(ka2)
+    size = 216 * rows * LANES
+    ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
+    wp, w = np.empty(modes.SCRATCH), np.empty(lines.SCRATCH)
+    la, lb, lv = np.empty(6 * rows * LANES), np.empty(6 * rows * LANES), np.empty(6 * rows * LANES)
+    pa, pb = np.empty(36 * rows * LANES), np.empty(36 * rows * LANES)
+    pv = np.empty(36 * rows * LANES)
+    seen, plan = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
+    nodes, counts = np.empty((4, NODES, LANES)), np.empty(LANES, dtype=np.int64)
+    for n in range(len(factors)):
+        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        yn, sn = y[n].ravel(), s2[n].ravel()
+        modes.middle_plane(ca, cb, cv, rows, wp, pa, pb, pv)
+        modes.plane_modes(pa, pb, pv, yn, sn, ka2, kb2, wp)
+        plane_sums(
+            pa, pb, pv, yn, sn, ka2, kb2, wp, w, la, lb, lv, seen, plan, nodes, counts, out[n]
+        )
+
+
+@compiled
+def line_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
+    """The same for one local parameter."""
+    rows = len(ka2)
+    size = 216 * rows * LANES
+    ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
+    w, ends = np.empty(lines.SCRATCH), np.empty((9, LANES))
+    la, lb, lv = np.empty(6 * rows * LANES), np.empty(6 * rows * LANES), np.empty(6 * rows * LANES)
+    for n in range(len(factors)):
+        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        yn, sn = y[n].ravel(), s2[n].ravel()
+        modes.only_line(ca, cb, cv, rows, la, lb, lv)
+        for i in range(LANES):
+            w[lines.G + i] = 0.0
+        lines.line_modes(la, lb, lv, yn, sn, ka2, kb2, w)
+        lines.line_ranges(la, lb, lv, yn, sn, ka2, kb2, w, ends)
+        lines.line_sums(la, lb, lv, yn, sn, ka2, kb2, w, ends)
+        for i in range(LANES):
+            out[n, i] = w[lines.SUM + i]
+
+
+@compiled
+def volume_draws(a, b, v, exponents, factors, y, s2, ka2, kb2, u, out, log_w):  # type: ignore[no-untyped-def]
+    """Draws of three local parameters: u (N, LANES, m, 6) uniforms, out (N, LANES, m, 3).
+
+    log_w (N, LANES, m) receives log L / q, without the constants of L.
+    """
+    size = 216 * len(ka2) * LANES
+    ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
+    for n in range(len(factors)):
+        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        yn, sn = y[n].ravel(), s2[n].ravel()
+        draw_volumes(ca, cb, cv, yn, sn, ka2, kb2, u[n], out[n], log_w[n])
+
+
+@compiled
+def fewer_draws(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, u, out, log_w):  # type: ignore[no-untyped-def]
+    """Draws of one or two local parameters, in the last places of `out`."""
+    size = 216 * len(ka2) * LANES
+    ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
+    for n in range(len(factors)):
+        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        yn, sn = y[n].ravel(), s2[n].ravel()
+        draw_block(ca, cb, cv, yn, sn, ka2, kb2, dim, u[n], out[n], log_w[n])

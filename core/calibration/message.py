@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import blake2b
 from itertools import pairwise
 
 import numpy as np
@@ -20,12 +21,16 @@ from numpy.typing import NDArray
 from core.calibration import draws as drawing
 from core.calibration import kernel
 from core.calibration.target import BladeRows, SharedSpace, locals_of
+from core.calibration.vector import LANES
+from core.discrepancy import total
 from core.errors import CalibrationError
 from core.model import Model
+from core.network import Parameter, cut_mass, cut_quantile
 from core.response import multi_indices
 
 Array = NDArray[np.float64]
-_POOL = ThreadPoolExecutor(max_workers=max(1, os.cpu_count() or 1))
+PARTS = max(1, os.cpu_count() or 1)
+_POOL = ThreadPoolExecutor(max_workers=PARTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,19 +44,53 @@ class Packed:
     kb2: Array
     exponents: NDArray[np.int64]
     dim: int
+    local: tuple[int, ...]
     offset: float
+
+    @property
+    def rows(self) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+        return self.a, self.b, self.v, self.exponents
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """Shared nodes in blocks of `LANES` that lie close together.
+
+    order    node numbers as the blocks take them; the last one fills the last block
+    factors  (N, M, LANES), y and s2 (N, R, LANES)
+    rest     what no local parameter moves, (n,) in the nodes' own order
+    """
+
+    order: NDArray[np.int64]
+    factors: Array
+    y: Array
+    s2: Array
+    rest: Array
+
+    def of(self, part: slice) -> tuple[Array, Array, Array]:
+        return self.factors[part], self.y[part], self.s2[part]
+
+    def back(self, blocks: Array) -> Array:
+        """Values by block (N, LANES, …) in the nodes' own order (n, …)."""
+        flat = blocks.reshape(-1, *blocks.shape[2:])[: len(self.order)]
+        out = np.empty_like(flat)
+        out[self.order] = flat
+        return out
 
 
 def pack(model: Model, rows: BladeRows) -> Packed:
-    """Local inputs in the places (outer, middle, inner), filled from the right."""
+    """Local inputs in the places (outer, middle, inner), filled from the right.
+
+    Those that the rows do not depend on are left out; where none is left, one place is integrated
+    over without effect. `local` are the places of the rest among all local parameters.
+    """
     response = rows.response
-    inner = [response.names.index(p.name) for p in locals_of(model)]
+    touched = locals_of(model, response.names)
+    inner = [response.names.index(p.name) for p in touched]
     table = multi_indices(len(response.names), response.degree)
     exponents = np.zeros((len(table), 3), dtype=np.int64)
     exponents[:, 3 - len(inner) :] = table[:, inner]
-    offset = sum(
-        math.log(p.prior.high - p.prior.low) for p in locals_of(model) if p.prior.kind == "normal"
-    )
+    offset = sum(_cut_offset(p) for p in touched)
     return Packed(
         np.ascontiguousarray(response.a),
         np.ascontiguousarray(response.b),
@@ -59,9 +98,21 @@ def pack(model: Model, rows: BladeRows) -> Packed:
         response.ka**2,
         response.kb**2,
         exponents,
-        len(inner),
+        max(len(inner), 1),
+        tuple(locals_of(model).index(p) for p in touched),
         offset,
     )
+
+
+def _cut_offset(parameter: Parameter) -> float:
+    """log of what the row of a normal prior lacks: the box's size, and the mass inside it."""
+    prior = parameter.prior
+    size = math.log(prior.high - prior.low)
+    if parameter.population is not None:
+        return size
+    if prior.kind != "normal":
+        return 0.0
+    return size - float(np.log(cut_mass(prior.mean, prior.sd, prior.low, prior.high)))
 
 
 def _factors(
@@ -86,28 +137,48 @@ def _factors(
 def _readings(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Array, Array]:
     """Readings (n, R), their noise variances (n, R), and what no local parameter moves (n,).
 
-    The last is the log density of the scans' remainders.
+    y = g Y_m + o + noise enters as (y − o) / g, its variance as that over g². The last array is the
+    log density of the scans' remainders, and −Σ log g.
     """
+
+    def value(name: str | float) -> Array:
+        return x[:, space.names.index(name)] if isinstance(name, str) else np.full(len(x), name)
+
     y = np.tile(rows.y, (len(x), 1))
-    s2 = np.empty((len(x), len(rows.sigma)))
-    for r, sigma in enumerate(rows.sigma):
-        s2[:, r] = (x[:, space.names.index(sigma)] if isinstance(sigma, str) else sigma) ** 2
-    s2 += rows.extra
+    s2 = np.stack([value(sigma) ** 2 for sigma in rows.sigma], axis=1) + rows.extra
     rest = np.zeros(len(x))
+    for r, one in enumerate(rows.discrepancy):
+        gain = 1.0 + total(one.gain, value)
+        y[:, r] = (y[:, r] - total(one.offset, value)) / gain
+        s2[:, r] /= gain**2
+        rest -= np.log(gain)
+    s2 = (s2 + (rows.relative * y) ** 2) * rows.discount
+    for r, name, low, high in rows.populations:
+        y[:, r] = value(name)
+        rest -= np.log(cut_mass(y[:, r], np.sqrt(s2[:, r]), low, high))
     for d in rows.dense:
-        s = (
-            x[:, space.names.index(d.sigma)]
-            if isinstance(d.sigma, str)
-            else np.full(len(x), d.sigma)
-        )
-        rest -= 0.5 * d.rss / s**2 + 0.5 * d.dof * np.log(2 * np.pi * s**2)
+        offset = [value(name) for name in d.offset]
+        rest += d.log_density(value(d.sigma), np.stack(offset, axis=1) if offset else x[:, :0])
     return y, s2, rest
 
 
-def _split(n: int) -> list[slice]:
-    parts = min(_POOL._max_workers, n)
-    edges = np.linspace(0, n, parts + 1).astype(int)
+def _split(n: int, parts: int) -> list[slice]:
+    edges = np.linspace(0, n, min(parts, n) + 1).astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(edges) if b > a]
+
+
+def _side_by_side(work: Callable[[slice], None], parts: list[slice]) -> None:
+    if len(parts) == 1:
+        work(parts[0])
+    else:
+        list(_POOL.map(work, parts))
+
+
+def columns(messages: Sequence[BladeMessage], unit: Array, *, rough: bool) -> list[Array]:
+    """The columns of several blades, one blade beside the other; of a single one, its nodes."""
+    if len(messages) < PARTS:
+        return [m.column(unit, rough) for m in messages]
+    return list(_POOL.map(lambda m: m.column(unit, rough, parts=1), messages))
 
 
 class BladeMessage:
@@ -125,15 +196,42 @@ class BladeMessage:
         return f"{self.model.digest} {self.rows.digest} {known} {'/'.join(self.space.names)}"
 
     @cached_property
+    def digest(self) -> str:
+        """Of the readings, and of the known inputs where there are any."""
+        if not self.fixed:
+            return self.rows.digest
+        text = self.rows.digest + repr(sorted(self.fixed.items()))
+        return blake2b(text.encode(), digest_size=16).hexdigest()
+
+    @cached_property
     def packed(self) -> Packed:
         """The rows in the compiled functions' layout, made when first needed."""
         return pack(self.model, self.rows)
 
-    def column(self, unit: Array, rough: bool = False) -> Array:
-        """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
-        out = np.empty(len(unit))
-        rest = self._at(unit, kernel.messages, (rough,), (out,))
-        return out + rest + self.packed.offset
+    def readings(self, unit: Array) -> tuple[Array, Array, Array]:
+        """Readings (n, R), noise variances (n, R) and what no local parameter moves (n,)."""
+        return _readings(self.rows, self.space, self.space.to_x(unit))
+
+    def column(self, unit: Array, rough: bool = False, parts: int = PARTS) -> Array:
+        """log m_b at nodes `unit` (n, d) of the unit box, (n,); `parts` of them side by side."""
+        blocks, p = self._blocks(unit), self.packed
+        out = np.empty((len(blocks.factors), LANES))
+
+        def work(part: slice) -> None:
+            given = (*p.rows, *blocks.of(part), p.ka2, p.kb2)
+            if p.dim == 3:
+                kernel.volume_messages(*given, rough, out[part])
+            else:
+                (kernel.plane_messages if p.dim == 2 else kernel.line_messages)(*given, out[part])
+
+        _side_by_side(work, _split(len(out), parts))
+        return blocks.back(out) + blocks.rest + self._constant
+
+    @property
+    def _constant(self) -> float:
+        """Constants of the normal densities and of the uniform priors on [-1, 1]."""
+        p = self.packed
+        return p.offset - 0.5 * len(p.ka2) * math.log(2 * math.pi) - p.dim * math.log(2.0)
 
     def draws(
         self, unit: Array, per_node: int, rng: np.random.Generator, column: Array
@@ -144,66 +242,78 @@ class BladeMessage:
         the exact message `column` (K,), so that a node's weights sum to one on average; dividing by
         their own sum instead would bias every mean by the order of 1 / per_node.
         """
-        k, p = len(unit), self.packed
-        u, z = rng.random((k, per_node, 6)), rng.standard_normal((k, per_node, 2))
+        blocks, p = self._blocks(unit), self.packed
+        n = len(blocks.factors)
+        u = rng.random((n, LANES, per_node, 6))
         share = drawing.SHARE if p.dim == 3 else 1
         groups = per_node // share
         assert groups * share == per_node, "particles per node must be whole groups"
-        strata = (np.arange(groups) + rng.random((k, groups))) / groups
-        u[:, :, 0] = np.repeat(strata, share, axis=1)
-        out, log_w = np.empty((k, per_node, 3)), np.empty((k, per_node))
-        rest = self._at(unit, drawing.draws, (), (u, z, out, log_w))
-        constant = p.offset - 0.5 * len(self.rows.y) * math.log(2 * math.pi) - p.dim * math.log(2.0)
-        log_w += constant - math.log(per_node) + (rest - column)[:, None]
-        if not np.all(log_w < np.inf):  # neither NaN nor an unbounded weight
-            raise CalibrationError(
-                f"{int(np.sum(~(log_w < np.inf)))} draws of a blade have no weight; its readings: "
-                f"{self.rows.y.tolist()[:12]}"
-            )
-        return _natural(self.model, out[:, :, 3 - p.dim :]), log_w
-
-    def _at(
-        self,
-        unit: Array,
-        function: Callable[..., None],
-        options: tuple[object, ...],
-        per_node: tuple[Array, ...],
-    ) -> Array:
-        """Run a compiled function at every node, nodes shared out to threads.
-
-        per_node   arrays that it reads or fills, by node
-        Returns the log density of the scans' remainders at each node, (n,).
-        """
-        x, p = self.space.to_x(unit), self.packed
-        factors = _factors(self.model, self.rows, self.space, x, self.fixed)
-        y, s2, rest = _readings(self.rows, self.space, x)
-        rows = (p.a, p.b, p.v, p.exponents)
+        strata = (np.arange(groups) + rng.random((n, LANES, groups))) / groups
+        u[..., 6 - 2 * p.dim] = np.repeat(strata, share, axis=2)
+        out, log_w = np.empty((n, LANES, per_node, 3)), np.empty((n, LANES, per_node))
 
         def work(part: slice) -> None:
-            own = (array[part] for array in per_node)
-            function(*rows, factors[part], y[part], s2[part], p.ka2, p.kb2, p.dim, *options, *own)
+            given = (*p.rows, *blocks.of(part), p.ka2, p.kb2)
+            if p.dim == 3:
+                kernel.volume_draws(*given, u[part], out[part], log_w[part])
+            else:
+                kernel.fewer_draws(*given, p.dim, u[part], out[part], log_w[part])
 
-        list(_POOL.map(work, _split(len(x))))
-        return rest
+        _side_by_side(work, _split(n, PARTS))
+        shift = self._constant - math.log(per_node) + (blocks.rest - column)[:, None]
+        weights = blocks.back(log_w) + shift
+        if not np.all(weights < np.inf):  # neither NaN nor an unbounded weight
+            raise CalibrationError(
+                f"{int(np.sum(~(weights < np.inf)))} draws of a blade have no weight; its "
+                f"readings: {self.rows.y.tolist()[:12]}"
+            )
+        touched = _natural(self.model, p.local, blocks.back(out)[:, :, 3 - len(p.local) :])
+        if len(p.local) == len(locals_of(self.model)):
+            return touched, weights
+        values, _ = prior_draws(self.model, self.space, unit, per_node, rng)
+        values[:, :, p.local] = touched
+        return values, weights
+
+    def _blocks(self, unit: Array) -> Blocks:
+        """What the compiled functions need of the nodes, in blocks of like ones."""
+        x = self.space.to_x(unit)
+        factors = _factors(self.model, self.rows, self.space, x, self.fixed)
+        y, s2, rest = self.readings(unit)
+        order = np.argsort(unit[:, 0], kind="stable")
+        blocks = -(-len(unit) // LANES)
+        padded = np.concatenate([order, np.repeat(order[-1:], blocks * LANES - len(order))])
+
+        def laid(values: Array) -> Array:
+            parts = values[padded].reshape(blocks, LANES, -1)
+            return np.ascontiguousarray(parts.transpose(0, 2, 1))
+
+        return Blocks(order, laid(factors), laid(y), laid(s2), rest)
 
 
 def prior_draws(
-    model: Model, nodes: int, per_node: int, rng: np.random.Generator
+    model: Model, space: SharedSpace, unit: Array, per_node: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Local parameters of a blade without a reading: its prior, the same at every node."""
-    parameters = locals_of(model)
-    strata = rng.random((nodes * per_node, len(parameters)))
-    n = len(strata)
+    """Local parameters of a blade without a reading: its prior, at each node `unit` (K, d).
+
+    With a population, that of the node; else the same at every node.
+    """
+    parameters, x = locals_of(model), space.to_x(unit)
+    n, shape = len(unit) * per_node, (len(unit), per_node)
+    strata = rng.random((n, len(parameters)))
     for j in range(len(parameters)):
         strata[:, j] = (rng.permutation(n) + strata[:, j]) / n
-    values = np.stack([p.prior.quantile(strata[:, j]) for j, p in enumerate(parameters)], axis=1)
-    return (
-        values.reshape(nodes, per_node, len(parameters)),
-        np.full((nodes, per_node), -math.log(per_node)),
-    )
+    values = np.empty((*shape, len(parameters)))
+    for j, p in enumerate(parameters):
+        level = strata[:, j].reshape(shape)
+        if p.population is None:
+            values[:, :, j] = p.prior.quantile(level)
+        else:
+            mean, sd = (x[:, [space.names.index(name)]] for name in p.hyperparameters)
+            values[:, :, j] = cut_quantile(level, mean, sd, p.prior.low, p.prior.high)
+    return values, np.full(shape, -math.log(per_node))
 
 
-def _natural(model: Model, scaled: Array) -> Array:
-    low = np.array([p.prior.low for p in locals_of(model)])
-    high = np.array([p.prior.high for p in locals_of(model)])
+def _natural(model: Model, places: Sequence[int], scaled: Array) -> Array:
+    priors = [locals_of(model)[j].prior for j in places]
+    low, high = np.array([p.low for p in priors]), np.array([p.high for p in priors])
     return np.asarray(low + 0.5 * (scaled + 1) * (high - low))

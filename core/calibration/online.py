@@ -27,9 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.draws import SHARE
+from core.calibration.health import contradictions, verdict
 from core.calibration.message import BladeMessage, prior_draws
 from core.calibration.rotor import Columns, node_count, weigh
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
+from core.calibration.stored import StoredPosterior
 from core.calibration.target import (
     BladeRows,
     SharedSpace,
@@ -86,11 +88,14 @@ def update(
     *,
     quick: bool = False,
     workspace: Workspace | None = None,
+    prior: StoredPosterior | None = None,
 ) -> RotorState:
     """The state after these readings (all that count, in any order).
 
     previous   the state before; only a quick update looks at it
-    Raises InputError for a reading of a blade that the rotor does not have.
+    prior      of shared parameters, from the posterior of another network (`stored`)
+    Raises InputError for a reading of a blade that the rotor does not have, or that the prior has
+    seen.
     """
     work = workspace or Workspace()
     if previous is not None and previous.meta["algorithm_version"] != ALGORITHM:
@@ -103,11 +108,14 @@ def update(
             )
         by_blade.setdefault(reading.blade, []).append(reading)
     rows = {b: work.rows_of(model, by_blade[b]) for b in sorted(by_blade)}
-    space = shared_space(model, rows.values())
+    space = shared_space(model, rows.values(), prior)
     known = rotor.known or {}
     messages = {
-        b: BladeMessage(model, r, space, nominal(model, known.get(b))) for b, r in rows.items()
+        b: BladeMessage(model, r, space, nominal(model, r.response.names, known.get(b)))
+        for b, r in rows.items()
     }
+    if prior is not None:
+        prior.check(model, rotor.id, {b: m.digest for b, m in messages.items()})
     made = _Update(model, rotor, space, messages, work, digest_of(inspections), len(inspections))
     if quick and previous is not None:
         log_w = made.reweighted(previous)
@@ -128,9 +136,15 @@ class _Update:
     events_digest: str
     events: int
 
+    @property
+    def prior(self) -> dict[str, Any] | None:
+        """The stored posterior that is the prior, if one is."""
+        joint = self.space.joint
+        return dict(joint.summary) if joint is not None else None
+
     @cached_property
     def readings(self) -> dict[str, str]:
-        return {b: m.rows.digest for b, m in self.messages.items()}
+        return {b: m.digest for b, m in self.messages.items()}
 
     def per_node(self, nodes: int, particles: int) -> int:
         """Draws at each node: whole groups, so that every stratum counts alike."""
@@ -149,7 +163,8 @@ class _Update:
         """True where the state before speaks of the same rotor, model and shared parameters."""
         same = {"model": self.model.digest, "rotor": self.rotor.id, "seed": self.rotor.seed}
         same |= {"shared": list(self.space.names), "local": [p.name for p in locals_of(self.model)]}
-        return all(previous.meta[name] == value for name, value in same.items())
+        same |= {"prior": self.prior}
+        return all(previous.meta.get(name) == value for name, value in same.items())
 
     def reweighted(self, previous: RotorState) -> tuple[Array, dict[str, Array]] | None:
         """log p at the nodes of the state before, and the touched blades' columns.
@@ -199,7 +214,10 @@ class _Update:
             own |= self.draws(blade, unit, key, count, columns.get(blade))
             thin.add(blade)
         arrays = old.over(own, kept)
-        return self.state(own, arrays, key, log_w, sealed=False, thin=thin, tempered=beta)
+        bad = contradictions(self.messages, columns, unit, log_p)
+        before = previous.meta["health"].get("contradicted", [])
+        bad += [one for one in before if one["blade"] in unread]
+        return self.state(own, arrays, key, log_w, bad, sealed=False, thin=thin, tempered=beta)
 
     def sealed(self, previous: RotorState | None) -> RotorState:
         """The state as a function of the readings alone; equal draws are taken from the last."""
@@ -227,7 +245,8 @@ class _Update:
                 own |= self.draws(blade, weighed.unit, weighed.key, count, column)
         below = previous.arrays if previous is not None else Arrays.EMPTY
         arrays = below.over(own, kept)
-        return self.state(own, arrays, weighed.key, log_w, sealed=True, thin=set())
+        bad = contradictions(self.messages, weighed.columns, weighed.unit, weighed.log_p)
+        return self.state(own, arrays, weighed.key, log_w, bad, sealed=True, thin=set())
 
     def draws(
         self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
@@ -235,16 +254,17 @@ class _Update:
         """The blade's particle set at these nodes, from a stream of its own."""
         found = self.work.draws
         rotor, message = self.rotor, self.messages.get(blade)
-        reading = "" if message is None else message.rows.digest
+        reading = "" if message is None else message.digest
         name = (self.model.digest, rotor.id, str(rotor.seed), blade, reading, str(per_node))
         # a blade without a reading is drawn from its prior, wherever the nodes stand
-        nodes = key.hex() + "/".join(self.space.names) if message is not None else str(len(unit))
+        moved = message is not None or any(p.population for p in locals_of(self.model))
+        nodes = key.hex() + "/".join(self.space.names) if moved else str(len(unit))
         if (*name, nodes) not in found:
             rng = stream(rotor.seed, ALGORITHM, *name, nodes)
             if message is not None and column is not None:
                 found[*name, nodes] = message.draws(unit, per_node, rng, column)
             else:
-                found[*name, nodes] = prior_draws(self.model, len(unit), per_node, rng)
+                found[*name, nodes] = prior_draws(self.model, self.space, unit, per_node, rng)
             while len(found) > 3 * len(rotor.blades) + 100:
                 found.popitem(last=False)
         found.move_to_end((*name, nodes))
@@ -258,6 +278,7 @@ class _Update:
         arrays: Arrays,
         key: bytes,
         log_w: Array,
+        contradicted: Sequence[Mapping[str, Any]],
         *,
         sealed: bool,
         thin: set[str],
@@ -267,6 +288,8 @@ class _Update:
         for value in own.values():
             value.flags.writeable = False
         nodes = len(log_w)
+        carried = health(log_w, MESSAGE_ERROR * float(np.sqrt(max(len(self.messages), 1))))
+        carried |= {"tempered": round(tempered, 4)}
         meta: dict[str, Any] = {
             "algorithm_version": ALGORITHM,
             "model": self.model.digest,
@@ -283,10 +306,14 @@ class _Update:
             "local": [p.name for p in locals_of(self.model)],
             "blades": list(self.rotor.blades),
             "log_evidence": log_sum_exp(log_w) - float(np.log(nodes)),
-            "health": health(log_w, MESSAGE_ERROR * float(np.sqrt(max(len(self.messages), 1))))
-            | {"tempered": round(tempered, 4)},
+            "health": verdict(carried, contradicted, sealed=sealed),
             "arrays": sorted(arrays),
         }
+        if self.prior is not None:
+            meta["prior"] = self.prior
+        if (half_life := self.model.network.forgetting_h) is not None:
+            left = {b: round(m.rows.effective, 4) for b, m in self.messages.items()}
+            meta["forgetting"] = {"half_life_h": half_life, "effective_readings": left}
         return RotorState(meta, arrays, frozenset(own))
 
 

@@ -1,12 +1,15 @@
-"""Middle integral of a blade's message: two parameters free, the outer one fixed.
+"""Middle integral of a blade's message: two parameters free, the outer one fixed; 16 at a time.
 
 For each value of the middle parameter, `lines` gives the inner integral I. Over the middle
 parameter I is a bell, or a plateau that falls off where the inner mode runs into a bound of the
-box: the width of that fall is the bell's own width, often a thousandth of the box. `plane_sum`
-therefore looks at the profile (the mode's log L along the way), finds by bisection where the set
-of active bounds changes, and breaks the panels there.
+box: the width of that fall is the bell's own width, often a thousandth of the box. ``scan`` looks
+at the profile (the mode's log L along the way) at even places over the support and
+``panels_of`` sees where the set of active bounds changes, and breaks the panels there. A bell that
+neither a bound nor the box disturbs is summed by the trapezoidal rule over the scan's own places.
 
-Arrays of coefficients have shape (R, P, P): powers of the middle, then of the inner parameter.
+A block holds `LANES` planes, of one blade at as many values of the shared parameters, each with
+its own places: they go through the same steps together, and a plane that needs fewer of them
+waits. Coefficients are laid out as `modes` says.
 """
 
 from __future__ import annotations
@@ -15,123 +18,140 @@ import math
 
 import numpy as np
 
-from core.calibration.lines import GH_W, GH_X, OFF_BELL, line_mode, line_sum
+from core.calibration import modes
+from core.calibration.lines import (
+    SIDE,
+    SUM,
+    B,
+    G,
+    S,
+    V,
+    X,
+    line_modes,
+    line_ranges,
+    line_sums,
+)
+from core.calibration.vector import LANES, fast_exp
 from core.compiled import compiled, contracted
 
+STATIONS = 10
 POINTS = 6
 GL_X, GL_W = np.polynomial.legendre.leggauss(POINTS)
 CELL = np.concatenate([[-1.0], np.cumsum(GL_W) - 1.0])  # cells that hold one point each
-N_TRAPEZOID = 9
+NODES = 48  # the most points of the middle parameter
+EDGE = 9.5  # nats below the top where the support ends
+REACH = 5.2  # half width of a first scan in widths of the bell
+PX, PM, PG, PV = modes.X, modes.M, modes.G, modes.V
+HXX, HXG, HGG = modes.HXX, modes.HXG, modes.HGG
+# a scan's numbers by station: place, profile, inner mode, its curvature, active bound and slope
+AT, TOP, MODE, BEND, BOUND, STEEP = range(6)
+FIELDS = 6
+# a plane's points: place, weight, log of the inner integral, left border of the cell
+PLACE, WEIGHT, VALUE, BORDER = range(4)
+LOW, HIGH, X0, G0, TILT, BEST, BELL = range(7)
 
 
 @contracted
-def collapse_plane(c, x, out):  # type: ignore[no-untyped-def]
-    """Fix the middle parameter at x: (R, P, P) → out (R, P)."""
-    rows, p = c.shape[0], c.shape[1]
+def collapse_planes(c, rows, w, out):  # type: ignore[no-untyped-def]
+    """Fix the middle parameter at w[X]: a block of planes → a block of lines, out (6 R LANES,)."""
+    n = 6 * LANES  # from one power of the middle parameter to the next
     for r in range(rows):
-        for k in range(p):
-            t = c[r, p - 1 - k, k]
-            for j in range(p - 2 - k, -1, -1):
-                t = t * x + c[r, j, k]
-            out[r, k] = t
-
-
-@contracted
-def plane_slopes(a, b, v, y, s2, ka2, kb2, x, g, out):  # type: ignore[no-untyped-def]
-    """log L at (x, g); out = slopes and Gauss–Newton curvatures (sx, sg, hxx, hxg, hgg)."""
-    rows, p = a.shape[0], a.shape[1]
-    value = sx = sg = hxx = hxg = hgg = 0.0
-    for r in range(rows):
-        va = vax = vag = vb = vbx = vbg = lv = 0.0
-        for j in range(p - 1, -1, -1):
-            qa = qb = qv = qag = qbg = 0.0
-            for k in range(p - 1 - j, -1, -1):
-                qag = qag * g + qa
-                qbg = qbg * g + qb
-                qa = qa * g + a[r, j, k]
-                qb = qb * g + b[r, j, k]
-                qv = qv * g + v[r, j, k]
-            vax = vax * x + va
-            vbx = vbx * x + vb
-            va = va * x + qa
-            vb = vb * x + qb
-            vag = vag * x + qag
-            vbg = vbg * x + qbg
-            lv = lv * x + qv
-        e = math.exp(vb)
-        var = s2[r] + e * e * math.exp(min(lv, 50.0)) * (ka2[r] + va * va * kb2[r])
-        iv = 1.0 / var
-        d = va * e - y[r]
-        mx = (vax + va * vbx) * e
-        mg = (vag + va * vbg) * e
-        value -= 0.5 * (d * d * iv + math.log(var))
-        sx -= d * mx * iv
-        sg -= d * mg * iv
-        hxx += mx * mx * iv
-        hxg += mx * mg * iv
-        hgg += mg * mg * iv
-    out[0], out[1], out[2], out[3], out[4] = sx, sg, hxx, hxg, hgg
-    return value
+        o, q = 6 * r * LANES, 36 * r * LANES
+        for i in range(LANES):
+            x, p = w[X + i], q + i
+            t = (((c[p + 5 * n] * x + c[p + 4 * n]) * x + c[p + 3 * n]) * x + c[p + 2 * n]) * x
+            out[o + i] = (t + c[p + n]) * x + c[p]
+            p += LANES
+            t = ((c[p + 4 * n] * x + c[p + 3 * n]) * x + c[p + 2 * n]) * x + c[p + n]
+            out[o + LANES + i] = t * x + c[p]
+            p += LANES
+            t = (c[p + 3 * n] * x + c[p + 2 * n]) * x + c[p + n]
+            out[o + 2 * LANES + i] = t * x + c[p]
+            p += LANES
+            out[o + 3 * LANES + i] = (c[p + 2 * n] * x + c[p + n]) * x + c[p]
+            p += LANES
+            out[o + 4 * LANES + i] = c[p + n] * x + c[p]
+            out[o + 5 * LANES + i] = c[p + LANES]
 
 
 @compiled
-def plane_mode(a, b, v, y, s2, ka2, kb2, start, out):  # type: ignore[no-untyped-def]
-    """Mode in the box from `start` (2,), which is updated: (log L, active code).
+def profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv):  # type: ignore[no-untyped-def]
+    """Modes of the lines at w[X], from the starts in w[G]."""
+    rows = len(ka2)
+    collapse_planes(pa, rows, w, la)
+    collapse_planes(pb, rows, w, lb)
+    collapse_planes(pv, rows, w, lv)
+    line_modes(la, lb, lv, y, s2, ka2, kb2, w)
 
-    The code is 3 (side_x + 1) + (side_g + 1): 4 where no bound is active. `out` (5,) holds the
-    slopes and curvatures at the mode.
+
+@compiled
+def scan(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan):  # type: ignore[no-untyped-def]
+    """Profiles over the supports around the modes in wp; fills seen (6, STATIONS, LANES), plan.
+
+    Each plane's range widens until the profile has fallen at both ends or the box ends, and
+    narrows while hardly a station lies inside.
     """
-    trial = np.empty(5)
-    x, g = start[0], start[1]
-    value = plane_slopes(a, b, v, y, s2, ka2, kb2, x, g, out)
-    for _ in range(30):
-        sx, sg = out[0], out[1]
-        ridge = 1e-9 * (out[2] + out[4]) + 1e-12
-        hxx, hxg, hgg = out[2] + ridge, out[3], out[4] + ridge
-        free_x = not ((x >= 1.0 and sx > 0.0) or (x <= -1.0 and sx < 0.0))
-        free_g = not ((g >= 1.0 and sg > 0.0) or (g <= -1.0 and sg < 0.0))
-        dx = dg = 0.0
-        if free_x and free_g:
-            det = hxx * hgg - hxg * hxg
-            dx, dg = (hgg * sx - hxg * sg) / det, (hxx * sg - hxg * sx) / det
-            out_x = (x >= 1.0 and dx > 0.0) or (x <= -1.0 and dx < 0.0)
-            out_g = (g >= 1.0 and dg > 0.0) or (g <= -1.0 and dg < 0.0)
-            if out_x:
-                dx, dg = 0.0, sg / hgg
-            elif out_g:
-                dx, dg = sx / hxx, 0.0
-        elif free_x:
-            dx = sx / hxx
-        elif free_g:
-            dg = sg / hgg
-        longest = max(abs(dx), abs(dg))
-        if longest > 0.5:
-            dx, dg = dx * 0.5 / longest, dg * 0.5 / longest
-        gain = sx * dx + sg * dg
-        if gain < 1e-4:
+    for i in range(LANES):
+        x, g = wp[PM + i], wp[PG + i]
+        hxx, hxg, hgg = wp[HXX + i], wp[HXG + i], wp[HGG + i]
+        tilt = 0.0 if (g >= 1.0 or g <= -1.0) else -hxg / (hgg + 1e-12)
+        reach = REACH / math.sqrt(max(hxx + tilt * hxg, 1e-3))
+        plan[LOW, i], plan[HIGH, i] = max(x - reach, -1.0), min(x + reach, 1.0)
+        plan[X0, i], plan[G0, i], plan[TILT, i], plan[BEST, i] = x, g, tilt, wp[PV + i]
+    for _ in range(24):
+        for s in range(STATIONS):
+            for i in range(LANES):
+                x = plan[LOW, i] + s * (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
+                w[X + i] = x
+                w[G + i] = plan[G0, i] + plan[TILT, i] * (x - plan[X0, i])
+            profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv)
+            for i in range(LANES):
+                seen[AT, s, i], seen[TOP, s, i], seen[MODE, s, i] = w[X + i], w[V + i], w[G + i]
+                seen[BEND, s, i], seen[BOUND, s, i] = w[B + i], w[SIDE + i]
+                seen[STEEP, s, i] = w[S + i]
+        done = True
+        for i in range(LANES):
+            done = within(seen, plan, i) and done
+        if done:
             break
-        t = 1.0
-        moved = False
-        for _ in range(20):
-            nx = min(max(x + t * dx, -1.0), 1.0)
-            ng = min(max(g + t * dg, -1.0), 1.0)
-            nv = plane_slopes(a, b, v, y, s2, ka2, kb2, nx, ng, trial)
-            if nv > value - 1e-3:
-                moved = True
-                break
-            t *= 0.4
-        if not moved:
-            break
-        small = gain < 1e-3
-        x, g, value = nx, ng, nv
-        for i in range(5):
-            out[i] = trial[i]
-        if small:
-            break
-    start[0], start[1] = x, g
-    side_x = 1 if (x >= 1.0 and out[0] > 0.0) else (-1 if (x <= -1.0 and out[0] < 0.0) else 0)
-    side_g = 1 if (g >= 1.0 and out[1] > 0.0) else (-1 if (g <= -1.0 and out[1] < 0.0) else 0)
-    return value, 3 * (side_x + 1) + side_g + 1
+
+
+@compiled
+def within(seen, plan, i):  # type: ignore[no-untyped-def]
+    """True where the scan fits the support of plane i; else its next range goes into `plan`."""
+    low, high = plan[LOW, i], plan[HIGH, i]
+    best = 0
+    for s in range(STATIONS):
+        if seen[TOP, s, i] > seen[TOP, best, i]:
+            best = s
+    top = max(plan[BEST, i], seen[TOP, best, i])
+    inside = 0
+    for s in range(STATIONS):
+        if seen[TOP, s, i] > top - EDGE:
+            inside += 1
+    if seen[TOP, best, i] >= plan[BEST, i]:
+        plan[X0, i], plan[G0, i] = seen[AT, best, i], seen[MODE, best, i]
+        plan[BEST, i] = top
+    if inside < 5 and high - low > 1e-9:
+        narrow = max(inside + 1, 2) * (high - low) / (STATIONS - 1)
+        plan[LOW, i] = max(plan[X0, i] - narrow, low)
+        plan[HIGH, i] = min(plan[X0, i] + narrow, high)
+        return False
+    fits = True
+    if low > -1.0 and seen[TOP, 0, i] > top - EDGE:
+        plan[LOW, i], fits = max(low - 0.6 * (high - low), -1.0), False
+    if high < 1.0 and seen[TOP, STATIONS - 1, i] > top - EDGE:
+        plan[HIGH, i], fits = min(high + 0.6 * (high - low), 1.0), False
+    return fits
+
+
+@compiled
+def fall(seen, i, s, t, top):  # type: ignore[no-untyped-def]
+    """Where the profile crosses `top` − EDGE between station s (above) and station t (below)."""
+    high = math.sqrt(max(top - seen[TOP, s, i], 0.0))
+    low = math.sqrt(max(top - seen[TOP, t, i], 0.0))
+    part = (math.sqrt(EDGE) - high) / (low - high + 1e-12)
+    return seen[AT, s, i] + min(max(part, 0.0), 1.0) * (seen[AT, t, i] - seen[AT, s, i])
 
 
 @compiled
@@ -146,213 +166,135 @@ def insertion_sort(x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def reach(a, b, v, y, s2, ka2, kb2, x, g, top, w, direction, la, lb, lv, iv):  # type: ignore[no-untyped-def]
-    """Half width towards `direction` at which the profile has dropped by 8.5 … 17.
-
-    Returns (width, side of the inner mode there, inner mode there, cut by the box).
-    """
-    room = 1.0 - direction * x
-    near, far = 0.0, -1.0
-    side, mode = 0, g
-    w = min(w, room)
-    for _ in range(30):
-        if w <= 0.0:
-            return 0.0, side, mode, True
-        at = x + direction * w
-        collapse_plane(a, at, la)
-        collapse_plane(b, at, lb)
-        value, mode, _, _, side = line_mode(la, lb, lv, y, s2, ka2, kb2, mode, iv)
-        drop = top - value
-        if drop > 17.0:
-            far = w
-            guess = w * math.sqrt(11.5 / drop)
-            w = guess if near == 0.0 and guess > 0.3 * w else 0.5 * (near + far)
-        elif drop < 8.5:
-            if w >= room:
-                return room, side, mode, True
-            near = w
-            w = min(1.6 * w, room) if far < 0.0 else 0.5 * (near + far)
-        else:
-            return w, side, mode, w >= room
-        if far > 0.0 and far - near < 1e-7:
-            break
-    return w, side, mode, w >= room
+def kink(seen, i, s):  # type: ignore[no-untyped-def]
+    """Where the inner mode meets a bound between stations s and s + 1: (place, half width)."""
+    here, there = seen[BOUND, s, i], seen[BOUND, s + 1, i]
+    if here != 0.0 and there != 0.0:
+        place = 0.5 * (seen[AT, s, i] + seen[AT, s + 1, i])
+        return place, 0.5 * (seen[AT, s + 1, i] - seen[AT, s, i])
+    free, held = (s, s + 1) if here == 0.0 else (s + 1, s)
+    behind = 2 * free - held
+    rise = seen[BOUND, held, i] - seen[MODE, free, i]
+    slope = rise / (seen[AT, held, i] - seen[AT, free, i])
+    if 0 <= behind < STATIONS and seen[BOUND, behind, i] == 0.0:
+        other = seen[MODE, free, i] - seen[MODE, behind, i]
+        other = other / (seen[AT, free, i] - seen[AT, behind, i])
+        slope = other if abs(other) > abs(slope) else slope
+    place = seen[AT, free, i] + (rise / slope if abs(slope) > 1e-12 else 0.0)
+    return place, 4.0 / math.sqrt(seen[BEND, free, i] + 1e-12) / (abs(slope) + 1e-12)
 
 
 @compiled
-def kink(a, b, v, y, s2, ka2, kb2, inside, outside, g, la, lb, lv, iv):  # type: ignore[no-untyped-def]
-    """Where the inner mode meets its bound between `inside` (free) and `outside` (held).
-
-    Returns the place and the width of the transition there.
-    """
-    g0, x0 = g, inside
-    sd, mode = 1.0, g
-    start, at0 = inside, g
-    for _ in range(6):
-        mid = 0.5 * (inside + outside)
-        collapse_plane(a, mid, la)
-        collapse_plane(b, mid, lb)
-        _, found, _, bend, side = line_mode(la, lb, lv, y, s2, ka2, kb2, mode, iv)
-        if side == 0:
-            x0, g0 = inside, mode
-            inside, mode = mid, found
-            sd = 1.0 / math.sqrt(bend + 1e-12)
-        else:
-            outside = mid
-    run = abs(inside - start)
-    rise = abs(mode - at0)
-    if run < 1e-12 or rise < 1e-12:
-        run, rise = abs(inside - x0) + 1e-12, abs(mode - g0) + 1e-12
-    return 0.5 * (inside + outside), sd * run / rise
-
-
-@compiled
-def plane_breaks(a, b, v, y, s2, ka2, kb2, start, slopes, top, breaks, la, lb, lv, iv):  # type: ignore[no-untyped-def]
-    """Fill `breaks` with the panel borders around the mode: (count, bell inside the box)."""
-    x, g = start[0], start[1]
-    hxx, hxg, hgg = slopes[2], slopes[3], slopes[4]
-    held = g >= 1.0 or g <= -1.0
-    bend = hxx if held else hxx - hxg * hxg / (hgg + 1e-12)
-    w0 = 4.8 / math.sqrt(max(bend, 1e-3))
-    centre_side = 0
-    if g >= 1.0 and slopes[1] > 0.0:
-        centre_side = 1
-    elif g <= -1.0 and slopes[1] < 0.0:
-        centre_side = -1
-    left, side_l, mode_l, cut_l = reach(
-        a, b, v, y, s2, ka2, kb2, x, g, top, w0, -1.0, la, lb, lv, iv
-    )
-    right, side_r, mode_r, cut_r = reach(
-        a, b, v, y, s2, ka2, kb2, x, g, top, w0, 1.0, la, lb, lv, iv
-    )
-    n = 0
-    breaks[n] = x - left
-    n += 1
-    smooth = True
-    for which in range(2):
-        direction = -1.0 if which == 0 else 1.0
-        w = left if which == 0 else right
-        side = side_l if which == 0 else side_r
-        mode = mode_l if which == 0 else mode_r
-        if side == centre_side or w < 1e-9:
+def panels_of(seen, plan, i, breaks):  # type: ignore[no-untyped-def]
+    """Borders of the panels of plane i; their number. plan[BELL] tells an undisturbed bell."""
+    top = plan[BEST, i]
+    first, last, best = STATIONS, -1, 0
+    for s in range(STATIONS):
+        if seen[TOP, s, i] > top - EDGE:
+            first, last = min(first, s), max(last, s)
+        if seen[TOP, s, i] > seen[TOP, best, i]:
+            best = s
+    if last < first:  # between two stations
+        first = last = best
+    left = seen[AT, 0, i] if first == 0 else fall(seen, i, first, first - 1, top)
+    right = seen[AT, STATIONS - 1, i]
+    if last < STATIONS - 1:
+        right = fall(seen, i, last, last + 1, top)
+    breaks[0], breaks[1] = left, right
+    n, width = 2, right - left
+    bell = first > 0 and last < STATIONS - 1 and last - first >= 5
+    for s in range(max(first - 1, 0), min(last + 1, STATIONS - 1)):
+        if seen[BOUND, s, i] == seen[BOUND, s + 1, i]:
             continue
-        smooth = False
-        end = x + direction * w
-        if centre_side == 0:
-            place, delta = kink(a, b, v, y, s2, ka2, kb2, x, end, g, la, lb, lv, iv)
-            inner, outer = place - 4.0 * direction * delta, place + 4.0 * direction * delta
-        elif side == 0:
-            place, delta = kink(a, b, v, y, s2, ka2, kb2, end, x, mode, la, lb, lv, iv)
-            inner, outer = place - 4.0 * direction * delta, place + 4.0 * direction * delta
-        else:
-            inner, outer = x + direction * w / 3.0, x + direction * w * 2.0 / 3.0
-        for at in (inner, outer):
-            if (at - x) * direction > 0.02 * w and (end - at) * direction > 0.02 * w:
-                breaks[n] = at
+        bell = False
+        place, half = kink(seen, i, s)
+        for t in (-1.0, 1.0):
+            edge = place + t * half
+            if left + 0.01 * width < edge < right - 0.01 * width and n < len(breaks) - 1:
+                breaks[n] = edge
                 n += 1
-    if not (smooth and not cut_l and not cut_r) and left > 1e-9 and right > 1e-9:
-        breaks[n] = x  # the two flanks may differ in steepness by an order
-        n += 1
-    breaks[n] = x + right
-    n += 1
+    if not bell:  # the two flanks may differ in steepness by an order
+        place = seen[AT, best, i]
+        if left + 0.01 * width < place < right - 0.01 * width:
+            breaks[n] = place
+            n += 1
+    plan[BELL, i] = 1.0 if bell else 0.0
     insertion_sort(breaks[:n])
-    return n, smooth and not cut_l and not cut_r
-
-
-@contracted
-def plane_value(a, b, v, y, s2, ka2, kb2, x, g):  # type: ignore[no-untyped-def]
-    """log L at (x, g), with the variance there."""
-    rows, p = a.shape[0], a.shape[1]
-    value = 0.0
-    for r in range(rows):
-        va = vb = lv = 0.0
-        for j in range(p - 1, -1, -1):
-            qa = qb = qv = 0.0
-            for k in range(p - 1 - j, -1, -1):
-                qa = qa * g + a[r, j, k]
-                qb = qb * g + b[r, j, k]
-                qv = qv * g + v[r, j, k]
-            va = va * x + qa
-            vb = vb * x + qb
-            lv = lv * x + qv
-        e = math.exp(vb)
-        var = s2[r] + e * e * math.exp(min(lv, 50.0)) * (ka2[r] + va * va * kb2[r])
-        d = va * e - y[r]
-        value -= 0.5 * (d * d / var + math.log(var))
-    return value
+    m = 1
+    for q in range(1, n):
+        if breaks[q] - breaks[m - 1] > 0.004 * width or q == n - 1:
+            breaks[m] = breaks[q]
+            m += 1
+    return m
 
 
 @compiled
-def plane_bell(a, b, v, y, s2, ka2, kb2, start, slopes, top):  # type: ignore[no-untyped-def]
-    """log ∫∫ L by 5 × 5 Gauss–Hermite points where L is close to a bell inside the box.
-
-    Returns (ok, value). The points lie along the bell's own axes: x, and g given x.
-    """
-    hxx, hxg, hgg = slopes[2], slopes[3], slopes[4]
-    x0, g0 = start[0], start[1]
-    schur = hxx - hxg * hxg / (hgg + 1e-12)
-    if schur <= 0.0 or hgg <= 0.0:
-        return False, 0.0
-    sd_x, sd_g = 1.0 / math.sqrt(schur), 1.0 / math.sqrt(hgg)
-    slope = -hxg / hgg
-    marginal = math.sqrt(sd_g * sd_g + slope * slope * sd_x * sd_x)
-    if 1.0 - abs(x0) < 4.5 * sd_x or 1.0 - abs(g0) < 4.5 * marginal:
-        return False, 0.0
-    total = 0.0
-    for order in range(5):
-        i = (0, 4, 2, 1, 3)[order]
-        x = x0 + sd_x * GH_X[i]
-        for j in (0, 4, 2, 1, 3):
-            g = g0 + slope * (x - x0) + sd_g * GH_X[j]
-            rise = plane_value(a, b, v, y, s2, ka2, kb2, x, g) - top
-            rise += 0.5 * (GH_X[i] ** 2 + GH_X[j] ** 2)
-            if (i == 2) != (j == 2) and abs(rise) > OFF_BELL:
-                return False, 0.0
-            if abs(rise) > 3.0 * OFF_BELL:
-                return False, 0.0
-            total += GH_W[i] * GH_W[j] * math.exp(rise)
-    return True, top + math.log(2.0 * math.pi * sd_x * sd_g * total)
-
-
-@compiled
-def plane_sum(a, b, v, y, s2, ka2, kb2, start, slopes, top, nodes):  # type: ignore[no-untyped-def]
-    """log ∫∫ L over the box of the two inner parameters, and the number of points used.
-
-    `start`, `slopes`, `top` as plane_mode left them. `nodes` (96, 4) receives for each point
-    of the middle parameter its place, its weight, the log of the inner integral and the left border
-    of its cell, whose length is the weight.
-    """
-    rows, p = a.shape[0], a.shape[1]
-    la, lb, lv, iv = np.empty((rows, p)), np.empty((rows, p)), np.empty((rows, p)), np.empty(rows)
-    breaks = np.empty(12)
-    collapse_plane(v, start[0], lv)  # varies little over a plane: taken at its mode
-    n, bell = plane_breaks(a, b, v, y, s2, ka2, kb2, start, slopes, top, breaks, la, lb, lv, iv)
+def points_of(seen, plan, i, breaks, nodes):  # type: ignore[no-untyped-def]
+    """Places and weights of the middle parameter on plane i, into nodes (4, NODES, LANES)."""
+    n = panels_of(seen, plan, i, breaks)
     count = 0
-    if bell:
-        h = (breaks[n - 1] - breaks[0]) / (N_TRAPEZOID - 1)
-        for i in range(N_TRAPEZOID):
-            nodes[count, 0], nodes[count, 1] = breaks[0] + i * h, h
-            nodes[count, 3] = breaks[0] + (i - 0.5) * h
-            count += 1
-    else:
-        for q in range(n - 1):
-            half, mid = 0.5 * (breaks[q + 1] - breaks[q]), 0.5 * (breaks[q + 1] + breaks[q])
-            if half <= 0.0:
-                continue
-            for i in range(POINTS):
-                nodes[count, 0], nodes[count, 1] = mid + half * GL_X[i], half * GL_W[i]
-                nodes[count, 3] = mid + half * CELL[i]
+    if plan[BELL, i] > 0.0:
+        step = seen[AT, 1, i] - seen[AT, 0, i]
+        for s in range(STATIONS):
+            if seen[TOP, s, i] > plan[BEST, i] - EDGE - 6.0:
+                x = seen[AT, s, i]
+                nodes[PLACE, count, i], nodes[WEIGHT, count, i] = x, step
+                nodes[BORDER, count, i] = x - 0.5 * step
                 count += 1
-    g = start[1]
-    peak = -1e300
-    for i in range(count):
-        x = nodes[i, 0]
-        collapse_plane(a, x, la)
-        collapse_plane(b, x, lb)
-        value, g, slope, bend, _ = line_mode(la, lb, lv, y, s2, ka2, kb2, g, iv)
-        nodes[i, 2], _, _ = line_sum(la, lb, y, iv, g, value, slope, bend)
-        peak = max(peak, nodes[i, 2])
+        return count
+    for q in range(n - 1):
+        half, mid = 0.5 * (breaks[q + 1] - breaks[q]), 0.5 * (breaks[q + 1] + breaks[q])
+        if half <= 0.0 or count + POINTS > NODES:
+            continue
+        for j in range(POINTS):
+            nodes[PLACE, count, i], nodes[WEIGHT, count, i] = mid + half * GL_X[j], half * GL_W[j]
+            nodes[BORDER, count, i] = mid + half * CELL[j]
+            count += 1
+    if count == 0:  # narrower than a float tells
+        nodes[PLACE, 0, i], nodes[WEIGHT, 0, i] = breaks[0], 1e-15
+        nodes[BORDER, 0, i] = breaks[0]
+        count = 1
+    return count
+
+
+@compiled
+def plane_sums(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan, nodes, counts, out):  # type: ignore[no-untyped-def]
+    """log ∫∫ L over the box of the two inner parameters, out (LANES,).
+
+    wp holds the modes as plane_modes left them; nodes (4, NODES, LANES) and counts (LANES,)
+    receive the points of the middle parameter. The rest is scratch.
+    """
+    breaks, ends = np.empty(16), np.empty((9, LANES))
+    scan(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan)
+    most = 0
+    for i in range(LANES):
+        counts[i] = points_of(seen, plan, i, breaks, nodes)
+        most = max(most, counts[i])
+    for n in range(most):
+        for i in range(LANES):
+            x = nodes[PLACE, min(n, counts[i] - 1), i]
+            first, wide = seen[AT, 0, i], seen[AT, STATIONS - 1, i] - seen[AT, 0, i]
+            at = (x - first) / (wide + 1e-300) * (STATIONS - 1)
+            j = min(max(int(at), 0), STATIONS - 2)
+            w[X + i] = x
+            w[G + i] = seen[MODE, j, i] + (at - j) * (seen[MODE, j + 1, i] - seen[MODE, j, i])
+        profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv)
+        line_ranges(la, lb, lv, y, s2, ka2, kb2, w, ends)
+        line_sums(la, lb, lv, y, s2, ka2, kb2, w, ends)
+        for i in range(LANES):
+            if n < counts[i]:
+                nodes[VALUE, n, i] = w[SUM + i]
+    for i in range(LANES):
+        out[i] = log_sum(nodes, counts[i], i)
+
+
+@compiled
+def log_sum(nodes, count, i):  # type: ignore[no-untyped-def]
+    """log Σ weight · exp(log value) over the first `count` points of lane i."""
+    peak = -math.inf
+    for n in range(count):
+        peak = max(peak, nodes[VALUE, n, i])
     total = 0.0
-    for i in range(count):
-        total += nodes[i, 1] * math.exp(nodes[i, 2] - peak)
-    return peak + math.log(total), count
+    for n in range(count):
+        total += nodes[WEIGHT, n, i] * fast_exp(nodes[VALUE, n, i] - peak)
+    return peak + math.log(total)

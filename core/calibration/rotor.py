@@ -5,8 +5,9 @@
 The shared nodes are placed in two steps. A descent on rough messages finds where the posterior is
 (`core.smc.placement`). What the rough messages miss is smooth: a quadratic through the difference
 at a few places mends them, and a second descent ends where the exact messages at the nodes give
-even weights. Where that fails (small noise, on which rough messages are worst), the nodes start
-again where the first descent ended, and at last from a descent on the exact messages. Everything
+even weights. Where that fails (few readings of each blade, small noise: there rough messages are
+worst), a descent looks at the exact messages alone, and at last the nodes start again where the
+first descent ended. Everything
 is a function of the set of readings; the columns are kept, so that a new reading costs one blade's
 columns as long as the nodes stay.
 """
@@ -19,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.message import BladeMessage
+from core.calibration.message import BladeMessage, columns
 from core.calibration.target import SharedSpace
 from core.errors import CalibrationError
 from core.response import monomials
@@ -38,21 +39,29 @@ class Columns:
     computed: int = 0
 
     def of(self, message: BladeMessage, key: bytes, unit: Array, how: str) -> Array:
+        return self.all({"": message}, key, unit, how)[""]
+
+    def all(
+        self, messages: Mapping[str, BladeMessage], key: bytes, unit: Array, how: str
+    ) -> dict[str, Array]:
+        """The column of each blade; those that are missing are computed side by side."""
         # a proposal's scouts are fewer than its nodes: their number is part of the name
-        place = (message.name, how, len(unit), key)
-        if place not in self.kept:
-            if len(self.kept) >= self.limit:
-                for old in list(self.kept)[: self.limit // 2]:
+        places = {b: (m.name, how, len(unit), key) for b, m in messages.items()}
+        missing = {b: messages[b] for b, place in places.items() if place not in self.kept}
+        if len(self.kept) + len(missing) > self.limit:
+            for old in list(self.kept)[: self.limit // 2]:
+                if old not in places.values():
                     del self.kept[old]
+        found = columns(list(missing.values()), unit, rough=how == "rough")
+        for (blade, message), column in zip(missing.items(), found, strict=True):
             self.computed += 1
-            column = message.column(unit, rough=how == "rough")
             if np.isnan(column).any():
                 raise CalibrationError(
                     f"a blade's message is not a number at {int(np.isnan(column).sum())} of "
                     f"{len(column)} nodes; its readings: {message.rows.y.tolist()[:12]}"
                 )
-            self.kept[place] = column
-        return self.kept[place]
+            self.kept[places[blade]] = column
+        return {b: self.kept[place] for b, place in places.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +91,9 @@ class Weighed:
     @property
     def ess_ratio(self) -> float:
         return ess(self.log_w) / len(self.log_w)
+
+
+FAR = 4.0  # spreads beyond which the quadratic that mends rough messages is not believed
 
 
 def node_count(dim: int) -> int:
@@ -125,7 +137,7 @@ def quadratic(unit: Array, values: Array, log_w: Array) -> Callable[[Array], Arr
 def weigh(
     space: SharedSpace,
     messages: Mapping[str, BladeMessage],
-    columns: Columns,
+    known: Columns,
     seed: int,
     *,
     rounds: int = 12,
@@ -137,8 +149,9 @@ def weigh(
 
     def total(unit: Array, key: bytes, how: str) -> Array:
         out = space.log_prior(unit)
+        found = known.all(messages, key, unit, how)
         for blade in blades:
-            out = out + columns.of(messages[blade], key, unit, how)
+            out = out + found[blade]
         return out
 
     scouts = 32 if d <= 2 else 64
@@ -153,7 +166,7 @@ def weigh(
     wide = descend(
         lambda unit, key: total(unit, key, "rough") + missing(unit), rough_end, scouts, seed
     )
-    n = node_count(d)
+    n = node_count(d) * space.tails
     base = sobol(n, d, seed + 1)
 
     def settled(start: Proposal, turns: int) -> tuple[float, Proposal]:
@@ -168,20 +181,25 @@ def weigh(
             start = improved(unit, log_p, log_q, 0.3)
         return best
 
-    best = settled(wide, 3)
-    if best[0] < enough:  # the rough messages misled: start where they alone led
-        best = max(best, settled(rough_end, rounds), key=lambda found: found[0])
-    if best[0] < enough:  # or look at nothing but the exact messages
+    spread = np.sqrt(np.sum(rough_end.chol**2, axis=1)) if rough_end.chol is not None else 1.0
+    mended = bool(np.all(np.abs(wide.mean - rough_end.mean) < FAR * spread))
+    best = settled(wide, 3) if mended else (-1.0, wide)
+    if best[0] < enough:  # the rough messages misled: look at nothing but the exact ones
         exactly = descend(
-            lambda unit, key: total(unit, key, "exact"), start_of(space, messages), scouts, seed
+            lambda unit, key: total(unit, key, "exact"),
+            start_of(space, messages),
+            16 if d <= 2 else 32,
+            seed,
         )
         best = max(best, settled(exactly, rounds), key=lambda found: found[0])
+    if best[0] < enough:  # or start where the rough messages alone led
+        best = max(best, settled(rough_end, rounds), key=lambda found: found[0])
     wide = best[1]
     unit, log_q = wide.nodes(base)
     return Weighed(
         unit,
         log_q,
         space.log_prior(unit),
-        {b: columns.of(messages[b], wide.key, unit, "exact") for b in blades},
+        known.all({b: messages[b] for b in blades}, wide.key, unit, "exact"),
         wide.key,
     )

@@ -17,20 +17,28 @@ singular vectors U of their variation over the neighbourhood that the noise leav
 standard deviations wide. Components along U keep the information; those across it hold none near
 x* and leave. A row is scaled so that its noise is sigma² + extra. All of it is a function of the
 scan alone. The errors of a simulation at two scans of one blade are taken as independent.
+
+A discrepancy (`core.discrepancy`) joins the best fit and the kept directions: a constant offset c
+adds Q^T D c to z (D repeats x, y, z) and makes the remainder a quadratic, RSS(c) = RSS_0 + (c −
+c_0)^T A (c − c_0); a gain leaves the remainder alone and moves z along itself. Both directions are
+kept exactly, the others are what varies across them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.special import ndtri
 from scipy.stats import qmc
 
+from core.discrepancy import AXES, Affine, Term, affine, parameters, total
 from core.model import Model
+from core.network import Prior
 from core.observation import Inspection
 from core.response import Response
 
@@ -41,21 +49,72 @@ STARTS, SAMPLE = 4096, 400
 
 @dataclass(frozen=True, slots=True)
 class Dense:
-    """Remainder of a scan: residual sum of squares [unit²] and its degrees of freedom."""
+    """Remainder of a scan: least residual sum of squares [unit²] and its degrees of freedom.
+
+    extra         variance beside the noise [unit²]
+    offset        names of a constant offset c; centre (3,) and bend (3, 3): the sum of squares is
+                  rss + (c − centre)^T bend (c − centre)
+    """
 
     sigma: str | float
     rss: float
     dof: int
+    extra: float = 0.0
+    offset: tuple[str, ...] = ()
+    centre: Array = field(default_factory=lambda: np.zeros(0))
+    bend: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def log_density(self, s: Array, c: Array) -> Array:
+        """Log density of the remainder at noises s (n,) and offsets c (n, 0 or 3)."""
+        s2, miss = s**2 + self.extra, c - self.centre
+        rss = self.rss + np.einsum("ni,ij,nj->n", miss, self.bend, miss)
+        return np.asarray(-0.5 * rss / s2 - 0.5 * self.dof * np.log(2 * np.pi * s2))
 
 
 @dataclass(frozen=True, slots=True)
 class ScanRows:
-    """A scan as rows: response (Q rows), y (Q,), extra variance (Q,) [unit²], remainder."""
+    """A scan as rows: response (Q rows), y (Q,), extra variance (Q,) [unit²], remainder.
+
+    discrepancy   of each row
+    """
 
     response: Response
     y: Array
     extra: Array
     dense: Dense
+    discrepancy: tuple[Affine, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Shift:
+    """The discrepancy of z in standard-normal eta: z = gain(eta) Y_m + offset(eta).
+
+    gain          mean and sd of the gain under the priors; sd 0: no gain
+    mean, column  of the offset, (J,) and (J, 0 or 3)
+    told, miss    what the remainder says of eta: told @ eta − miss ~ N(0, noise² I)
+    """
+
+    gain: tuple[float, float]
+    mean: Array
+    column: Array
+    told: Array
+    miss: Array
+
+    @property
+    def dim(self) -> int:
+        return int(self.gain[1] > 0) + int(self.column.shape[1])
+
+    def at(self, eta: Array) -> tuple[Array, Array]:
+        """Gain (n, 1) and offset (n, J) at eta (n, dim)."""
+        free = eta[:, : int(self.gain[1] > 0)].sum(axis=1, keepdims=True)
+        offset = eta[:, eta.shape[1] - self.column.shape[1] :]
+        return self.gain[0] + self.gain[1] * free, self.mean + offset @ self.column.T
+
+    def directions(self, model: Array, whiten: Array) -> Array:
+        """Orthonormal directions (J, at most dim) in which eta moves whitened z."""
+        gain = (self.gain[1] * model)[:, None] if self.gain[1] > 0 else model[:, None][:, :0]
+        u, s, _ = np.linalg.svd(whiten @ np.hstack([gain, self.column]), full_matrices=False)
+        return np.asarray(u[:, s > 1e-6])
 
 
 def scan_rows(
@@ -65,28 +124,38 @@ def scan_rows(
     boxed: Callable[[Response], Response],
     degree: int,
 ) -> ScanRows:
-    """One scan as a few rows, at most DIRECTIONS.
+    """One scan as a few rows: DIRECTIONS at most, and those of the discrepancy.
 
     sigma   name of the shared noise, or its known value
     boxed   brings a response to the boxes of the priors
     """
     assert reading.nodes is not None
-    phi = model.surrogate.deformation_modes(reading.nodes.tolist())
+    quantity = model.network.quantity(reading.quantity)
+    surrogate = model.part(reading.quantity)
+    phi = surrogate.deformation_modes(reading.nodes.tolist())
     q, r = np.linalg.qr(phi.reshape(reading.values.size, -1))
     readings = reading.values.reshape(-1)
     y = q.T @ readings
-    dense = Dense(sigma, max(float(readings @ readings - y @ y), 0.0), readings.size - y.size)
-    response = boxed(model.surrogate.mode_response(reading.time_h, r, degree=degree))
+    seen = [affine(model, quantity, reading.time_h, axis) for axis in range(len(AXES))]
+    dense, shift, moved = _split(model, reading, sigma, q, seen)
+    response = boxed(surrogate.mode_response(reading.time_h, r, degree=degree))
     noise = _noise_guess(model, reading, dense)
-    numerical = model.network.quantity(reading.quantity).numerical ** 2 * (y**2 + np.mean(y**2))
-    best = _best_fit(response, y, noise, numerical)
-    sd = response.evaluate(best[None])[1]
+
+    def share_of(z: Array) -> Array:
+        return np.asarray(quantity.numerical**2 * (z**2 + np.mean(z**2)) + dense.extra)
+
+    best, eta = _best_fit(response, shift, y, noise, share_of(y))
+    (gain,), (offset,) = shift.at(eta[None])
+    numerical = share_of(y - offset)
+    at_best, sd = response.evaluate(best[None])
     # the surrogate's error in z is correlated: R C R^T, scaled to its sd at the best fit
-    covariance = r @ model.surrogate.mode_covariance(reading.time_h) @ r.T
-    root = sd[0] / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    covariance = r @ surrogate.mode_covariance(reading.time_h) @ r.T
+    root = gain * sd[0] / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     unknown = covariance * np.outer(root, root) + np.diag(numerical)
+    unknown += seen[0].left ** 2 * np.outer(y, y)
     whiten = np.linalg.inv(np.linalg.cholesky(unknown + noise**2 * np.eye(len(y))))
-    weight = _directions(response, best, whiten).T @ whiten  # (Q, J)
+    kept = shift.directions(at_best[0], whiten)
+    weight = _directions(response, best, whiten, kept).T @ whiten  # (Q, J)
     share = np.sqrt(np.sum(weight**2, axis=1))
     weight /= share[:, None]  # a row's noise is sigma² + extra
     extra = np.maximum(1.0 / share**2 - noise**2, 0.0)
@@ -102,7 +171,52 @@ def scan_rows(
         zero,
         np.zeros((len(weight), response.a.shape[1])),
     )
-    return ScanRows(mixed, weight @ y, extra, dense)
+    rows = tuple(
+        Affine(
+            seen[0].gain, tuple((float(k), (c,)) for k, c in zip(row, dense.offset, strict=True))
+        )
+        for row in weight @ moved
+    )
+    return ScanRows(mixed, weight @ y, extra, dense, rows)
+
+
+def _split(
+    model: Model, reading: Inspection, sigma: str | float, q: Array, seen: Sequence[Affine]
+) -> tuple[Dense, _Shift, Array]:
+    """The remainder, the discrepancy of z under its priors, and Q^T D (J, 0 or 3)."""
+    quantity = model.network.quantity(reading.quantity)
+    readings = reading.values.reshape(-1)
+    y = q.T @ readings
+    rss, dof = max(float(readings @ readings - y @ y), 0.0), readings.size - y.size
+    priors = parameters(model, quantity) | {p.name: p.prior for p in model.network.parameters}
+    extra = seen[0].sigma ** 2
+    zero = np.zeros(len(y))
+    none = np.zeros((len(y), 0))
+    if not seen[0].offset:
+        gain = _moments(seen[0].gain, priors)
+        shift = _Shift((1 + gain[0], gain[1]), zero, none, np.zeros((0, 0)), np.zeros(0))
+        return Dense(sigma, rss, dof, extra), shift, none
+    names = tuple(name for one in seen for _, (name,) in one.offset)
+    mean, sd = np.array([_moments(one.offset, priors) for one in seen]).T
+    repeat = np.tile(np.eye(len(AXES)), (reading.values.shape[0], 1))
+    moved = q.T @ repeat
+    across = repeat - q @ moved
+    bend = across.T @ across
+    centre = np.asarray(np.linalg.lstsq(across, readings - q @ y, rcond=1e-6)[0], float)
+    rss = float(np.sum((readings - q @ y - across @ centre) ** 2))
+    value, vector = np.linalg.eigh(bend)
+    root = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T
+    shift = _Shift((1.0, 0.0), moved @ mean, moved * sd, root * sd, root @ (centre - mean))
+    return Dense(sigma, rss, dof, extra, names, centre, bend), shift, moved
+
+
+def _moments(terms: Sequence[Term], priors: Mapping[str, Prior]) -> tuple[float, float]:
+    """Mean and standard deviation of a sum of terms under the priors, by 4,096 draws."""
+    rng = np.random.default_rng(0)
+    names = sorted({name for _, several in terms for name in several})
+    draws = {name: priors[name].quantile(rng.random(4096)) for name in names}
+    values = total(terms, draws.__getitem__)
+    return float(np.mean(values)), float(np.std(values))
 
 
 def _noise_guess(model: Model, reading: Inspection, dense: Dense) -> float:
@@ -113,38 +227,46 @@ def _noise_guess(model: Model, reading: Inspection, dense: Dense) -> float:
     return math.exp(0.5 * sum(model.network.quantity(reading.quantity).sigma_obs.box))
 
 
-def _best_fit(response: Response, y: Array, noise: float, numerical: Array) -> Array:
-    """Inputs that fit best, by least squares from the best of many starts."""
+def _best_fit(
+    response: Response, shift: _Shift, y: Array, noise: float, unknown: Array
+) -> tuple[Array, Array]:
+    """Inputs, and eta of the discrepancy, that fit best: least squares from the best of many."""
     d = len(response.names)
-    start = qmc.Sobol(d, scramble=True, rng=np.random.default_rng(0)).random(STARTS)
-    x = response.low + start * (response.high - response.low)
+    start = qmc.Sobol(d + shift.dim, scramble=True, rng=np.random.default_rng(0)).random(STARTS)
+    x = response.low + start[:, :d] * (response.high - response.low)
+    eta = ndtri(np.clip(start[:, d:], 1e-6, 1 - 1e-6))
     mean, sd = response.evaluate(x)
-    score = np.sum(
-        (mean - y) ** 2 / (noise**2 + numerical + sd**2) + np.log(noise**2 + numerical + sd**2),
-        axis=1,
-    )
-    weights = 1.0 / np.sqrt(noise**2 + numerical)
+    gain, offset = shift.at(eta)
+    variance = noise**2 + unknown + sd**2
+    score = np.sum((gain * mean + offset - y) ** 2 / variance + np.log(variance), axis=1)
+    weights = 1.0 / np.sqrt(noise**2 + unknown)
 
-    def miss(unit: Array) -> Array:
-        at = response.low + unit * (response.high - response.low)
-        return np.asarray((response.evaluate(at[None])[0][0] - y) * weights)
+    def miss(at: Array) -> Array:
+        x, eta = response.low + at[:d] * (response.high - response.low), at[d:]
+        gain, offset = shift.at(eta[None])
+        fit = (gain[0] * response.evaluate(x[None])[0][0] + offset[0] - y) * weights
+        told = eta[len(eta) - shift.column.shape[1] :]
+        return np.concatenate([fit, eta, (shift.told @ told - shift.miss) / noise])
 
+    low, high = np.r_[np.zeros(d), np.full(shift.dim, -6.0)], np.r_[np.ones(d), [6.0] * shift.dim]
+    begin = np.hstack([np.clip(start[:, :d], 1e-6, 1 - 1e-6), eta])
     fits = [
-        least_squares(miss, np.clip(start[i], 1e-6, 1 - 1e-6), bounds=(0, 1), max_nfev=40)
+        least_squares(miss, begin[i], bounds=(low, high), max_nfev=40)
         for i in np.argsort(score)[:3]
     ]
-    best = min(fits, key=lambda f: f.cost)
-    return np.asarray(response.low + best.x * (response.high - response.low))
+    best = min(fits, key=lambda f: f.cost).x
+    return np.asarray(response.low + best[:d] * (response.high - response.low)), best[d:]
 
 
-def _directions(response: Response, best: Array, whiten: Array) -> Array:
-    """Orthonormal directions (J, Q) along which the whitened rows vary around the best fit."""
+def _directions(response: Response, best: Array, whiten: Array, kept: Array) -> Array:
+    """Orthonormal directions (J, Q): `kept`, and those in which the whitened rows vary across."""
     d = len(best)
     half = 0.5 * (response.high - response.low)
 
     def whitened(unit: Array) -> Array:
         inside = np.clip(best + unit * half, response.low, response.high)
-        return np.asarray(response.evaluate(inside)[0] @ whiten.T)
+        values = response.evaluate(inside)[0] @ whiten.T
+        return np.asarray(values - (values @ kept) @ kept.T)
 
     step = 1e-4 * np.eye(d)
     jacobian = (whitened(step) - whitened(-step)).T / 2e-4
@@ -153,4 +275,5 @@ def _directions(response: Response, best: Array, whiten: Array) -> Array:
     cloud = np.random.default_rng(0).standard_normal((SAMPLE, len(s))) * spread @ turn
     values = whitened(cloud)
     u, _, _ = np.linalg.svd((values - values.mean(axis=0)).T, full_matrices=False)
-    return np.asarray(u[:, : min(DIRECTIONS, len(whiten))])
+    more = min(DIRECTIONS, len(whiten) - kept.shape[1])
+    return np.asarray(np.hstack([kept, u[:, :more]]))

@@ -3,30 +3,34 @@
 A blade's rows are polynomials of the model's inputs (`core.response`), scaled to the boxes of the
 priors; each row has a reading and a noise, which is a shared parameter sigma_obs of its quantity
 or, where the inspection says so, known. A normal prior of a local parameter is one more row,
-linear in it.
+linear in it; with a population its reading and noise are the shared mean and sd.
 
-A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`).
+A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`). What the model gets wrong
+(`core.discrepancy`) is carried by each row as a gain and an offset in shared parameters.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.scans import Dense, scan_rows
+from core.discrepancy import NONE, Affine, affine, parameters
 from core.errors import InputError
-from core.model import Model
+from core.model import Model, Stacked
 from core.network import Parameter, Prior
 from core.observation import Inspection, digest_of
 from core.response import Response, multi_indices
 
 Array = NDArray[np.float64]
 DEGREE = 5
+TAILS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,29 +41,56 @@ class BladeRows:
     y         readings, (R,)
     sigma     per row: the name of a shared sigma_obs, or a known value
     extra     per row: variance beside the noise and the surrogate's, (R,) [unit²]
+    relative  per row: error in proportion to the model's answer, (R,) [1]
     dense     remainders of scans
+    discrepancy  of each row
     digest    of the readings
+    populations  (row, name of the shared mean, low, high) of each local parameter with a population
+    discount  per row: what its variance is multiplied by, (R,); 1 without forgetting
+    effective number of readings that forgetting leaves
     """
 
     response: Response
     y: Array
     sigma: tuple[str | float, ...]
     extra: Array
+    relative: Array
     dense: tuple[Dense, ...]
+    discrepancy: tuple[Affine, ...]
     digest: str
+    populations: tuple[tuple[int, str, float, float], ...]
+    discount: Array
+    effective: float
 
     @property
-    def shared_sigmas(self) -> tuple[str, ...]:
-        names = [s for s in (*self.sigma, *(d.sigma for d in self.dense)) if isinstance(s, str)]
-        return tuple(sorted(set(names)))
+    def shared(self) -> frozenset[str]:
+        """Names of the noises and of the discrepancies' parameters that these rows see."""
+        noises = {s for s in (*self.sigma, *(d.sigma for d in self.dense)) if isinstance(s, str)}
+        return frozenset(noises.union(*(one.names for one in self.discrepancy)))
+
+
+class JointPrior(Protocol):
+    """A prior of several shared parameters together, in place of their own ones."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def summary(self) -> Mapping[str, Any]: ...
+    def log_density(self, unit: Array) -> Array: ...
 
 
 @dataclass(frozen=True, slots=True)
 class SharedSpace:
-    """The shared parameters as a unit box: physical ones first, then the noise of each quantity."""
+    """The shared parameters as a unit box: physical ones, noises, theta of the discrepancies.
+
+    joint  prior of several of them together
+    tails  how many times more nodes than usual: a population's sd has a long tail
+    """
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
+    joint: JointPrior | None = None
+    tails: int = 1
 
     @property
     def dim(self) -> int:
@@ -76,21 +107,52 @@ class SharedSpace:
     def log_prior(self, unit: Array) -> Array:
         """Log density with respect to the unit box, (n,)."""
         total = np.zeros(len(unit))
+        together = () if self.joint is None else self.joint.names
+        if self.joint is not None:
+            total += self.joint.log_density(unit[:, [self.names.index(n) for n in together]])
         for j, prior in enumerate(self.priors):
+            if self.names[j] in together:
+                continue
             low, high = prior.box
             total += prior.log_density_u(low + unit[:, j] * (high - low)) + math.log(high - low)
         return total
 
 
-def shared_space(model: Model, rows: Iterable[BladeRows]) -> SharedSpace:
-    """Shared parameters that the readings can speak of; a noise nobody measured keeps its prior."""
-    physical = model.network.of_level("shared")
-    met = {name for r in rows for name in r.shared_sigmas}
-    noises = [q for q in model.network.quantities if q.sigma_name in met]
-    return SharedSpace(
-        (*(p.name for p in physical), *(q.sigma_name for q in noises)),
-        (*(p.prior for p in physical), *(q.sigma_obs for q in noises)),
-    )
+def shared_priors(model: Model) -> dict[str, Prior]:
+    """Declared priors of all shared parameters but the noises of single instruments."""
+    found = {p.name: p.prior for p in model.network.of_level("shared")}
+    found |= {n: prior for p in locals_of(model) for n, prior in p.hyperparameters.items()}
+    found |= {q.sigma_name: q.sigma_obs for q in model.network.quantities}
+    return found | {
+        n: prior for q in model.network.quantities for n, prior in parameters(model, q).items()
+    }
+
+
+def shared_prior(model: Model, name: str) -> Prior:
+    """The declared prior of a shared parameter: physical, a noise, or of a discrepancy."""
+    found = shared_priors(model).get(name.split("@")[0])
+    if found is None:
+        raise InputError(
+            "shared parameter", name, "does not exist here", "declare it, with its bounds"
+        )
+    return found
+
+
+def shared_space(
+    model: Model, rows: Iterable[BladeRows], joint: JointPrior | None = None
+) -> SharedSpace:
+    """Shared parameters that the readings can speak of; what nobody measured keeps its prior."""
+    met: set[str] = set(joint.names if joint else ()).union(*(r.shared for r in rows))
+    quantities = model.network.quantities
+    hyper = {n: prior for p in locals_of(model) for n, prior in p.hyperparameters.items()}
+    found = {p.name: p.prior for p in model.network.of_level("shared")} | hyper
+    for q in quantities:
+        of_each = f"{q.sigma_name}@"
+        names = sorted(n for n in met if n == q.sigma_name or n.startswith(of_each))
+        found |= dict.fromkeys(names, q.sigma_obs)
+    for q in quantities:
+        found |= {n: prior for n, prior in parameters(model, q).items() if n in met}
+    return SharedSpace(tuple(found), tuple(found.values()), joint, TAILS if hyper else 1)
 
 
 def _boxed(model: Model, response: Response) -> Response:
@@ -125,15 +187,18 @@ def _node_of(model: Model, reading: Inspection) -> list[int] | None:
         return None
     if reading.nodes is not None:
         return [int(n) for n in reading.nodes]
-    return [model.surrogate.named[quantity.node or "critical"]]
+    return [model.part(reading.quantity).named[quantity.node or "critical"]]
 
 
-def _gaussian_prior_rows(model: Model, like: Response) -> list[tuple[Response, float, float]]:
-    """A row (response, mean, sd) for each local parameter with a normal prior."""
-    found = []
+def _gaussian_prior_rows(
+    model: Model, like: Response
+) -> list[tuple[Response, Parameter, float | str]]:
+    """A row (response, parameter, sd) for each local parameter with a normal prior."""
+    found: list[tuple[Response, Parameter, float | str]] = []
     for j, name in enumerate(like.names):
         parameter = model.network.parameter(name)
-        if parameter.level == "local" and parameter.prior.kind == "normal":
+        drawn = parameter.population is not None or parameter.prior.kind == "normal"
+        if parameter.level == "local" and drawn:
             half = 0.5 * (like.high[j] - like.low[j])
             a = np.zeros((1, like.a.shape[1]))
             a[0, 0] = like.low[j] + half
@@ -153,26 +218,60 @@ def _gaussian_prior_rows(model: Model, like: Response) -> list[tuple[Response, f
                 np.zeros(1),
                 zero,
             )
-            found.append((row, parameter.prior.mean, parameter.prior.sd))
+            sd = f"sd.{name}" if parameter.population is not None else parameter.prior.sd
+            found.append((row, parameter, sd))
     return found
+
+
+def _inputs(
+    model: Model, readings: Sequence[Inspection]
+) -> tuple[tuple[str, ...], Array, Array] | None:
+    """Inputs that a component's readings depend on, and their boxes; None where that is all."""
+    if not isinstance(model.surrogate, Stacked):
+        return None
+    met = {i.name for r in readings for i in model.part(r.quantity).inputs}
+    inputs = [i for i in model.surrogate.inputs if i.name in met]
+    names = tuple(i.name for i in inputs)
+    model.few_locals(names, f"component {readings[0].blade}")
+    boxes = []
+    for i in inputs:
+        p = model.network.parameter(i.name)
+        calibrated = p.level in ("local", "shared")
+        boxes.append((p.prior.low, p.prior.high) if calibrated else (i.low, i.high))
+    low, high = np.array(boxes).T
+    return names, low, high
 
 
 def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     """The rows of one blade; None where it has no reading."""
     if not readings:
         return None
+    names = _inputs(model, readings)
     parts: list[Response] = []
     y: list[Array] = []
     sigma: list[str | float] = []
     dense: list[Dense] = []
     extra: list[Array] = []
+    relative: list[float] = []
+    wrong: list[Affine] = []
+    discount: list[float] = []
+    latest = max(r.time_h for r in readings)
+
+    def age(reading: Inspection) -> float:
+        """In half-lives, from the component's latest reading."""
+        half_life = model.network.forgetting_h
+        return 0.0 if half_life is None else (latest - reading.time_h) / half_life
+
     for reading in sorted(readings, key=lambda i: (i.time_h, i.id)):
         quantity = model.network.quantity(reading.quantity)
-        name = reading.sigma if reading.sigma is not None else quantity.sigma_name
+        name = reading.sigma if reading.sigma is not None else quantity.sigma_of(reading.instrument)
         if quantity.kind == "vector":
             scan = scan_rows(model, reading, name, partial(_boxed, model), DEGREE)
-            response, values, more = scan.response, scan.y, scan.extra
+            response, values = scan.response, scan.y
             dense.append(scan.dense)
+            extra.append(scan.extra)
+            relative += [0.0] * len(response)
+            wrong += scan.discrepancy
         else:
             nodes = _node_of(model, reading)
             times = np.array([reading.time_h])
@@ -180,41 +279,61 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
             response = _rows(
                 model,
                 key,
-                lambda q=reading.quantity, t=times, n=nodes: model.surrogate.response(
+                lambda q=reading.quantity, t=times, n=nodes: model.part(q).response(
                     q, t, n, degree=DEGREE
                 ),
             )
             values = reading.values
-            more = (quantity.numerical * values) ** 2
-        parts.append(response)
-        extra.append(more)
+            one = affine(model, quantity, reading.time_h)
+            extra.append(np.array([one.sigma**2]))
+            relative.append(math.hypot(quantity.numerical, one.left))
+            wrong.append(one)
+        parts.append(response if names is None else response.over(*names))
         y.append(values)
         sigma += [name] * len(response)
-    for row, mean, sd in _gaussian_prior_rows(model, parts[0]):
+        discount += [2.0 ** age(reading)] * len(response)
+    populations = []
+    for row, parameter, sd in _gaussian_prior_rows(model, parts[0]):
+        prior = parameter.prior
+        if parameter.population is not None:
+            populations.append((len(sigma), f"mean.{parameter.name}", prior.low, prior.high))
         parts.append(row)
-        y.append(np.array([mean]))
+        y.append(np.array([prior.mean]))
         sigma.append(sd)
         extra.append(np.zeros(1))
+        relative.append(0.0)
+        wrong.append(NONE)
+        discount.append(1.0)
+    weight = np.array(discount)
+    response = Response.stack(parts)
     return BladeRows(
-        Response.stack(parts),
+        replace(response, ka=response.ka * np.sqrt(weight), kb=response.kb * np.sqrt(weight)),
         np.concatenate(y),
         tuple(sigma),
         np.concatenate(extra),
+        np.array(relative),
         tuple(dense),
+        tuple(wrong),
         digest_of(readings),
+        tuple(populations),
+        weight,
+        sum(0.5 ** age(reading) for reading in readings),
     )
 
 
-def locals_of(model: Model) -> tuple[Parameter, ...]:
-    """Local parameters that are inputs of the surrogate, in the surrogate's order."""
-    names = [n for n in model.input_names if model.network.parameter(n).level == "local"]
-    return tuple(model.network.parameter(n) for n in names)
+def locals_of(model: Model, names: Sequence[str] | None = None) -> tuple[Parameter, ...]:
+    """Local parameters among `names` (default: the surrogate's inputs), in their order."""
+    inputs = model.input_names if names is None else names
+    found = [model.network.parameter(n) for n in inputs]
+    return tuple(p for p in found if p.level == "local")
 
 
-def nominal(model: Model, given: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Values of the inputs that are not calibrated: known ones as given, the rest nominal."""
+def nominal(
+    model: Model, names: Sequence[str], given: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Values of the inputs `names` that are not calibrated: known ones as given, else nominal."""
     out = {}
-    for name in model.input_names:
+    for name in names:
         parameter = model.network.parameter(name)
         if parameter.level in ("known", "dormant"):
             value = (given or {}).get(name, parameter.nominal)

@@ -56,7 +56,7 @@ def test_without_the_stamp_the_old_code_would_run(tmp_path: Path) -> None:
 
 def test_the_stamp_is_that_of_the_sources(tmp_path: Path) -> None:
     room = Path(kernel.__file__).parent
-    assert kernel.messages._cache._cache_file._source_stamp == stamp_of(room)  # type: ignore[attr-defined]
+    assert kernel.volume_messages._cache._cache_file._source_stamp == stamp_of(room)  # type: ignore[attr-defined]
     (tmp_path / "a.py").write_text("x = 1\n")
     before = stamp_of(tmp_path)
     stamp_of.cache_clear()

@@ -1,0 +1,129 @@
+"""Is a state to be trusted, and if not, why: stated with the state, never silent.
+
+    ok            the nodes carry the posterior, and every blade fits the rotor
+    degenerate    they do not: too few effective nodes, or tempered until the state is sealed
+    contradicted  a blade's readings cannot be what the rotor's best parameters give
+
+A blade contradicts where even its best local parameters, at the best shared node s*, leave
+residuals that noise does not: with chi² the least Σ (y − Y_m)² / var over the box of local
+parameters and R rows, where P(chi²_R > chi²) < e^−20. As m_b(s*) is an average of exp(−chi²/2) over
+that box, times the density of residuals of zero, most blades are cleared by their message alone,
+without a fit. For the others a second fit, the shared parameters free and the noise as it is, tells
+whether the blade contradicts the rotor or the model altogether (or itself).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from core.calibration.message import BladeMessage
+from core.smc.placement import sobol
+
+Array = NDArray[np.float64]
+FLOOR = 0.3  # share of the nodes that carries a sealed posterior
+QUICK_FLOOR = 0.1  # and a provisional one
+IMPROBABLE = -20.0  # log probability below which residuals are no noise
+STARTS = 256
+
+
+def contradictions(
+    messages: Mapping[str, BladeMessage], columns: Mapping[str, Array], unit: Array, log_p: Array
+) -> list[dict[str, Any]]:
+    """Blades whose readings no noise explains at the best of the nodes `unit` (K, d).
+
+    Each with misfit_nat, chi²/2 at that node; own_nat, the same with the shared parameters free;
+    and the number of rows.
+    """
+    at = unit[[int(np.argmax(log_p))]]
+    found = []
+    for blade in sorted(columns):
+        message = messages[blade]
+        y, s2, rest = message.readings(at)
+        density = columns[blade][np.argmax(log_p)] - rest[0] - message.packed.offset
+        bound = -(density + 0.5 * float(np.sum(np.log(2 * np.pi * s2))))
+        if not _improbable(bound, y.shape[1]):
+            continue
+        misfit = best_fit(message, at, "local")
+        if _improbable(misfit, y.shape[1]):
+            own = min(best_fit(message, at, "local", "shared"), misfit)
+            nats = {"misfit_nat": round(misfit, 1), "own_nat": round(own, 1)}
+            found.append({"blade": blade, **nats, "rows": y.shape[1]})
+    return found
+
+
+def _improbable(nats: float, rows: int) -> bool:
+    """True where chi² = 2 nats of `rows` rows is no noise, or not a number.
+
+    >>> _improbable(15.0, 2), _improbable(30.0, 2), _improbable(30.0, 40)
+    (False, True, False)
+    """
+    return not chi2.logsf(2 * nats, rows) > IMPROBABLE
+
+
+def best_fit(message: BladeMessage, at: Array, *free: str) -> float:
+    """Least chi²/2 of a blade's rows over its parameters of levels `free`, the others at s*."""
+    response, space = message.rows.response, message.space
+    y, s2, _ = message.readings(at)
+    x0 = 0.5 * (response.low + response.high)
+    moved = []
+    for j, name in enumerate(response.names):
+        if name in message.fixed:
+            x0[j] = message.fixed[name]
+        elif name in space.names:
+            x0[j] = space.to_x(at)[0, space.names.index(name)]
+        if message.model.network.parameter(name).level in free:
+            moved.append(j)
+
+    def residuals(share: Array) -> Array:
+        x = np.tile(x0, (len(share), 1))
+        x[:, moved] = response.low[moved] + share * (response.high - response.low)[moved]
+        mean, sd = response.evaluate(x)
+        return np.asarray((mean - y) / np.sqrt(s2 + sd**2))
+
+    if not moved:
+        return float(0.5 * np.sum(residuals(np.zeros((1, 0))) ** 2))
+    starts = sobol(STARTS, len(moved), 0)
+    order = np.argsort(np.sum(residuals(starts) ** 2, axis=1))
+    fits = [
+        least_squares(lambda u: residuals(u[None])[0], starts[i], bounds=(0, 1), max_nfev=60)
+        for i in order[:3]
+    ]
+    return float(min(fit.cost for fit in fits))
+
+
+def verdict(
+    health: Mapping[str, Any], contradicted: Sequence[Mapping[str, Any]], *, sealed: bool
+) -> dict[str, Any]:
+    """`health` with its outcome: status, reasons, met_floor and the blades that contradict."""
+    floor = FLOOR if sealed else QUICK_FLOOR
+    reasons = []
+    if not health["ess_ratio"] >= floor:
+        reasons.append(
+            f"{health['ess']:g} of {health['nodes']} nodes carry the posterior, "
+            f"less than {floor:g} of them: its spread is not to be trusted"
+        )
+    if health["tempered"] < 1:
+        reasons.append(f"tempered to {health['tempered']:g}: wider than the readings say")
+    met = not reasons
+    for one in contradicted:
+        explained = not _improbable(one["own_nat"], one["rows"])
+        other = (
+            f"its own best fit by {one['own_nat']:g}: it contradicts the rotor"
+            if explained
+            else f"any shared parameters by {one['own_nat']:g}: it contradicts the model or itself"
+        )
+        miss = f"the rotor's best fit by {one['misfit_nat']:g} nat"
+        reasons.append(f"blade {one['blade']} misses {miss}, {other}")
+    return {
+        **health,
+        "status": "contradicted" if contradicted else "ok" if met else "degenerate",
+        "reasons": reasons,
+        "met_floor": met,
+        "contradicted": [dict(one) for one in contradicted],
+    }

@@ -1,0 +1,17 @@
+"""The commands `bladetwin study …`: long statistical checks with results that are kept.
+
+A result is a folder with a JSON file (command, seed, commit, model and every figure) and its plots;
+those of a release lie under ``tests/claims/results/``. The tests run a short version of each.
+"""
+
+from __future__ import annotations
+
+import typer
+
+from service.studies.result import commit
+
+app = typer.Typer(help="Statistical studies.", no_args_is_help=True)
+
+from service.studies import commands as commands  # noqa: E402  (they register with `app`)
+
+__all__ = ["app", "commit"]

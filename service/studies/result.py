@@ -1,0 +1,35 @@
+"""What every study's result holds, and where it is written."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import typer
+
+
+def commit() -> str | None:
+    """The checkout's commit, where there is one."""
+    try:
+        done = subprocess.run(
+            ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True, timeout=10
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+def write(result: dict[str, Any], made_by: str | None, out: Path | None) -> None:
+    """A study's result on stdout, and as ``result.json`` in the folder `out`.
+
+    made_by   the commit when the study began: a checkout may move on meanwhile
+    """
+    head = {"command": " ".join(["bladetwin", *sys.argv[1:]]), "commit": made_by}
+    text = json.dumps(head | result, indent=1)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "result.json").write_text(text + "\n")
+    typer.echo(text)

@@ -1,0 +1,36 @@
+"""The study commands write what they say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from service.cli import app
+
+
+def invoke(*words: str | Path) -> str:
+    done = CliRunner().invoke(app, [str(w) for w in words], catch_exceptions=False)
+    assert done.exit_code == 0
+    return done.stdout
+
+
+def test_a_coverage_study_leaves_a_result_and_two_plots(tmp_path: Path) -> None:
+    small = ("--rotors", "2", "--blades", "2", "--particles", "500", "--work", tmp_path / "work")
+    said = invoke("study", "coverage", "rotor-20", *small, "--out", tmp_path / "out")
+    kept = json.loads((tmp_path / "out/result.json").read_text())
+    assert json.loads(said) == kept
+    assert kept["command"].startswith("bladetwin")
+    assert {"commit", "model", "seed", "seconds", "table", "passed"} <= kept.keys()
+    assert kept["table"]["creep_steady"]["truths"] == 4
+    for plot in ("ranks.png", "coverage.png"):
+        assert (tmp_path / "out" / plot).read_bytes().startswith(b"\x89PNG")
+    assert len((tmp_path / "out/ranks.png").read_bytes()) > 20_000
+
+
+def test_a_seed_study_says_the_spread_of_every_mean(tmp_path: Path) -> None:
+    small = ("--seeds", "2", "--rotors", "1", "--blades", "2", "--particles", "500")
+    kept = json.loads(invoke("study", "seeds", "rotor-20", *small))
+    assert kept["seeds"] == 2
+    assert kept["table"]["ceeq at 32000 h"]["means"] == 2
