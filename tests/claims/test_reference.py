@@ -1,33 +1,33 @@
-"""Our posteriors against stored reference posteriors (numpyro's NUTS; `core.validation.nuts`).
+"""Our posteriors against stored reference posteriors (numpyro's NUTS; `core.validation.reference`).
 
-The files were made by ``bladetwin study reference``; nothing here needs numpyro but the test of the
-target itself, which is skipped without it.
+The files were made by ``bladetwin study reference``; nothing here needs numpyro. Ours have 10,000
+particles per blade, as the service keeps them. The acceptance is `core.validation.compare`'s: means
+within 0.1 sd, sd ratios 0.95 … 1.05, correlations within 0.05, of every blade and every parameter,
+predictions too; log evidence within 0.1.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from core.calibration.message import BladeMessage
 from core.calibration.online import update
-from core.calibration.state import RotorSpec, RotorState
-from core.calibration.target import assemble
+from core.calibration.state import Posterior, RotorSpec, RotorState
+from core.calibration.target import assemble, shared_space
 from core.model import Model, rotor_blade
-from core.validation.compare import Comparison, Stored, of_state
-from core.validation.nuts import Target
-from service.study_reference import readings_of
+from core.observation import Inspection
+from core.smc.particles import Particles
+from core.validation.compare import EVIDENCE, Comparison, Moments, posteriors
+from core.validation.joint import Target
+from core.validation.reference import ROTORS, Stored
 
 FOLDER = Path(__file__).with_name("results") / "reference"
-ROTORS = sorted(path.stem for path in FOLDER.glob("*.json"))
-
-
-@lru_cache
-def model() -> Model:
-    return rotor_blade()
+KEPT = sorted(path.stem for path in FOLDER.glob("*.json"))
 
 
 @lru_cache
@@ -37,63 +37,141 @@ def kept(name: str) -> Stored:
 
 @lru_cache
 def calibrated(name: str) -> RotorState:
-    return update(model(), kept(name).rotor, kept(name).readings)
+    one = kept(name)
+    return update(one.model, one.rotor, one.readings)
 
 
-def compared(name: str, state: RotorState) -> Comparison:
-    return Comparison.of(of_state(model(), kept(name).rotor, state), kept(name).moments)
+def compared(name: str, wrong: Callable[[Posterior], Posterior] = lambda right: right) -> Comparison:
+    """Our posterior of a rotor, made wrong or not, against its reference."""
+    one = kept(name)
+    found = posteriors(one.rotor, calibrated(name))
+    ours = Moments.of(one.model, one.rotor, {b: wrong(p) for b, p in found.items()})
+    return Comparison.of(ours, one.moments)
 
 
-@pytest.mark.parametrize("name", ROTORS)
+def test_there_are_references_enough() -> None:
+    assert len(KEPT) >= 4
+    assert set(KEPT) <= set(ROTORS)
+    for name in KEPT:
+        size = sum((FOLDER / name).with_suffix(end).stat().st_size for end in (".json", ".npz"))
+        assert size < 300_000
+
+
+@pytest.mark.parametrize("name", KEPT)
 def test_the_references_have_converged(name: str) -> None:
-    """R-hat, effective draws of every parameter, and the thinned draws against all of them."""
+    """R-hat, effective draws and Monte-Carlo errors; the thinned draws against all of them."""
     head, m = kept(name).head, kept(name).moments
-    assert head["worst_r_hat"] < 1.05
-    assert head["least_ess_of_blades"] > 200
+    assert head["r_hat"] < 1.01
+    assert min(head["ess"]["shared_bulk"], head["ess"]["shared_tail"]) >= 4000
+    assert min(head["ess"].values()) >= 1000
+    assert max(head["errors"].values()) < 0.05
     assert head["nuts"]["divergences"] < 0.01 * head["nuts"]["draws"] * head["nuts"]["chains"]
     shared = kept(name).shared
     first = len(m.names) - 1 - shared.shape[1]
-    for j in range(shared.shape[1]):
-        far = 5 * np.hypot(1 / np.sqrt(len(shared)), m.error_mean[0, first + j])
-        assert abs(shared[:, j].mean() - m.mean[0, first + j]) < far * m.sd[0, first + j]
+    far = np.abs(shared.mean(axis=0) - m.mean[0, first:-1]) / m.sd[0, first:-1]
+    assert np.all(far < 4.5 / np.sqrt(len(shared)))
 
 
-@pytest.mark.parametrize("name", ROTORS)
+@pytest.mark.parametrize("name", KEPT)
 def test_means_spreads_and_correlations_are_those_of_the_reference(name: str) -> None:
-    """Within 0.1 sd, 5 % and 0.05, beyond which only Monte-Carlo errors of the reference are let.
-
-    Every parameter of every blade, the shared ones and predictions; none is left out.
-    """
-    found = compared(name, calibrated(name)).beyond(errors=3.0)
+    """Every parameter of every blade, the shared ones and predictions; none is left out."""
+    found = compared(name).beyond()
     assert not any(found.values()), found
 
 
-@pytest.mark.parametrize("name", ROTORS[:1])
-def test_a_posterior_of_other_readings_is_told_apart(name: str) -> None:
-    """Negative control: one blade's readings higher by half the noise."""
-    blade = kept(name).rotor.blades[0]
-    sigma = kept(name).head["truth"]["sigma_obs.elongation"]
-    moved = [
-        replace(i, values=i.values + 0.5 * sigma) if i.blade == blade else i
-        for i in kept(name).readings
+@pytest.mark.parametrize("name", KEPT)
+def test_the_evidence_is_that_of_the_reference(name: str) -> None:
+    """Importance sampling from NUTS's draws, wherever its own error is below 0.05."""
+    there = kept(name).head["log_evidence"]
+    if there["error"] > 0.05:
+        pytest.skip(f"its own error is {there['error']}")
+    assert abs(calibrated(name).meta["log_evidence"] - there["value"]) < EVIDENCE
+
+
+def wider(right: Posterior) -> Posterior:
+    """Local parameters 15 % further from their mean."""
+    psi, w = right.particles.psi.copy(), right.particles.w
+    own = psi[:, :3]
+    psi[:, :3] = w @ own + 1.15 * (own - w @ own)
+    return Posterior(right.names, Particles(psi, right.particles.log_w))
+
+
+def shifted(right: Posterior) -> Posterior:
+    """T1T by 0.2 sd."""
+    psi, w = right.particles.psi.copy(), right.particles.w
+    j = right.names.index("t1t_rate")
+    sd = np.sqrt(w @ (psi[:, j] - w @ psi[:, j]) ** 2)
+    psi[:, j] += 0.2 * sd
+    return Posterior(right.names, Particles(psi, right.particles.log_w))
+
+
+def apart(right: Posterior) -> Posterior:
+    """Local parameters that know nothing of the shared ones."""
+    rng, n = np.random.default_rng(0), 10_000
+    one, other = (rng.choice(len(right.particles.w), n, p=right.particles.w) for _ in range(2))
+    psi = np.concatenate([right.particles.psi[one, :3], right.particles.psi[other, 3:]], axis=1)
+    return Posterior(right.names, Particles(psi, np.zeros(n)))
+
+
+@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize(
+    ("wrong", "seen"), [(wider, "ratio"), (shifted, "mean"), (apart, "correlation")]
+)
+def test_a_wrong_posterior_fails_the_same_comparison(
+    name: str, wrong: Callable[[Posterior], Posterior], seen: str
+) -> None:
+    """Negative controls."""
+    assert compared(name, wrong).beyond()[seen]
+
+
+def readings() -> list[Inspection]:
+    """Two blades of a warm rotor."""
+    values = {"B1": (0.31, 0.44), "B2": (0.21, 0.52)}
+    return [
+        Inspection(f"{b}-{k}", b, "elongation", t, np.array([v]))
+        for b, own in values.items()
+        for k, (t, v) in enumerate(zip((8e3, 24e3), own, strict=True))
     ]
-    state = update(model(), kept(name).rotor, moved)
-    assert any(compared(name, state).beyond(errors=3.0).values())
 
 
-def test_the_sampled_target_is_the_product_of_the_readings_densities() -> None:
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return rotor_blade()
+
+
+def test_the_sampled_target_is_the_product_of_the_readings_densities(model: Model) -> None:
     """Against the rows themselves, at a point off every centre."""
-    _, readings, _ = readings_of(model(), "small")
-    blades = ("B000", "B001")
-    target = Target.of(model(), RotorSpec("small", blades), readings)
+    target = Target.of(model, RotorSpec("two", ("B1", "B2")), readings())
     rng = np.random.default_rng(3)
     shared, local, total = rng.random(2), rng.random((2, 3)), 0.0
-    for b, blade in enumerate(blades):
-        rows = assemble(model(), [i for i in readings if i.blade == blade])
+    for b, blade in enumerate(target.blades):
+        rows = assemble(model, [i for i in readings() if i.blade == blade])
         assert rows is not None
         u = target.low + np.concatenate([shared, local[b]]) * (target.high - target.low)
         x = dict(zip(target.shared + target.local, u, strict=True))
-        mean, sd = rows.response.evaluate(np.array([[x[n] for n in model().input_names]]))
-        var = np.exp(2 * u[1]) + rows.extra + sd[0] ** 2
+        mean, sd = rows.response.evaluate(np.array([[x[n] for n in model.input_names]]))
+        var = np.exp(2 * u[1]) + rows.extra + (rows.relative * rows.y) ** 2 + sd[0] ** 2
         total += float(np.sum(-0.5 * (rows.y - mean[0]) ** 2 / var - 0.5 * np.log(2 * np.pi * var)))
     assert abs(target.log_joint(np, shared, local) - total) < 1e-9 * abs(total)
+
+
+def test_a_message_is_the_sampled_target_integrated_over_a_blade(model: Model) -> None:
+    """By 48³ Gauss–Legendre points of one writing, nested adaptive quadrature of the other."""
+    target = Target.of(model, RotorSpec("two", ("B1", "B2")), readings())
+    x, w = np.polynomial.legendre.leggauss(48)
+    local = np.stack(np.meshgrid(*[(x + 1) / 2] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    log_w = np.log(np.einsum("i,j,k->ijk", w, w, w).ravel() / 8)
+    for b, blade in enumerate(target.blades):
+        rows = assemble(model, [i for i in readings() if i.blade == blade])
+        assert rows is not None
+        message = BladeMessage(model, rows, shared_space(model, [rows]), {})
+        own = target.blade == b
+        for shared in np.array([[0.3, 0.75], [0.6, 0.7], [0.8, 0.85]]):
+            u = target.low[:2] + shared * (target.high - target.low)[:2]
+            mean, var = (v[:, target.row[own]] for v in target.rows_at(np, shared, local))
+            var = var + target.extra[own] + np.exp(2 * u[1])
+            miss = (target.y[own] - mean) ** 2 / var
+            log_l = -0.5 * np.sum(miss + np.log(2 * np.pi * var), axis=1) + log_w
+            top = log_l.max()
+            found = top + np.log(np.exp(log_l - top).sum())
+            assert abs(message.column(shared[None])[0] - found) < 1e-3, (blade, shared)

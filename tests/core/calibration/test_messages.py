@@ -7,7 +7,8 @@ import pytest
 
 from core.calibration.draws import SHARE
 from core.calibration.message import BladeMessage
-from core.calibration.target import assemble, shared_space
+from core.calibration.target import assemble, locals_of, shared_space
+from core.model import rotor_blade
 from core.observation import Inspection
 from tests.core.calibration.bar import LOCAL, bar, creep
 
@@ -57,6 +58,30 @@ def test_message_agrees_with_a_dense_sum(
         assert value == pytest.approx(dense(message, 0.8 + 0.2 * u, sigma, 160), abs=0.01)
     rough = message.column(unit, rough=True)
     assert np.max(np.abs(rough - got)) > 0.01, "negative control: a glance does not pass"
+
+
+@pytest.mark.parametrize(("time_h", "value"), [(8e3, 0.15), (16e3, 0.1)])
+def test_a_single_low_reading_is_integrated_over_its_whole_surface(
+    time_h: float, value: float
+) -> None:
+    """A warm rotor, sigma 0.014 mm; once a climb that stalled left out the thin coatings."""
+    model = rotor_blade()
+    rows = assemble(model, [Inspection("i", "b", "elongation", time_h, np.array([value]))])
+    assert rows is not None
+    space = shared_space(model, [rows])
+    unit = np.array([[0.7, 0.5]])
+    shared = space.to_x(unit)[0]
+    z, w = np.polynomial.legendre.leggauss(40)
+    boxes = {p.name: p.prior.box for p in locals_of(model)}
+    axes = [low + (z + 1) / 2 * (high - low) for low, high in boxes.values()]
+    grid = dict(zip(boxes, (v.ravel() for v in np.meshgrid(*axes, indexing="ij")), strict=True))
+    x = np.column_stack([grid.get(n, np.full(z.size**3, shared[0])) for n in model.input_names])
+    mean, sd = (v[:, 0] for v in rows.response.evaluate(x))
+    var = shared[1] ** 2 + rows.extra + (rows.relative * rows.y) ** 2 + sd**2
+    weight = np.einsum("i,j,k->ijk", w, w, w).ravel() / 8
+    density = np.exp(-0.5 * (mean - value) ** 2 / var) / np.sqrt(2 * np.pi * var)
+    message = BladeMessage(model, rows, space, {})
+    assert message.column(unit)[0] == pytest.approx(np.log(weight @ density), abs=2e-3)
 
 
 def test_draws_estimate_the_message_and_stay_in_the_box() -> None:
