@@ -6,10 +6,9 @@ The shared nodes are placed in two steps. A descent on rough messages finds wher
 (`core.smc.placement`). What the rough messages miss is smooth: a quadratic through the difference
 at a few places mends them, and a second descent ends where the exact messages at the nodes give
 even weights. Where that fails (few readings of each blade, small noise: there rough messages are
-worst), a descent looks at the exact messages alone, and at last the nodes start again where the
-first descent ended. Everything
-is a function of the set of readings; the columns are kept, so that a new reading costs one blade's
-columns as long as the nodes stay.
+worst, and no quadratic mends them), a descent looks at the exact messages alone, and at last the
+nodes start again where the first descent ended. Everything is a function of the set of readings;
+the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
 """
 
 from __future__ import annotations
@@ -93,7 +92,7 @@ class Weighed:
         return ess(self.log_w) / len(self.log_w)
 
 
-FAR = 4.0  # spreads beyond which the quadratic that mends rough messages is not believed
+MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
 
 
 def node_count(dim: int) -> int:
@@ -102,23 +101,31 @@ def node_count(dim: int) -> int:
 
 
 def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Proposal:
-    """Where the descent begins: the whole box, but a scan's remainder already names its noise."""
+    """Where the descent begins: the whole box, but a scan's remainder names noise and offset."""
     mean, spread = np.full(space.dim, 0.5), np.full(space.dim, 1.0)
+    scans = [d for b in sorted(messages) for d in messages[b].rows.dense if d.dof > 50]
     for j, name in enumerate(space.names):
-        dense = [
-            d for m in messages.values() for d in m.rows.dense if d.sigma == name and d.dof > 50
-        ]
-        if dense:
+        low, high = space.priors[j].box
+        if dense := [d for d in scans if d.sigma == name]:
             dof = sum(d.dof for d in dense)
-            low, high = space.priors[j].box
             guess = 0.5 * np.log(max(sum(d.rss for d in dense), 1e-300) / dof)
-            mean[j] = np.clip((guess - low) / (high - low), 0.0, 1.0)
-            spread[j] = min(1.0, 6.0 / np.sqrt(2 * dof) / (high - low))
+            sd = 1.0 / np.sqrt(2 * dof)
+        elif dense := [d for d in scans if name in d.offset]:
+            # c ~ N(c_0, noise² A^-1) by the remainders alone
+            noise2 = sum(d.rss for d in dense) / sum(d.dof for d in dense)
+            bend, k = sum(d.bend for d in dense), dense[0].offset.index(name)
+            centres = np.sum([d.bend @ d.centre for d in dense], axis=0)
+            guess = np.linalg.lstsq(bend, centres, rcond=1e-9)[0][k]
+            sd = np.sqrt(noise2 * np.linalg.pinv(bend)[k, k])
+        else:
+            continue
+        mean[j] = np.clip((guess - low) / (high - low), 0.0, 1.0)
+        spread[j] = min(1.0, 6.0 * sd / (high - low))
     return Proposal(mean, np.diag(spread))
 
 
-def quadratic(unit: Array, values: Array, log_w: Array) -> Callable[[Array], Array]:
-    """The quadratic through values at nodes (n, d), by least squares.
+def quadratic(unit: Array, values: Array, log_w: Array) -> tuple[Callable[[Array], Array], float]:
+    """The quadratic through values at nodes (n, d) by least squares, and the rms it leaves.
 
     Nodes count by their weights `log_w`, tempered until half of them do.
     """
@@ -131,7 +138,8 @@ def quadratic(unit: Array, values: Array, log_w: Array) -> Callable[[Array], Arr
 
     root = np.sqrt(normalised(tempering_exponent(log_w, 0.5 * len(unit)) * log_w))
     coefficients = np.linalg.lstsq(basis(unit) * root[:, None], values * root, rcond=1e-8)[0]
-    return lambda at: basis(at) @ coefficients
+    left = (basis(unit) @ coefficients - values) * root
+    return lambda at: basis(at) @ coefficients, float(np.sqrt(np.sum(left**2)))
 
 
 def weigh(
@@ -162,7 +170,7 @@ def weigh(
     rough_end = Proposal(proposal.mean, proposal.chol * 1.5)
     unit, log_q = rough_end.nodes(sobol(32, d, seed + 2))
     exact, rough = (total(unit, rough_end.key, how) for how in ("exact", "rough"))
-    missing = quadratic(unit, exact - rough, exact - log_q)
+    missing, left = quadratic(unit, exact - rough, exact - log_q)
     wide = descend(
         lambda unit, key: total(unit, key, "rough") + missing(unit), rough_end, scouts, seed
     )
@@ -181,9 +189,7 @@ def weigh(
             start = improved(unit, log_p, log_q, 0.3)
         return best
 
-    spread = np.sqrt(np.sum(rough_end.chol**2, axis=1)) if rough_end.chol is not None else 1.0
-    mended = bool(np.all(np.abs(wide.mean - rough_end.mean) < FAR * spread))
-    best = settled(wide, 3) if mended else (-1.0, wide)
+    best = settled(wide, 3) if left < MISLED else (-1.0, wide)
     if best[0] < enough:  # the rough messages misled: look at nothing but the exact ones
         exactly = descend(
             lambda unit, key: total(unit, key, "exact"),

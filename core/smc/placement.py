@@ -145,13 +145,14 @@ def descend(
     scouts   nodes of each level (a power of two)
     """
     base = sobol(scouts, len(start.mean), seed)
-    proposal = start
+    proposal, seen = start, set[bytes]()
     for _ in range(max_levels):
         u, log_q = proposal.nodes(base)
         log_p = target(u, proposal.key)
         fits = ess(floored(log_p) - log_q) >= enough * scouts
+        seen.add(proposal.key)
         proposal = improved(u, log_p, log_q, enough)
-        if fits:
+        if fits or proposal.key in seen:
             break
     return proposal
 
