@@ -40,12 +40,12 @@ PARTICLES, ROUGH = 10_000, 60_000  # of each blade: as the service has them; to 
 ONE_OUTAGE = replace(plan("rotor-20", 12), name="one-outage", outages_h=(16e3,))
 # name: (variant, number of the simulated rotor)
 ROTORS: dict[str, tuple[Variant, int]] = {
-    "cold": (plan("rotor-20"), 6),  # T1T 0.833, sigma 0.011 mm
+    "cold": (plan("rotor-20", 10), 6),  # T1T 0.833, sigma 0.011 mm
     "one-outage": (ONE_OUTAGE, 0),
-    "at-bounds": (plan("coating-at-bounds", 20), 0),  # 0.899, 0.022
-    "thin-coating": (plan("thin-coating", 12), 0),  # 0.956, 0.059
+    "at-bounds": (plan("coating-at-bounds", 10), 0),  # 0.899, 0.022
+    "thin-coating": (plan("thin-coating", 10), 0),  # 0.956, 0.059
     "mixed": (plan("mixed", 8), 0),  # 0.888, 0.010
-    "hot-fe": (plan("fe-six-outages", 12), 5),  # 0.978, 0.016
+    "hot-fe": (plan("fe-six-outages", 10), 5),  # 0.978, 0.016
     "quiet": (plan("rotor-20", 8), 0),  # 0.924, 0.0025
 }
 ARRAYS = ("mean", "sd", "correlation")

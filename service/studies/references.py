@@ -70,5 +70,13 @@ def compared(file: Path, seeds: Sequence[int]) -> dict[str, Any]:
         "log_evidence": [round(v, 4) for v in evidence],
         "log_evidence_error": kept.head["log_evidence"]["error"],
         "first_seed": rows[0].table(),
-        "beyond": [row.beyond() for row in rows],
+        "worst": [
+            {
+                "mean": round(float(abs(row.mean).max()), 4),
+                "ratio": [round(float(v), 4) for v in (row.ratio.min(), row.ratio.max())],
+                "correlation": round(float(abs(row.correlation).max()), 4),
+                "beyond": {what: len(cases) for what, cases in row.beyond().items()},
+            }
+            for row in rows
+        ],
     }
