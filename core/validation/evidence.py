@@ -12,6 +12,7 @@ has inner points of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +53,7 @@ def log_evidence(
     covariances = [np.cov(left[:, i].T) for i in range(b)]
 
     @jax.jit  # type: ignore[untyped-decorator]
-    def at(e_s: Array, e_l: Array, log_inner: Array) -> Array:
+    def at(e_s: Array, e_l: Array, log_inner: Array) -> Any:
         """log p(s, D) at one shared point: e_l (inner, B, L), log_inner (inner, B)."""
 
         def one(e: Array) -> tuple[Array, Array]:

@@ -61,7 +61,7 @@ class Tubes:
 
     @staticmethod
     def fitted(target: Target, shared: Array, weight: Array, local: Array) -> Tubes:
-        """From rough draws on the unit boxes: local (K, m, B, L) at weighted nodes shared (K, S)."""
+        """From rough draws on the unit boxes: local (K, m, B, L) at weighted nodes (K, S)."""
         k, m, blades, each = local.shape
         q_s, q_l = (_logit(np.clip(unit, 1e-5, 1 - 1e-5)) for unit in (shared, local))
         mean = weight @ q_s
@@ -72,9 +72,7 @@ class Tubes:
         levels = np.quantile(q_l[..., 0], norm.cdf(KNOTS), axis=1)  # (I + 1, K, B)
         steps = np.log(np.diff(levels, axis=0) / np.diff(KNOTS)[:, None, None] + 1e-6)
         values = np.concatenate([levels[len(KNOTS) // 2][None], steps]).transpose(1, 0, 2)
-        fit = np.linalg.lstsq(
-            bend * root[:, 0], (values * root).reshape(k, -1), rcond=1e-6
-        )[0]
+        fit = np.linalg.lstsq(bend * root[:, 0], (values * root).reshape(k, -1), rcond=1e-6)[0]
         first = fit.reshape(bend.shape[1], len(KNOTS), blades).transpose(2, 1, 0)
         # all draws together, by the weight of their node
         every = np.repeat(weight / m, m)

@@ -41,7 +41,9 @@ def calibrated(name: str) -> RotorState:
     return update(one.model, one.rotor, one.readings)
 
 
-def compared(name: str, wrong: Callable[[Posterior], Posterior] = lambda right: right) -> Comparison:
+def compared(
+    name: str, wrong: Callable[[Posterior], Posterior] = lambda right: right
+) -> Comparison:
     """Our posterior of a rotor, made wrong or not, against its reference."""
     one = kept(name)
     found = posteriors(one.rotor, calibrated(name))
