@@ -85,7 +85,7 @@ def sample(
     tubes: Tubes,
     chains: int = 32,
     warmup: int = 120,
-    draws: int = 300,
+    draws: int = 1000,
     target_accept: float = 0.85,
     depth: int = 8,
 ) -> Reference:

@@ -19,7 +19,7 @@ FOLDER = Path("tests/claims/results/reference")
 @app.command()
 def reference(
     rotors: Annotated[list[str] | None, typer.Argument(help="Rotors; all by default.")] = None,
-    draws: Annotated[int, typer.Option(help="Draws of each chain.")] = 300,
+    draws: Annotated[int, typer.Option(help="Draws of each chain.")] = 1000,
     chains: Annotated[int, typer.Option(help="Chains, side by side.")] = 32,
     seed: Annotated[int, typer.Option(help="Seed of the chains.")] = 1,
     seeds: Annotated[int, typer.Option(help="Seeds of our own calibration.")] = 4,

@@ -238,4 +238,4 @@ if __name__ == "__main__":
     if "--json" in words:
         at = words.index("--json")
         file, words = Path(words[at + 1]), words[:at] + words[at + 2 :]
-    main(words[0] if words else "cold", words[1:] or list(METHODS), file)
+    main(words[0] if words else "thin-coating", words[1:] or list(METHODS), file)
