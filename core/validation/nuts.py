@@ -4,9 +4,8 @@ The target (`core.validation.joint`) in float64, on the line by u = sigmoid(q) w
 Jacobian, in the coordinates of `core.validation.tubes`; all parameters of all blades at once by the
 No-U-Turn Sampler (Hoffman & Gelman 2014) of numpyro with a dense mass matrix. Needs the extra
 ``reference`` (numpyro and jax), which nothing else does. The coordinates and the mass matrix are
-fitted to our own posterior's draws, which the chains are free to leave. They start apart, from
-independent normal coordinates: wider than the posterior, whose coordinates are correlated. (Twice as
-wide, one chain in 32 stayed for ever where noise explains everything.)
+fitted to our own posterior's draws, which the chains are free to leave. They start from independent
+normal coordinates, about as wide as the posterior: from twice as wide some chains never came back.
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ def sample(
     target_accept: float = 0.85,
     depth: int = 8,
 ) -> Reference:
-    """Chains of NUTS, started apart; one process, chains side by side.
+    """Chains of NUTS; one process, chains side by side.
 
     The mass matrix is that of `tubes`; the warm-up finds the step size. `depth`: a tree doubles at
     most so often.
