@@ -154,7 +154,7 @@ def ascent(x, g, sx, sg, hxx, hxg, hgg):  # type: ignore[no-untyped-def]
     Few readings leave the information singular: a step that would be too long gets more ridge until
     it turns uphill (Levenberg & Marquardt); cut short instead, it would run along the valley.
     """
-    ridge = 1e-9 * (hxx + hgg) + 1e-12
+    ridge = 1e-9 * (hxx + hgg) + 0.05
     free_x = not ((x >= 1.0 and sx > 0.0) or (x <= -1.0 and sx < 0.0))
     free_g = not ((g >= 1.0 and sg > 0.0) or (g <= -1.0 and sg < 0.0))
     dx = dg = 0.0

@@ -74,7 +74,11 @@ class Weighed:
     log_q: Array
     log_prior: Array
     columns: Mapping[str, Array]
-    key: bytes
+    proposal: Proposal
+
+    @property
+    def key(self) -> bytes:
+        return self.proposal.key
 
     @property
     def log_p(self) -> Array:
@@ -207,5 +211,5 @@ def weigh(
         log_q,
         space.log_prior(unit),
         known.all({b: messages[b] for b in blades}, wide.key, unit, "exact"),
-        wide.key,
+        wide,
     )

@@ -221,6 +221,8 @@ def volume_sums(a, b, v, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
     breaks, half, mid = np.empty(24), np.empty(LANES), np.empty(LANES)
     f, value = np.empty((N1, LANES)), np.empty(LANES)
     peak, level = np.empty(LANES), np.empty(LANES)
+    # a single row leaves a thin sheet through the box, whose profile bends where it meets a side
+    split = SPLIT if rows > 1 else 0.4 * SPLIT
     survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan)
     for i in range(LANES):
         waiting[i] = first_panels(seen, plan, i, breaks, panels)
@@ -246,14 +248,14 @@ def volume_sums(a, b, v, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
                 f[n, i] = value[i]
         for i in range(LANES):
             if waiting[i] > 0:
-                taken(f, half, mid, level, i, out, peak, panels, waiting)
+                taken(f, half, mid, level, i, out, peak, panels, waiting, split)
     for i in range(LANES):
         out[i] = peak[i] + math.log(out[i])
 
 
 @compiled
-def taken(f, half, mid, level, i, out, peak, panels, waiting):  # type: ignore[no-untyped-def]
-    """Count the last panel of lane i into the integral, or split it."""
+def taken(f, half, mid, level, i, out, peak, panels, waiting, split):  # type: ignore[no-untyped-def]
+    """Count the last panel of lane i into the integral, or split it: its tail exceeds `split`."""
     top = peak[i]
     for n in range(N1):
         top = max(top, f[n, i])
@@ -271,7 +273,7 @@ def taken(f, half, mid, level, i, out, peak, panels, waiting):  # type: ignore[n
     for n in range(N1):
         total += half[i] * GL_W[n] * math.exp(f[n, i] - top)
     q = waiting[i] - 1
-    rough = tail > SPLIT * size and tail * half[i] > 1e-3 * SPLIT * max(out[i], total)
+    rough = tail > split * size and tail * half[i] > 1e-3 * split * max(out[i], total)
     if rough and level[i] < 4.0 and q + 2 <= PANELS:
         low, high = panels[q, 0, i], panels[q, 1, i]
         panels[q, 0, i], panels[q, 1, i], panels[q, 2, i] = mid[i], high, level[i] + 1.0
