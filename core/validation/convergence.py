@@ -3,7 +3,8 @@
 Of C chains of N draws of one scalar (Vehtari, Gelman, Simpson, Carpenter & Bürkner 2021): R-hat is
 the worse of that of the ranks' normal scores and of the folded draws; bulk and tail effective
 sample sizes use Geyer's initial monotone sequence. The Monte-Carlo errors of mean and standard
-deviation follow from the effective sizes of x and of (x − mean)².
+deviation follow from the effective sizes of x and of (x − mean)², that of a correlation r of x and
+y, standardised, from that of x y − r (x² + y²) / 2.
 """
 
 from __future__ import annotations
@@ -46,6 +47,18 @@ def diagnosed(x: Array) -> Diagnosis:
         1 / math.sqrt(effective(x)),
         float(d2.std() / d2.mean() / 2 / math.sqrt(effective(d2))),
     )
+
+
+def error_of_correlation(x: Array, y: Array) -> float:
+    """Monte-Carlo error of the correlation of two scalars, draws (C, N) each.
+
+    >>> x, y = np.random.default_rng(0).standard_normal((2, 4, 1000))
+    >>> 0.014 < error_of_correlation(x, y) < 0.018
+    True
+    """
+    x, y = ((v - v.mean()) / v.std() for v in (x, y))
+    moved = x * y - np.mean(x * y) * (x**2 + y**2) / 2
+    return float(moved.std() / math.sqrt(effective(moved)))
 
 
 def _ranks(x: Array) -> Array:

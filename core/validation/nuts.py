@@ -83,7 +83,7 @@ def sample(
     seed: int,
     tubes: Tubes,
     chains: int = 32,
-    warmup: int = 120,
+    warmup: int = 200,
     draws: int = 1000,
     target_accept: float = 0.85,
     depth: int = 8,

@@ -19,8 +19,9 @@ FOLDER = Path("tests/claims/results/reference")
 @app.command()
 def reference(
     rotors: Annotated[list[str] | None, typer.Argument(help="Rotors; all by default.")] = None,
-    draws: Annotated[int, typer.Option(help="Draws of each chain.")] = 1000,
+    draws: Annotated[int, typer.Option(help="Draws of each chain.")] = 1500,
     chains: Annotated[int, typer.Option(help="Chains, side by side.")] = 32,
+    accept: Annotated[float, typer.Option(help="Rate of acceptance of the chains.")] = 0.9,
     seed: Annotated[int, typer.Option(help="Seed of the chains.")] = 1,
     seeds: Annotated[int, typer.Option(help="Seeds of our own calibration.")] = 4,
     remake: Annotated[bool, typer.Option(help="Sample anew what is stored.")] = False,
@@ -38,7 +39,8 @@ def reference(
     names = rotors or list(ROTORS)
     for name in names:
         if remake or not (folder / f"{name}.json").exists():
-            make(name, seed=seed, draws=draws, chains=chains, made_by=made_by).save(folder)
+            made = make(name, seed=seed, draws=draws, chains=chains, accept=accept, made_by=made_by)
+            made.save(folder)
     found = {name: compared(folder / f"{name}.json", range(seeds)) for name in names}
     write({"seeds": seeds, "rotors": found}, made_by["commit"], out)
 
@@ -63,7 +65,7 @@ def compared(file: Path, seeds: Sequence[int]) -> dict[str, Any]:
         "truth": kept.head["truth"],
         "blades": len(kept.moments.blades),
         "readings": len(kept.readings),
-        "r_hat": kept.head["r_hat"],
+        "convergence": kept.head["convergence"],
         "ess": kept.head["ess"],
         "cpu_seconds": kept.head["nuts"]["cpu_seconds"],
         "ess_ratio": [s.meta["health"]["ess_ratio"] for s in states],
