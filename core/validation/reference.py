@@ -40,7 +40,7 @@ SEED = 41
 KEPT = 300  # draws
 # at most: split R-hat, Monte-Carlo errors in sd, share of divergent transitions
 ACCEPTED = {"r_hat": 1.01, "mean": 0.03, "sd": 0.02, "correlation": 0.02, "divergent": 0.01}
-PARTICLES, ROUGH = 10_000, 60_000  # of each blade: as the service has them; to fit coordinates to
+PARTICLES, ROUGH = 10_000, 200_000  # of each blade: as the service has them; to fit coordinates to
 ONE_OUTAGE = replace(plan("rotor-20", 12), name="one-outage", outages_h=(16e3,))
 # name: (variant, number of the simulated rotor)
 ROTORS: dict[str, tuple[Variant, int]] = {

@@ -11,8 +11,8 @@ tube breaks off. With u on the unit box, q = logit(u), and coordinates e,
 where B_i are smooth bumps that sum to one, base and log d quadratic in the shared coordinates (so
 that normal e give the parameter's quantiles, cliffs included), c a polynomial of degree `BEND` in u
 of the physical shared parameters and of the blade's parameters before j, clamped smoothly inside
-the box, and k linear in them and in the noises. The Jacobian is counted exactly, so a bad fit costs
-gradients, not truth.
+the box, and k quadratic in u of all shared parameters and of those before j: bounded, wherever a
+chain goes. The Jacobian is counted exactly, so a bad fit costs gradients, not truth.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ from core.validation.joint import Target, products
 
 Array = NDArray[np.float64]
 BEND = 4
-KNOTS = np.linspace(-2.4, 2.4, 9)
+SWELL = 2
+KNOTS = np.linspace(-1.8, 1.8, 7)  # a node's draws come in groups: further out there are too few
+FLAT = 0.2  # of a node's mean slope is the least, where draws are equal
 ROUND = 0.25  # of the bumps' shoulders, in units of e
 LOG_NORMAL = -0.635  # E log |N(0, 1)|
 
@@ -46,7 +48,7 @@ class Tubes:
     first      (B, I + 1, Q) coefficients of base and of the log d_i
     centre     per further local parameter: (B, M_j) coefficients of c
     edge       per further local parameter: (B,) how far centres stay inside the box
-    width      per further local parameter: (B, S + j) coefficients of k
+    width      per further local parameter: (B, N_j) coefficients of k
     metric     covariance of the coordinates, local first: NUTS's inverse mass matrix
     """
 
@@ -70,13 +72,15 @@ class Tubes:
         root = np.sqrt(weight)[:, None, None]
         bend = _quadratic(np, e_s)
         levels = np.quantile(q_l[..., 0], norm.cdf(KNOTS), axis=1)  # (I + 1, K, B)
-        steps = np.log(np.diff(levels, axis=0) / np.diff(KNOTS)[:, None, None] + 1e-6)
+        steps = np.diff(levels, axis=0) / np.diff(KNOTS)[:, None, None]
+        steps = np.log(np.maximum(steps, FLAT * steps.mean(axis=0) + 1e-6))
         values = np.concatenate([levels[len(KNOTS) // 2][None], steps]).transpose(1, 0, 2)
         fit = np.linalg.lstsq(bend * root[:, 0], (values * root).reshape(k, -1), rcond=1e-6)[0]
         first = fit.reshape(bend.shape[1], len(KNOTS), blades).transpose(2, 1, 0)
         # all draws together, by the weight of their node
         every = np.repeat(weight / m, m)
         u_s, e_s = np.repeat(shared, m, axis=0), np.repeat(e_s, m, axis=0)
+        outer = u_s[:, list(target.inputs)]
         u_l, q_l = local.reshape(k * m, blades, each), q_l.reshape(k * m, blades, each)
         heavy = np.sqrt(every)[:, None]
         e_l, centre, edge, width = np.empty_like(q_l), [], [], []
@@ -86,16 +90,16 @@ class Tubes:
             c, w, near = [], [], []
             for b in range(blades):
                 before = u_l[:, b, :j]
-                basis = _bent(np, np.concatenate([u_s[:, list(target.inputs)], before], axis=1))
-                lines = np.concatenate([np.ones((k * m, 1)), e_s, 2 * before - 1], axis=1)
+                basis = _powers(np, np.concatenate([outer, before], axis=1), BEND)
+                swell = _powers(np, np.concatenate([u_s, before], axis=1), SWELL)
                 c.append(np.linalg.lstsq(basis * heavy, u_l[:, b, j] * heavy[:, 0], rcond=1e-6)[0])
                 miss = u_l[:, b, j] - basis @ c[-1]
                 near.append(float(np.clip(np.sqrt(every @ miss**2), 1e-4, 0.2)))
                 q, slope = _inside(np, basis @ c[-1], near[-1])
                 left = (q_l[:, b, j] - q) / slope
                 log_left = np.log(np.abs(left) + 1e-6) - LOG_NORMAL
-                w.append(np.linalg.lstsq(lines * heavy, log_left * heavy[:, 0], rcond=1e-6)[0])
-                e_l[:, b, j] = left * np.exp(-lines @ w[-1])
+                w.append(np.linalg.lstsq(swell * heavy, log_left * heavy[:, 0], rcond=1e-6)[0])
+                e_l[:, b, j] = left * np.exp(-swell @ w[-1])
             centre.append(np.array(c))
             edge.append(np.array(near))
             width.append(np.array(w))
@@ -115,7 +119,7 @@ class Tubes:
         q_s = self.mean + self.sd * e["shared"]
         many = e["local"].shape[0]
         u_s = jnp.broadcast_to(_unit(jnp, q_s), (many, len(self.mean)))
-        e_s = jnp.broadcast_to(e["shared"], (many, len(self.mean)))
+        outer = u_s[:, list(self.physical)]
         shape = self.first @ _quadratic(jnp, e["shared"][None])[0]
         slopes = jnp.exp(shape[:, 1:])
         bump, integral = _bumps(jnp, e["local"][:, 0])
@@ -124,18 +128,17 @@ class Tubes:
         parts = zip(self.centre, self.edge, self.width, strict=True)
         for j, (centre, edge, width) in enumerate(parts, 1):
             before = [_unit(jnp, q)[:, None] for q in found]
-            basis = _bent(jnp, jnp.concatenate([u_s[:, list(self.physical)], *before], axis=-1))
-            tilts = [2 * u - 1 for u in before]
-            lines = jnp.concatenate([jnp.ones((many, 1)), e_s, *tilts], axis=-1)
+            basis = _powers(jnp, jnp.concatenate([outer, *before], axis=-1), BEND)
+            swell = _powers(jnp, jnp.concatenate([u_s, *before], axis=-1), SWELL)
             q, slope = _inside(jnp, jnp.sum(basis * centre, axis=-1), edge)
-            k = jnp.sum(lines * width, axis=-1)
+            k = jnp.sum(swell * width, axis=-1)
             found.append(q + slope * jnp.exp(k) * e["local"][:, j])
             log_jacobian += k + jnp.log(slope)
         return q_s, jnp.stack(found, axis=-1), log_jacobian
 
 
 def rough_draws(
-    target: Target, state: RotorState, rng: np.random.Generator, per_node: int = 500
+    target: Target, state: RotorState, rng: np.random.Generator, per_node: int = 1000
 ) -> tuple[Array, Array, Array]:
     """A state of ours on the unit boxes for `Tubes.fitted`: (K, S), (K,), (K, m, B, L)."""
     x = [state.arrays["shared/x"]]
@@ -192,6 +195,6 @@ def _inside(jnp: Any, c: Any, edge: Any) -> tuple[Any, Any]:
     return jnp.log(u) - jnp.log1p(-u), 1 / (u * (1 - u))
 
 
-def _bent(jnp: Any, u: Any) -> Any:
-    """Monomials of 2 u − 1 up to total degree `BEND` along the last axis."""
-    return products(jnp, 2 * u - 1, multi_indices(u.shape[-1], BEND))
+def _powers(jnp: Any, u: Any, degree: int) -> Any:
+    """Monomials of 2 u − 1 up to a total degree along the last axis."""
+    return products(jnp, 2 * u - 1, multi_indices(u.shape[-1], degree))

@@ -2,19 +2,22 @@
 
     python tests/benchmarks/bench_posterior.py [ROTOR] [METHOD …] [--json FILE]
 
-ROTOR is a stored reference (``tests/claims/results/reference``); methods: ours nuts pymc. Needs the
-extra `reference` (nuts) or pymc; a method that is not installed says so and is left out.
+ROTOR is a stored reference (``tests/claims/results/reference``); methods: ours schedule nuts pymc.
+Needs the extra `reference` (nuts) or pymc; a method that is not installed says so and is left out.
 Each gets the readings and answers for all parameters of all blades; times are wall and processor
 seconds of one process, compilation of ours told apart. The error is against the stored long run:
 the largest difference of a mean in reference sd, and the range of sd ratios, over all blades, local
 and shared parameters and predictions. ESS is that of the least of the shared parameters; for ours,
 whose nodes are no chain, 1 / mean square error of their means over `SEEDS` seeds, in reference sd.
 
-What is compared: *ours* is the state that the service persists (10,000 particles a blade). NUTS and
-PyMC are as a user would write them: the same target and compiled rows on unit boxes, defaults, a
-dense mass matrix for NUTS; one chain, which costs them one adaptation only, until there are ENOUGH
-effective draws or LIMIT_S processor seconds are over. For one more reading they start again: there
-is no other way (numpyro#534, pymc#1780).
+What is compared: *ours* is the state that the service persists (10,000 particles a blade); online,
+readings come one by one in the order of their hours, each answered by a provisional state, and one
+sealed state follows. The *schedule* is the paper's (`core.calibration.schedule`), with as many
+particles; it keeps no state, so one more reading costs an online run's last outage at least. NUTS
+and PyMC are as a user would write them: the same target and compiled rows on unit boxes, defaults,
+a dense mass matrix for NUTS; one chain, which costs them one adaptation only, until there are
+ENOUGH effective draws or LIMIT_S processor seconds are over. For one more reading they start again:
+there is no other way (numpyro#534, pymc#1780).
 """
 
 from __future__ import annotations
@@ -36,6 +39,7 @@ os.environ.setdefault(
 import numpy as np
 
 from core.calibration.online import Workspace, update
+from core.calibration.schedule import Schedule, calibrate
 from core.calibration.state import Posterior
 from core.errors import ModelError
 from core.observation import Inspection
@@ -88,7 +92,7 @@ def one_more(kept: Stored) -> Inspection:
 
 
 def ours(kept: Stored) -> list[Row]:
-    """Offline from nothing; then one more reading, provisional and sealed."""
+    """Offline from nothing; then one more reading, provisional and sealed; online from nothing."""
     model, rotor, readings = kept.model, kept.rotor, list(kept.readings)
     update(model, rotor, readings)  # compiles the kernels
     misses, rows = [], []
@@ -109,6 +113,32 @@ def ours(kept: Stored) -> list[Row]:
     clock = Clock()
     update(model, last, more, quick, workspace=work)
     rows.append({"method": "ours, one more reading, sealed after it", **clock.read()})
+    online, work, each, clock = None, Workspace(), [], Clock()
+    readings.sort(key=lambda reading: reading.time_h)
+    for k in range(len(readings)):
+        own = Clock()
+        online = update(model, last, readings[: k + 1], online, quick=True, workspace=work)
+        each.append(own.read()["cpu_s"])
+    provisional = Moments.of_state(model, rotor, online)
+    row = {"method": "ours, online, provisional", **clock.read(), **error(provisional, kept)}
+    rows.append(row | {"cpu_s_per_reading": round(float(np.median(each)), 4)})
+    online = update(model, last, readings, online, workspace=work)
+    row = {"method": "ours, online, sealed", **clock.read()}
+    rows.append(row | error(Moments.of_state(model, rotor, online), kept))
+    assert online.digest == state.digest
+    return rows
+
+
+def schedule(kept: Stored) -> list[Row]:
+    """The paper's Algorithm 1, offline and online."""
+    model, rotor, rows = kept.model, kept.rotor, []
+    for arm in ("offline", "online"):
+        calibrate(model, replace(rotor, particles=200), kept.readings, Schedule(arm))  # compiles
+        clock = Clock()
+        got = calibrate(model, rotor, kept.readings, Schedule(arm))
+        row = {"method": f"the paper's schedule, {arm}", **clock.read(), "sweeps": len(got.trace)}
+        found = Moments.of(model, rotor, {b: got.blade(b) for b in rotor.blades})
+        rows.append(row | error(found, kept))
     return rows
 
 
@@ -200,9 +230,9 @@ def pymc(kept: Stored) -> list[Row]:
     return [rated(row | drawn(kept, target, one, each_one))]
 
 
-# further methods (the paper's schedule, say) join here
 METHODS: dict[str, Callable[[Stored], list[Row]]] = {
     "ours": ours,
+    "schedule": schedule,
     "nuts": nuts,
     "pymc": pymc,
 }
