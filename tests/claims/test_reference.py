@@ -129,6 +129,31 @@ def test_a_wrong_posterior_fails_the_same_comparison(
     assert compared(name, wrong).beyond()[seen]
 
 
+@pytest.mark.parametrize("name", KEPT)
+def test_a_message_has_no_jumps_along_t1t(name: str) -> None:
+    """On lines through the posterior, where the reference lies: a part of a tube that is missed at
+    some values is a jump there, and no average over nodes hides it."""
+    one, shared = kept(name), kept(name).shared.astype(float)
+    readings = [[i for i in one.readings if i.blade == b] for b in one.rotor.blades]
+    rows = [found for own in readings if (found := assemble(one.model, own)) is not None]
+    space = shared_space(one.model, rows)
+    target, s = Target.of(one.model, one.rotor, one.readings), shared.shape[1]
+    assert space.names == target.shared
+    assert space.names[0] == "t1t_rate"
+    working = np.where(target.logarithmic[:s], np.log(shared), shared)
+    unit = (working - target.low[:s]) / (target.high - target.low)[:s]
+    jumps = []
+    for q in (0.1, 0.5, 0.9):
+        at = np.tile(np.quantile(unit, q, axis=0), (81, 1))
+        at[:, 0] = np.linspace(*np.quantile(unit[:, 0], [0.02, 0.98]), 81)
+        for own, found in zip((r for r in readings if r), rows, strict=True):
+            column = BladeMessage(one.model, found, space, {}).column(at)
+            bend = np.abs(np.diff(column, 2)).max()
+            if bend > 0.1:
+                jumps.append(f"{own[0].blade} at {q}: {bend:.2f} nat")
+    assert not jumps, jumps
+
+
 def readings() -> list[Inspection]:
     """Two blades of a warm rotor."""
     values = {"B1": (0.31, 0.44), "B2": (0.21, 0.52)}
