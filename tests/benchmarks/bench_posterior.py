@@ -223,7 +223,7 @@ def pymc(kept: Stored) -> list[Row]:
             draws=2000, tune=400, chains=1, cores=1, random_seed=1, progressbar=False,
             compute_convergence_checks=False, callback=stop, discard_tuned_samples=False,
         )  # fmt: skip
-    if kept_draws.posterior.sizes["draw"] < 20:
+    if "posterior" not in kept_draws or kept_draws.posterior.sizes["draw"] < 20:
         return [{"method": "PyMC NUTS, stopped while it adapted", **clock.read()}]
     one, each_one = (kept_draws.posterior[name].values[0] for name in ("shared", "local"))
     row = {"method": "PyMC NUTS", **clock.read()}
