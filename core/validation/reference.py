@@ -45,7 +45,7 @@ ONE_OUTAGE = replace(plan("rotor-20", 12), name="one-outage", outages_h=(16e3,))
 # name: (variant, number of the simulated rotor)
 ROTORS: dict[str, tuple[Variant, int]] = {
     "cold": (plan("rotor-20", 10), 6),  # T1T 0.833, sigma 0.011 mm
-    "one-outage": (ONE_OUTAGE, 0),
+    "one-outage": (ONE_OUTAGE, 0),  # 0.938, 0.039
     "at-bounds": (plan("coating-at-bounds", 10), 0),  # 0.899, 0.022
     "thin-coating": (plan("thin-coating", 10), 0),  # 0.956, 0.059
     "mixed": (plan("mixed", 8), 0),  # 0.888, 0.010
