@@ -38,6 +38,15 @@ def test_a_seed_study_says_the_spread_of_every_mean(tmp_path: Path) -> None:
     assert kept["table"]["ceeq at 32000 h"]["means"] == 2
 
 
+def test_a_stored_reference_is_compared_without_numpyro() -> None:
+    kept = json.loads(invoke("study", "reference", "thin-coating", "--seeds", "1"))["rotors"][
+        "thin-coating"
+    ]
+    assert kept["blades"] == 10
+    assert len(kept["log_evidence"]) == len(kept["worst"]) == 1
+    assert set(kept["worst"][0]["beyond"]) == {"mean", "ratio", "correlation"}
+
+
 def test_a_schedule_study_compares_arms_with_the_joint_posterior(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
