@@ -121,7 +121,8 @@ def _modes_of(model: Model, quantity: Quantity) -> Modes:
     declared = quantity.discrepancy
     assert declared.length_h is not None
     assert declared.sd is not None
-    found = modes(declared.length_h / model.surrogate.horizon_h)
+    # anything shorter needs every mode as well
+    found = modes(max(declared.length_h / model.surrogate.horizon_h, 1.0 / NODES**2))
     if len(found.eigenvalue) > MOST_MODES:
         raise InputError(
             f"discrepancy length_h of {quantity.name}",

@@ -316,6 +316,16 @@ class Quantity:
             return self.sigma_name
         return f"{self.sigma_name}@{instrument}"
 
+    def check_instrument(self, instrument: str | None) -> None:
+        """Refuse an instrument where readings have one noise for all."""
+        if instrument is not None and not self.by_instrument:
+            raise InputError(
+                "instrument",
+                instrument,
+                f"has no noise of its own: {self.name} has one for all",
+                "leave it out, or declare the quantity by_instrument",
+            )
+
     def to_json(self) -> dict[str, Any]:
         """A plain dictionary; a discrepancy and instruments only where declared."""
         out = asdict(self)

@@ -210,7 +210,8 @@ def predict(
     component   for 3-D deformation: 0, 1, 2 for x, y, z
     noise       False: the blade itself, without one more reading's noise
     instrument  of that reading (default: `instrument_of`); a new one has its prior's noise
-    Raises RangeError for times or nodes outside the model, InputError for a bad probability.
+    Raises RangeError for times or nodes outside the model, InputError for a bad probability and
+    for an instrument where readings have one noise for all.
     """
     declared, surrogate = model.network.quantity(quantity), model.part(quantity)
     if not 0 < probability < 1:
@@ -234,13 +235,7 @@ def predict(
         nodes = [node]
     if declared.kind == "vector" and component not in (0, 1, 2):
         raise InputError("component", component, "is none of 0, 1, 2", "choose x, y or z")
-    if instrument is not None and not declared.by_instrument:
-        raise InputError(
-            "instrument",
-            instrument,
-            f"has no noise of its own: {quantity} has one for all",
-            "leave it out, or declare the quantity by_instrument",
-        )
+    declared.check_instrument(instrument)
     thin = _thinned(posterior)
     w = thin.particles.w
     mean, sd = surrogate.predict(inputs_of(model, thin, quantity, known), quantity, time, nodes)

@@ -111,12 +111,18 @@ class Client:
         model: str = "rotor-blade",
         particles: int | None = None,
         seed: int | None = None,
+        network: Mapping[str, Any] | None = None,
     ) -> Json:
-        """Create a rotor; a blade is an id or ``{"id", "slot"?, "lot"?, …}``."""
+        """Create a rotor; a blade is an id or ``{"id", "slot"?, "lot"?, "known"?, …}``.
+
+        network   what it varies of the model's network, e.g.
+                  ``{"quantities": {"elongation": {"by_instrument": True}}, "forgetting_h": 2e4}``
+        """
         listed = [{"id": b} if isinstance(b, str) else dict(b) for b in blades]
         body: Json = {"id": rotor, "model": model, "blades": listed}
         body |= {} if particles is None else {"particles": particles}
         body |= {} if seed is None else {"seed": seed}
+        body |= {} if network is None else {"network": dict(network)}
         return self._call("POST", "/v1/rotors", json=body)
 
     def rotor(self, rotor: str) -> Json:
@@ -182,14 +188,20 @@ class Client:
         times: Sequence[float] | None = None,
         node: int | str | None = None,
         probability: float = 0.95,
+        instrument: str | None = None,
         version: int | None = None,
     ) -> Json:
-        """Bands of a quantity by source."""
+        """Bands of a quantity by source; with an instrument, of a reading by it.
+
+        ``answer["health"]["trusted"]`` is False where the state behind it says why it is not.
+        """
         params: dict[str, str] = {"quantity": quantity, "probability": repr(probability)}
         if times is not None:
             params["times"] = ",".join(repr(float(t)) for t in times)
         if node is not None:
             params["node"] = str(node)
+        if instrument is not None:
+            params["instrument"] = instrument
         if version is not None:
             params["version"] = str(version)
         return self._call(

@@ -28,7 +28,7 @@ from core.errors import InputError
 from core.network import Network, Parameter, Prior, Quantity
 from core.observation import Inspection, digest_of
 from core.rng import stream
-from service.ports import Array, Draws, Get, ModelCard, Output, RotorSpec
+from service.ports import Array, Draws, Get, Json, ModelCard, NoiseFrom, Output, RotorSpec
 
 MEAN, SD, SCATTER, SIGMA = 0.5, 0.1, 0.2, 0.02
 HORIZON_H = 50_000.0
@@ -79,6 +79,8 @@ class FakePrediction:
     lower: Array
     upper: Array
     quantiles: Mapping[float, Array]
+    instrument: str | None = None
+    noise_from: NoiseFrom = "prior"
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,13 @@ class FakeScience:
             summary={"what": "conjugate Gaussian twin"},
         )
 
+    def vary(self, card: ModelCard, asked: Json | None) -> ModelCard:
+        if asked is None:
+            return card
+        raise InputError(
+            "network", sorted(asked), "is not varied by the twin", "set BLADETWIN_SCIENCE=core"
+        )
+
     def warm(self, card: ModelCard) -> None:
         """Nothing is compiled here."""
 
@@ -134,11 +143,12 @@ class FakeScience:
                 weighted += (s / n) / (1.0 / n + SCATTER**2)
         arrays: dict[str, Array] = {f"column/{name}": column for name, column in columns.items()}
         arrays["shared/moments"] = np.array([weighted / precision, 1.0 / precision])
+        exact = {"status": "ok", "reasons": [], "met_floor": True, "contradicted": []}
         meta = {
             "algorithm_version": "fake-1",
             "events_digest": digest_of(readings),
             "sealed": not (quick and self.provisional),
-            "health": {"ess": rotor.particles, "ess_ratio": 1.0},
+            "health": {"ess": rotor.particles, "ess_ratio": 1.0} | exact,
             "blades": list(rotor.blades),
             "particles": rotor.particles,
             "seed": rotor.seed,
@@ -192,6 +202,9 @@ class FakeScience:
         times: Sequence[float],
         node: int | None,
         probability: float,
+        *,
+        instrument: str | None,
+        known: Mapping[str, float] | None,
     ) -> FakePrediction:
         mean, covariance = self.moments(get, blade)
         time_h = np.asarray(times, float)

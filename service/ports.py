@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from core.observation import Inspection
 Array = np.ndarray[Any, np.dtype[Any]]
 Json = dict[str, Any]
 Get = Callable[[str], Array]
+NoiseFrom = Literal["readings", "prior"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +71,16 @@ class ModelCard:
 
 @dataclass(frozen=True, slots=True)
 class RotorSpec:
-    """What an update needs to know of a rotor besides its readings."""
+    """What an update needs to know of a rotor besides its readings.
+
+    known   values of the model's known inputs, by blade
+    """
 
     id: str
     blades: tuple[str, ...]
     particles: int
     seed: int
+    known: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 class RotorState(Protocol):
@@ -104,7 +109,11 @@ class Draws:
 
 
 class Prediction(Protocol):
-    """Bands of one quantity of one blade, by source (see core.prediction)."""
+    """Bands of one quantity of one blade, by source (see core.prediction).
+
+    instrument   whose noise a reading has in them, where noises are by instrument
+    noise_from   what that noise is known from: ``readings``, or its ``prior`` alone
+    """
 
     @property
     def time_h(self) -> Array: ...
@@ -118,6 +127,10 @@ class Prediction(Protocol):
     def upper(self) -> Array: ...
     @property
     def quantiles(self) -> Mapping[float, Array]: ...
+    @property
+    def instrument(self) -> str | None: ...
+    @property
+    def noise_from(self) -> NoiseFrom: ...
 
 
 class Science(Protocol):
@@ -127,6 +140,15 @@ class Science(Protocol):
     def builtins(self) -> tuple[str, ...]: ...
 
     def builtin(self, name: str) -> ModelCard: ...
+    def vary(self, card: ModelCard, asked: Json | None) -> ModelCard:
+        """A registered model under a rotor's own network (`service.variant`), with its own digest.
+
+        None asks for nothing: the card itself.
+
+        Raises FaultsError or InputError for what cannot be asked of it.
+        """
+        ...
+
     def update(
         self,
         card: ModelCard,
@@ -149,13 +171,19 @@ class Science(Protocol):
         times: Sequence[float],
         node: int | None,
         probability: float,
+        *,
+        instrument: str | None,
+        known: Mapping[str, float] | None,
     ) -> Prediction: ...
     def warm(self, card: ModelCard) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
 class BladeRecord:
-    """A blade of a rotor. `added_seq` 0: there from the beginning."""
+    """A blade of a rotor. `added_seq` 0: there from the beginning.
+
+    known   its values of the model's known inputs, where it has any
+    """
 
     id: str
     slot: str | None = None
@@ -165,11 +193,15 @@ class BladeRecord:
     time_h0: float | None = None
     added_seq: int = 0
     retired_seq: int | None = None
+    known: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class RotorRecord:
-    """A rotor with its place in the log and its worker's cursor."""
+    """A rotor with its place in the log and its worker's cursor.
+
+    network   what it varies of the model's network (`service.variant`); None: nothing
+    """
 
     id: str
     model_id: str
@@ -179,6 +211,7 @@ class RotorRecord:
     head_seq: int
     digest: str
     created_at: float
+    network: Json | None = None
     applied_seq: int = 0
     version: int = 0
     dirty: bool = True
@@ -262,7 +295,7 @@ class Records(Protocol):
     def rotor(self, rotor_id: str) -> RotorRecord: ...
     def rotors(self, after: str, limit: int) -> list[RotorRecord]: ...
     def blades(self, rotor_id: str) -> list[BladeRecord]: ...
-    def has_blade(self, rotor_id: str, blade_id: str) -> bool: ...
+    def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None: ...
     def put_blade(self, rotor_id: str, blade: BladeRecord) -> None: ...
     def retire_blade(self, rotor_id: str, blade_id: str, seq: int) -> None: ...
 

@@ -7,8 +7,9 @@ worker warms up, so that a process that only serves never loads them.
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,17 +18,20 @@ import numpy as np
 
 import core.builtin
 from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
+from core.discrepancy import parameters
 from core.errors import InputError, ModelError
 from core.model import Model
 from core.network import rotor_blade_network
 from core.observation import Inspection
 from core.prediction import predict
 from core.surrogate.artefact import load
-from service.ports import Array, Draws, Get, ModelCard, Output, RotorSpec
+from service.ports import Array, Draws, Get, Json, ModelCard, NoiseFrom, Output, RotorSpec
+from service.variant import named, vary
 
 SHIPPED = Path(core.builtin.__file__).with_name("rotor_blade_model")
 NAME = "rotor-blade"
 INSTANTS = 51
+MOST_VARIED = 64  # varied models kept with the rows compiled for them
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +44,8 @@ class Bands:
     lower: Array
     upper: Array
     quantiles: Mapping[float, Array]
+    instrument: str | None
+    noise_from: NoiseFrom
 
 
 class CoreScience:
@@ -55,6 +61,7 @@ class CoreScience:
         self._folder = Path(folder) if folder else SHIPPED
         self._given = model
         self._lock = threading.Lock()
+        self._varied: OrderedDict[str, Model] = OrderedDict()
         self._workspace: Any = None
 
     @cached_property
@@ -62,15 +69,34 @@ class CoreScience:
         return self._given or Model(rotor_blade_network(), load(self._folder))
 
     def _model(self, card: ModelCard) -> Model:
+        """The loaded model, or its surrogate under the varied network of the card."""
         with self._lock:
             model = self._loaded
-        if card.digest != model.digest:
-            raise ModelError(
-                f"model {card.id} {card.version} is registered, but this release has "
-                f"{model.version}. Run the release that registered it, or set "
-                "BLADETWIN_MODEL_DIR to the folder of that model."
-            )
-        return model
+            if card.version != model.version:
+                raise ModelError(
+                    f"model {card.id} {card.version} is registered, but this release has "
+                    f"{model.version}. Run the release that registered it, or set "
+                    "BLADETWIN_MODEL_DIR to the folder of that model."
+                )
+            if card.digest == model.digest:
+                return model
+            if card.digest not in self._varied:
+                self._varied[card.digest] = Model(card.network, model.surrogate)
+                while len(self._varied) > MOST_VARIED:
+                    self._varied.popitem(last=False)
+            self._varied.move_to_end(card.digest)
+            return self._varied[card.digest]
+
+    def vary(self, card: ModelCard, asked: Json | None) -> ModelCard:
+        if asked is None:
+            return card
+        model = self._model(card)
+        network = vary(card.network, card.horizon_h, asked)
+        varied = Model(network, model.surrogate)
+        for quantity in network.quantities:
+            with named(f"network.quantities.{quantity.name}.discrepancy"):
+                parameters(varied, quantity)
+        return replace(card, network=network, digest=varied.digest)
 
     def builtin(self, name: str) -> ModelCard:
         if name not in self.builtins:
@@ -106,7 +132,7 @@ class CoreScience:
 
         if self._workspace is None:
             self._workspace = online.Workspace()
-        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed)
+        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
         return online.update(
             self._model(card), spec, readings, previous, quick=quick, workspace=self._workspace
         )
@@ -130,14 +156,28 @@ class CoreScience:
         times: Sequence[float],
         node: int | None,
         probability: float,
+        *,
+        instrument: str | None,
+        known: Mapping[str, float] | None,
     ) -> Bands:
         model = self._model(card)
         posterior = blade_posterior(meta, get, blade)
         components = [0, 1, 2] if card.outputs[quantity].kind == "vector" else [None]
         parts = [
-            predict(model, posterior, quantity, times, node, probability, component=component)
+            predict(
+                model,
+                posterior,
+                quantity,
+                times,
+                node,
+                probability,
+                component=component,
+                instrument=instrument,
+                known=known,
+            )
             for component in components
         ]
+        noise = model.network.quantity(quantity).sigma_of(parts[0].instrument)
 
         def joined(arrays: list[Array]) -> Array:
             return arrays[0] if len(arrays) == 1 else np.stack(arrays, axis=1)
@@ -149,6 +189,8 @@ class CoreScience:
             joined([p.lower for p in parts]),
             joined([p.upper for p in parts]),
             {q: joined([p.quantiles[q] for p in parts]) for q in parts[0].quantiles},
+            parts[0].instrument,
+            "readings" if noise in posterior.names else "prior",
         )
 
     def warm(self, card: ModelCard) -> None:

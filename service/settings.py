@@ -42,6 +42,9 @@ class Settings(BaseModel):
     seal_after_s: float = Field(
         0.3, ge=0, le=3600, description="a provisional posterior is sealed when quiet for, s"
     )
+    seal_within_s: float = Field(
+        30.0, ge=0, le=86_400, description="and, where readings never pause, after this long, s"
+    )
     migrate: Literal["auto", "always", "never"] = Field(
         "auto", description="migrate at `serve`: auto = SQLite yes, PostgreSQL no"
     )

@@ -8,6 +8,10 @@ along its line. With q the density of that draw the weight is L / q. The average
 estimates the message, independently of the quadrature: tests hold the two against each other.
 
 `SHARE` particles have one outer value: their inner parameters are drawn from one plane.
+
+Each coordinate is the quantile of one uniform number (Rosenblatt's transformation), and these are
+not independent but even (`even_points`): with 4,000 independent particles, a few hundred outer
+values among them, a published 95 % interval of the outer parameter would hold 94.7 % on average.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.calibration import lines, modes
 from core.calibration.lines import LEFT, RIGHT, TV, G, T, X, line_ranges, line_values
@@ -28,21 +33,46 @@ from core.compiled import compiled
 
 SHARE = 12
 SLICES = 8
+GOLDEN, PLASTIC = 0.6180339887498949, (0.7548776662466927, 0.5698402909980532)
 FLOOR = 9.0  # nats below the whole: a thin floor under the rough values, so that no place is missed
+
+
+def even_points(
+    rng: np.random.Generator, nodes: int, per_node: int, share: int, dim: int
+) -> NDArray[np.float64]:
+    """Numbers (nodes, per_node, 3) in [0, 1), each uniform, together even; the last `dim` count.
+
+    The first of them is constant over `share` draws and evenly spaced at a node, from a start that
+    goes round by the golden ratio between nodes; the others follow the two-dimensional sequence of
+    the plastic number (Roberts 2018; a Kronecker sequence: Niederreiter 1992, ch. 3), over all
+    nodes. All are moved by a random shift (Cranley & Patterson 1976): no average is biased.
+
+    >>> u = even_points(np.random.default_rng(0), 64, 12, 4, 3)
+    >>> np.round(np.diff(u[5, ::4, 0]), 9).tolist()
+    [0.333333333, 0.333333333]
+    """
+    u, shift = np.zeros((nodes, per_node, 3)), rng.random(3)
+    groups = per_node // share
+    starts = (shift[0] + np.arange(nodes) * GOLDEN) % 1.0
+    u[:, :, 3 - dim] = np.repeat((starts[:, None] + np.arange(groups)) / groups, share, axis=1)
+    count = np.arange(nodes * per_node).reshape(nodes, per_node)
+    for k in range(1, dim):
+        u[:, :, 3 - dim + k] = (shift[k] + count * PLASTIC[k - 1]) % 1.0
+    return u
 
 
 @compiled
 def pick(mass, count, i, u):  # type: ignore[no-untyped-def]
-    """The cell of lane i that holds the quantile u of mass (cells, LANES)."""
+    """The cell of lane i that holds the quantile u of mass (cells, LANES), and u's place in it."""
     total = 0.0
     for q in range(count):
         total += mass[q, i]
     left = u * total
     for q in range(count):
+        if left <= mass[q, i]:
+            return q, left / (mass[q, i] + 1e-300)
         left -= mass[q, i]
-        if left <= 0.0:
-            return q
-    return count - 1
+    return count - 1, 1.0
 
 
 @compiled
@@ -98,8 +128,8 @@ def draw_lines(la, lb, lv, y, s2, ka2, kb2, w, edge, mass, u, out, log_w, n):  #
     for i in range(LANES):
         wide = w[LEFT + i] + w[RIGHT + i]
         total = chords(edge, SLICES, i, wide / SLICES, mass)
-        cell = pick(mass, SLICES, i, u[i, n, 4])
-        part, value = along(edge, cell, i, u[i, n, 5])
+        cell, inside = pick(mass, SLICES, i, u[i, n, 2])
+        part, value = along(edge, cell, i, inside)
         w[T + i] = min(max(w[G + i] - w[LEFT + i] + wide * (cell + part) / SLICES, -1.0), 1.0)
         log_w[i, n] -= value - total
     line_values(la, lb, lv, y, s2, ka2, kb2, w)
@@ -129,8 +159,8 @@ def draw_planes(  # type: ignore[no-untyped-def]
     for n in range(first, last):
         for i in range(LANES):
             h = (seen[AT, cells, i] - seen[AT, 0, i]) / cells
-            cell = pick(mass, cells, i, u[i, n, 2])
-            part, value = along(rough, cell, i, u[i, n, 3])
+            cell, inside = pick(mass, cells, i, u[i, n, 1])
+            part, value = along(rough, cell, i, inside)
             w[X + i] = min(max(seen[AT, cell, i] + part * h, -1.0), 1.0)
             rise = seen[MODE, cell + 1, i] - seen[MODE, cell, i]
             w[G + i] = seen[MODE, cell, i] + part * rise
@@ -161,11 +191,11 @@ def draw_volumes(a, b, v, y, s2, ka2, kb2, u, out, log_w):  # type: ignore[no-un
     for first in range(0, m, SHARE):
         last = min(first + SHARE, m)
         for i in range(LANES):
-            s = pick(mass, STATIONS, i, u[i, first, 0])
+            s, inside = pick(mass, STATIONS, i, u[i, first, 0])
             h = (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
             low = max(seen[AT, s, i] - 0.5 * h, -1.0)
             high = min(seen[AT, s, i] + 0.5 * h, 1.0)
-            x = low + u[i, first, 1] * (high - low)
+            x = low + inside * (high - low)
             whole = 0.0
             for q in range(STATIONS):
                 whole += mass[q, i]

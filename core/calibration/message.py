@@ -250,12 +250,10 @@ class BladeMessage:
         """
         blocks, p = self._blocks(unit), self.packed
         n = len(blocks.factors)
-        u = rng.random((n, LANES, per_node, 6))
         share = drawing.SHARE if p.dim == 3 else 1
-        groups = per_node // share
-        assert groups * share == per_node, "particles per node must be whole groups"
-        strata = (np.arange(groups) + rng.random((n, LANES, groups))) / groups
-        u[..., 6 - 2 * p.dim] = np.repeat(strata, share, axis=2)
+        assert per_node % share == 0, "particles per node must be whole groups"
+        u = drawing.even_points(rng, n * LANES, per_node, share, p.dim)
+        u = u.reshape(n, LANES, per_node, 3)
         out, log_w = np.empty((n, LANES, per_node, 3)), np.empty((n, LANES, per_node))
 
         def work(part: slice) -> None:

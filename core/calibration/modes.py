@@ -149,23 +149,32 @@ def add_row(acc, y, s2, ka, kb, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def ascent(x, g, sx, sg, hxx, hxg, hgg):  # type: ignore[no-untyped-def]
-    """The scoring step inside the box: (dx, dg, expected gain)."""
-    ridge = 1e-9 * (hxx + hgg) + 1e-12
-    hxx, hgg = hxx + ridge, hgg + ridge
+    """The scoring step inside the box: (dx, dg, expected gain).
+
+    Few readings leave the information singular: a step that would be too long gets more ridge until
+    it turns uphill (Levenberg & Marquardt); cut short instead, it would run along the valley.
+    """
+    ridge = 1e-9 * (hxx + hgg) + 0.05
     free_x = not ((x >= 1.0 and sx > 0.0) or (x <= -1.0 and sx < 0.0))
     free_g = not ((g >= 1.0 and sg > 0.0) or (g <= -1.0 and sg < 0.0))
     dx = dg = 0.0
-    if free_x and free_g:
-        det = hxx * hgg - hxg * hxg
-        dx, dg = (hgg * sx - hxg * sg) / det, (hxx * sg - hxg * sx) / det
-        if (x >= 1.0 and dx > 0.0) or (x <= -1.0 and dx < 0.0):
-            dx, dg = 0.0, sg / hgg
-        elif (g >= 1.0 and dg > 0.0) or (g <= -1.0 and dg < 0.0):
-            dx, dg = sx / hxx, 0.0
-    elif free_x:
-        dx = sx / hxx
-    elif free_g:
-        dg = sg / hgg
+    for _ in range(12):
+        dx = dg = 0.0
+        xx, gg = hxx + ridge, hgg + ridge
+        if free_x and free_g:
+            det = xx * gg - hxg * hxg
+            dx, dg = (gg * sx - hxg * sg) / det, (xx * sg - hxg * sx) / det
+            if (x >= 1.0 and dx > 0.0) or (x <= -1.0 and dx < 0.0):
+                dx, dg = 0.0, sg / gg
+            elif (g >= 1.0 and dg > 0.0) or (g <= -1.0 and dg < 0.0):
+                dx, dg = sx / xx, 0.0
+        elif free_x:
+            dx = sx / xx
+        elif free_g:
+            dg = sg / gg
+        if max(abs(dx), abs(dg)) <= 0.5:
+            break
+        ridge *= 10.0
     longest = max(abs(dx), abs(dg))
     if longest > 0.5:
         dx, dg = dx * 0.5 / longest, dg * 0.5 / longest

@@ -33,6 +33,7 @@ from core.calibration.message import BladeMessage, prior_draws
 from core.calibration.rotor import Columns, node_count, weigh
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.stored import StoredPosterior
+from core.calibration.surface import evening
 from core.calibration.target import (
     BladeRows,
     SharedSpace,
@@ -187,7 +188,7 @@ class _Update:
         for how in ("rough", "exact") if many else ("exact",):
             columns = {b: self.work.columns.of(self.messages[b], key, unit, how) for b in touched}
             log_p = rest + sum(columns.values(), np.zeros(len(unit)))
-            beta = tempering(log_p - old["shared/log_q"])
+            beta = tempering(log_p - old["shared/log_q"] + old["shared/tilt"])
             if not beta >= (1.0 if many else LEAST_TEMPERING):  # or not a number
                 return None
         return log_p, columns
@@ -195,14 +196,17 @@ class _Update:
     def provisional(
         self, previous: RotorState, found: tuple[Array, dict[str, Array]]
     ) -> RotorState:
-        """The state on the nodes of the one before; touched blades get fewer draws for now."""
+        """The state on the nodes of the one before, which keep their tilt (`surface`).
+
+        Touched blades get fewer draws for now.
+        """
         (log_p, columns), old, unread = found, previous.arrays, self.unread(previous)
-        log_w = log_p - old["shared/log_q"]
+        log_w = log_p - old["shared/log_q"] + old["shared/tilt"]
         beta = tempering(log_w)
         log_w = beta * log_w
         unit, key = old["shared/unit"], bytes.fromhex(previous.meta["placement"])
         own = {"shared/log_p": log_p, "shared/log_w": log_w - log_sum_exp(log_w)}
-        kept = {"shared/unit", "shared/x", "shared/log_q"}
+        kept = {"shared/unit", "shared/x", "shared/log_q", "shared/tilt"}
         count = self.per_node(len(unit), min(self.rotor.particles, PROVISIONAL))
         thin = {b for b in previous.meta["provisional"] if b in unread}
         for blade in self.rotor.blades:
@@ -226,12 +230,16 @@ class _Update:
         """The state as a function of the readings alone; equal draws are taken from the last."""
         seed = seed_of(self.rotor.seed, self.rotor.id, "nodes") % 2**63
         weighed = weigh(self.space, self.messages, self.work.columns, seed)
-        log_w = weighed.log_w
+        tilt, surface_error = evening(
+            self.space, weighed.proposal, weighed.unit, weighed.log_p, weighed.log_q
+        )
+        log_w = weighed.log_w + tilt
         own: dict[str, Array] = {
             "shared/unit": weighed.unit,
             "shared/x": self.space.to_x(weighed.unit),
             "shared/log_p": weighed.log_p,
             "shared/log_q": weighed.log_q,
+            "shared/tilt": tilt,
             "shared/log_w": log_w - log_sum_exp(log_w),
         }
         own |= {f"column/{b}": column for b, column in weighed.columns.items()}
@@ -249,8 +257,17 @@ class _Update:
         below = previous.arrays if previous is not None else Arrays.EMPTY
         arrays = below.over(own, kept)
         bad = contradictions(self.messages, weighed.columns, weighed.unit, weighed.log_p)
-        error = self.message_error(weighed.unit)
-        return self.state(own, arrays, weighed.key, log_w, error, bad, sealed=True, thin=set())
+        return self.state(
+            own,
+            arrays,
+            weighed.key,
+            log_w,
+            self.message_error(weighed.unit),
+            bad,
+            sealed=True,
+            thin=set(),
+            surface=surface_error,
+        )
 
     def draws(
         self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
@@ -304,6 +321,7 @@ class _Update:
         sealed: bool,
         thin: set[str],
         tempered: float = 1.0,
+        surface: float | None = None,
     ) -> RotorState:
         """The value with its description."""
         for value in own.values():
@@ -311,6 +329,8 @@ class _Update:
         nodes = len(log_w)
         carried = health(log_w, *message_error)
         carried |= {"tempered": round(tempered, 4)}
+        if surface is not None:
+            carried |= {"surface_error_nat": round(surface, 4)}
         meta: dict[str, Any] = {
             "algorithm_version": ALGORITHM,
             "model": self.model.digest,

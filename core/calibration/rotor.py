@@ -2,28 +2,32 @@
 
     log p(s, D) = log p(s) + Σ_b log m_b(s)
 
-The shared nodes are placed in two steps. A descent on rough messages finds where the posterior is
-(`core.smc.placement`). What the rough messages miss is smooth: a quadratic through the difference
-at a few places mends them, and a second descent ends where the exact messages at the nodes give
-even weights. Where that fails (few readings of each blade, small noise: there rough messages are
-worst), a descent looks at the exact messages alone, and at last the nodes start again where the
-first descent ended. Everything
-is a function of the set of readings; the columns are kept, so that a new reading costs one blade's
-columns as long as the nodes stay.
+The shared nodes are placed from a few blades to all. A descent on the exact messages of some blades
+of each kind (`panel`) goes from the whole box to where the posterior is; these messages also tell
+what the rough ones miss, which is smooth: a quadratic through the difference, times the number of
+blades that each stands for, mends the rough messages of all, and a descent on those is nearly free.
+Where the quadratic leaves too much (few readings of each blade, small noise), the descent goes on
+with the exact messages of all. At the end the exact messages at the nodes must give even weights,
+seen by a surface that looks beyond them (`surface.foreseen`): nodes beside the posterior can have
+even weights, too. Everything is a function of the set of readings; the columns are kept, so that a
+new reading costs one blade's columns as long as the nodes stay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.message import BladeMessage, columns
+from core.calibration.surface import foreseen
 from core.calibration.target import SharedSpace
-from core.errors import CalibrationError
+from core.errors import CalibrationError, InputError
 from core.response import monomials
+from core.rng import seed_of
 from core.smc.particles import ess, normalised, tempering_exponent
 from core.smc.placement import Proposal, descend, improved, sobol
 
@@ -75,7 +79,11 @@ class Weighed:
     log_q: Array
     log_prior: Array
     columns: Mapping[str, Array]
-    key: bytes
+    proposal: Proposal
+
+    @property
+    def key(self) -> bytes:
+        return self.proposal.key
 
     @property
     def log_p(self) -> Array:
@@ -93,32 +101,44 @@ class Weighed:
         return ess(self.log_w) / len(self.log_w)
 
 
-FAR = 4.0  # spreads beyond which the quadratic that mends rough messages is not believed
+MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
+CARRIES = 0.15  # share of effective nodes from which a surface through them tells where to go
+IDLE = 4  # turns without a better placement after which no more are tried
+PANEL = 12  # blades of a kind whose exact messages place the nodes
+ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
 
 def node_count(dim: int) -> int:
     """Shared nodes for `dim` shared parameters."""
-    return 64 if dim <= 4 else 128
+    return 64 if dim <= 2 else 128 if dim <= 4 else 256
 
 
 def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Proposal:
-    """Where the descent begins: the whole box, but a scan's remainder already names its noise."""
+    """Where the descent begins: the whole box, but a scan's remainder names noise and offset."""
     mean, spread = np.full(space.dim, 0.5), np.full(space.dim, 1.0)
+    scans = [d for b in sorted(messages) for d in messages[b].rows.dense if d.dof > 50]
     for j, name in enumerate(space.names):
-        dense = [
-            d for m in messages.values() for d in m.rows.dense if d.sigma == name and d.dof > 50
-        ]
-        if dense:
+        low, high = space.priors[j].box
+        if dense := [d for d in scans if d.sigma == name]:
             dof = sum(d.dof for d in dense)
-            low, high = space.priors[j].box
             guess = 0.5 * np.log(max(sum(d.rss for d in dense), 1e-300) / dof)
-            mean[j] = np.clip((guess - low) / (high - low), 0.0, 1.0)
-            spread[j] = min(1.0, 6.0 / np.sqrt(2 * dof) / (high - low))
+            sd = 1.0 / np.sqrt(2 * dof)
+        elif dense := [d for d in scans if name in d.offset]:
+            # c ~ N(c_0, noise² A^-1) by the remainders alone
+            noise2 = sum(d.rss for d in dense) / sum(d.dof for d in dense)
+            bend, k = sum(d.bend for d in dense), dense[0].offset.index(name)
+            centres = np.sum([d.bend @ d.centre for d in dense], axis=0)
+            guess = np.linalg.lstsq(bend, centres, rcond=1e-9)[0][k]
+            sd = np.sqrt(noise2 * np.linalg.pinv(bend)[k, k])
+        else:
+            continue
+        mean[j] = np.clip((guess - low) / (high - low), 0.0, 1.0)
+        spread[j] = min(1.0, 6.0 * sd / (high - low))
     return Proposal(mean, np.diag(spread))
 
 
-def quadratic(unit: Array, values: Array, log_w: Array) -> Callable[[Array], Array]:
-    """The quadratic through values at nodes (n, d), by least squares.
+def quadratic(unit: Array, values: Array, log_w: Array) -> tuple[Callable[[Array], Array], float]:
+    """The quadratic through values at nodes (n, d) by least squares, and the rms it leaves.
 
     Nodes count by their weights `log_w`, tempered until half of them do.
     """
@@ -131,7 +151,24 @@ def quadratic(unit: Array, values: Array, log_w: Array) -> Callable[[Array], Arr
 
     root = np.sqrt(normalised(tempering_exponent(log_w, 0.5 * len(unit)) * log_w))
     coefficients = np.linalg.lstsq(basis(unit) * root[:, None], values * root, rcond=1e-8)[0]
-    return lambda at: basis(at) @ coefficients
+    left = (basis(unit) @ coefficients - values) * root
+    return lambda at: basis(at) @ coefficients, float(np.sqrt(np.sum(left**2)))
+
+
+def panel(messages: Mapping[str, BladeMessage]) -> dict[str, float]:
+    """Some blades of each kind, and how many blades each of them stands for.
+
+    Of a kind are blades whose readings rest on the same noises; `PANEL` of each are taken, in an
+    order that has nothing to do with the blades.
+    """
+    kinds: dict[tuple[str, ...], list[str]] = {}
+    for blade, message in messages.items():
+        kinds.setdefault(tuple(sorted({str(s) for s in message.rows.sigma})), []).append(blade)
+    found = dict[str, float]()
+    for blades in kinds.values():
+        taken = sorted(blades, key=lambda blade: seed_of(0, blade))[:PANEL]
+        found |= dict.fromkeys(taken, len(blades) / len(taken))
+    return {blade: found[blade] for blade in sorted(found)}
 
 
 def weigh(
@@ -141,65 +178,76 @@ def weigh(
     seed: int,
     *,
     rounds: int = 12,
-    enough: float = 0.5,
 ) -> Weighed:
     """Place and weight the shared nodes for these messages."""
-    d = space.dim
-    blades = sorted(messages)
+    d, n = space.dim, node_count(space.dim) * space.tails
+    scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
+    fitting = min(0.3, 1.2 / d)
+    base = sobol(max(n, 2 * scouts), d, seed)
+    counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
-    def total(unit: Array, key: bytes, how: str) -> Array:
-        out = space.log_prior(unit)
-        found = known.all(messages, key, unit, how)
-        for blade in blades:
-            out = out + found[blade]
+    def seen(unit: Array, key: bytes, how: str, blades: Mapping[str, float]) -> Array:
+        """Σ_b c_b log m_b at nodes, (n,); the blades' counts are c_b."""
+        found = known.all({b: messages[b] for b in blades}, key, unit, how)
+        out = np.zeros(len(unit))
+        for blade, count in blades.items():
+            out = out + count * found[blade]
         return out
 
-    scouts = 32 if d <= 2 else 64
-    proposal = descend(
-        lambda unit, key: total(unit, key, "rough"), start_of(space, messages), scouts, seed
-    )
-    assert proposal.chol is not None
-    rough_end = Proposal(proposal.mean, proposal.chol * 1.5)
-    unit, log_q = rough_end.nodes(sobol(32, d, seed + 2))
-    exact, rough = (total(unit, rough_end.key, how) for how in ("exact", "rough"))
-    missing = quadratic(unit, exact - rough, exact - log_q)
-    wide = descend(
-        lambda unit, key: total(unit, key, "rough") + missing(unit), rough_end, scouts, seed
-    )
-    n = node_count(d) * space.tails
-    base = sobol(n, d, seed + 1)
+    def exactly(start: Proposal, blades: Iterable[str]) -> Proposal:
+        """Where a descent on the exact messages of some blades ends."""
+        alike = dict.fromkeys(blades, 1.0)
+        return descend(
+            lambda unit, key: space.log_prior(unit) + seen(unit, key, "exact", alike),
+            start,
+            base[:scouts],
+            enough=fitting,
+        )
 
-    def settled(start: Proposal, turns: int) -> tuple[float, Proposal]:
+    def mended(start: Proposal, blades: Mapping[str, float]) -> Proposal | None:
+        """Where a descent on all rough messages ends, mended by the exact ones of some blades."""
+        unit, log_q = start.nodes(base[:scouts])
+        exact, rough = (seen(unit, start.key, how, blades) for how in ("exact", "rough"))
+        likely = space.log_prior(unit) + seen(unit, start.key, "exact", dict.fromkeys(blades, 1.0))
+        mend, left = quadratic(unit, exact - rough, likely - log_q)
+        if left > MISLED:
+            return None
+        return descend(
+            lambda unit, key: (
+                space.log_prior(unit) + seen(unit, key, "rough", everyone) + mend(unit)
+            ),
+            start,
+            base[: scouts if d > 4 else 2 * scouts],
+            enough=fitting,
+            max_levels=6,
+        )
+
+    def settled(start: Proposal, turns: int, least: float = 0.0) -> tuple[float, Proposal]:
         """The best share of effective nodes on the way from `start`, and its proposal."""
-        best = (-1.0, start)
+        best, idle = (-1.0, start), 0
         for _ in range(turns):
-            unit, log_q = start.nodes(base)
-            log_p = total(unit, start.key, "exact")
-            best = max(best, (ess(log_p - log_q) / n, start), key=lambda found: found[0])
-            if best[0] >= enough:
+            unit, log_q = start.nodes(base[:n])
+            log_p = space.log_prior(unit) + seen(unit, start.key, "exact", everyone)
+            share, following = ess(log_p - log_q) / n, improved(start, unit, log_p, log_q, fitting)
+            with suppress(InputError, np.linalg.LinAlgError):
+                beyond, further = foreseen(start, unit, log_p, log_q)
+                following = further if share > CARRIES else following
+                share = min(share, beyond)
+            idle = 0 if share > 1.05 * best[0] else idle + 1
+            best = max(best, (share, start), key=lambda found: found[0])
+            if best[0] >= enough or following.key == start.key or share < least or idle == IDLE:
                 break
-            start = improved(unit, log_p, log_q, 0.3)
+            start = following
         return best
 
-    spread = np.sqrt(np.sum(rough_end.chol**2, axis=1)) if rough_end.chol is not None else 1.0
-    mended = bool(np.all(np.abs(wide.mean - rough_end.mean) < FAR * spread))
-    best = settled(wide, 3) if mended else (-1.0, wide)
-    if best[0] < enough:  # the rough messages misled: look at nothing but the exact ones
-        exactly = descend(
-            lambda unit, key: total(unit, key, "exact"),
-            start_of(space, messages),
-            16 if d <= 2 else 32,
-            seed,
-        )
-        best = max(best, settled(exactly, rounds), key=lambda found: found[0])
-    if best[0] < enough:  # or start where the rough messages alone led
-        best = max(best, settled(rough_end, rounds), key=lambda found: found[0])
-    wide = best[1]
-    unit, log_q = wide.nodes(base)
-    return Weighed(
-        unit,
-        log_q,
-        space.log_prior(unit),
-        known.all({b: messages[b] for b in blades}, wide.key, unit, "exact"),
-        wide.key,
-    )
+    place, best = exactly(start_of(space, messages), counts), (-1.0, Proposal(np.zeros(d), None))
+    if len(counts) < len(messages):
+        nearer = mended(place, counts)
+        nearer = nearer and mended(nearer, everyone)
+        if nearer is not None:
+            best = settled(nearer, 3, ASTRAY)
+    if best[0] < enough:
+        best = max(best, settled(exactly(place, everyone), rounds), key=lambda found: found[0])
+    unit, log_q = best[1].nodes(base[:n])
+    columns = known.all(messages, best[1].key, unit, "exact")
+    return Weighed(unit, log_q, space.log_prior(unit), columns, best[1])

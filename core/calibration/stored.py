@@ -2,13 +2,8 @@
 
 Where a lower network's readings are at hand, its messages are (`core.calibration.levels`): nothing
 is approximated. Where only its state is kept, its nodes still hold the log density of the shared
-parameters, exactly, at K places u_k of the unit box. A surface through them,
-
-    log p(u | D1) ≈ quadratic(z) + Σ_k alpha_k exp(−|z − z_k|² / 2 l²),    z = whitened u,
-
-is universal kriging; beyond the outermost node it falls like the normal of the nodes' moments.
-Bounds are kept: the surface lives in the box. What it may be off is known beforehand: `error_nat`,
-the weighted root mean square of its leave-one-out errors (Dubrule, Math. Geology 15, 1983).
+parameters, exactly, at K places u_k of the unit box. A surface through them
+(`core.calibration.surface`) lives in the box; what it may be off is known beforehand, `error_nat`.
 Parameters that are not passed on are integrated out at each place by points of their conditional
 normal, weighted exactly.
 
@@ -27,73 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.state import RotorState
+from core.calibration.surface import Surface
 from core.calibration.target import shared_prior
 from core.errors import InputError
 from core.model import Model
 from core.network import Prior
-from core.response import monomials
 from core.smc.particles import normalised
 from core.smc.placement import WIDEN, Proposal, moments, sobol
 
 Array = NDArray[np.float64]
-DEPTH = 25.0  # nats below the best node that still shape the surface
-LENGTHS = (1.0, 1.5, 2.0, 3.0, 4.5)
-NUGGETS = (1e-8, 1e-5, 1e-2)
 INNER = 64  # points at which parameters that are not passed on are integrated out
-
-
-@dataclass(frozen=True)
-class Surface:
-    """log p over the unit box by universal kriging through nodes; whitened z = turn (u − mean)."""
-
-    mean: Array
-    turn: Array
-    nodes: Array
-    length: float
-    alpha: Array
-    reach: float
-
-    def __call__(self, unit: Array) -> Array:
-        """log p at (n, d), (n,)."""
-        z = (unit - self.mean) @ self.turn.T
-        r = np.sqrt(np.sum(z**2, axis=1))
-        z = z * np.minimum(1.0, self.reach / np.maximum(r, 1e-300))[:, None]
-        inside = np.hstack([_bells(z, self.nodes, self.length), monomials(z, 2)]) @ self.alpha
-        return np.asarray(inside - 0.5 * np.maximum(r**2 - self.reach**2, 0.0))
-
-    @staticmethod
-    def through(unit: Array, log_p: Array, w: Array) -> tuple[Surface, float]:
-        """The surface through log p at nodes (K, d) of weights w, and its error [nat]."""
-        mean, cov = moments(unit, w)
-        turn = np.linalg.inv(np.linalg.cholesky(cov + 1e-14 * np.eye(len(mean))))
-        shapes = log_p > np.max(log_p) - DEPTH
-        z, value, w = (unit[shapes] - mean) @ turn.T, log_p[shapes], normalised(np.log(w[shapes]))
-        basis = monomials(z, 2)
-        k, m = basis.shape
-        if k < m + 2:
-            raise InputError(
-                "nodes of the stored state", k, f"cannot carry {m} coefficients", "calibrate anew"
-            )
-        best: tuple[float, float, Array] | None = None
-        for length in LENGTHS:
-            for nugget in NUGGETS:
-                system = np.zeros((k + m, k + m))
-                system[:k, :k] = _bells(z, z, length) + nugget * np.eye(k)
-                system[:k, k:], system[k:, :k] = basis, basis.T
-                inverse = np.linalg.inv(system)
-                alpha = inverse[:, :k] @ value
-                left_out = alpha[:k] / np.diag(inverse)[:k]
-                error = float(np.sqrt(w @ left_out**2))
-                if best is None or error < best[0]:
-                    best = error, length, alpha
-        assert best is not None
-        reach = float(np.sqrt(np.max(np.sum(z**2, axis=1))))
-        return Surface(mean, turn, z, best[1], best[2], reach), best[0]
-
-
-def _bells(a: Array, b: Array, length: float) -> Array:
-    square = np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2)
-    return np.asarray(np.exp(-0.5 * square / length**2))
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,11 @@
 The outermost local parameter (the coating, for a rotor blade) runs along the ridge on which
 readings cannot tell the parameters apart. ``survey`` looks at the profile over it (the height of
 the mode, `modes`) at even stations over the support, which it narrows where hardly a station lies
-inside. Panels break at the ends of the support and where the set of active bounds changes;
-``volume_sums`` puts Gauss–Legendre points on each panel and splits a panel whose last Legendre
-coefficients are not small.
+inside. A plane may have a second summit at one of its sides, which holds a climb where the noise is
+small; so every fifth station is climbed from five places, and its mode is handed on from station
+to station along the ridge. Panels break at the ends of the support and where the set of active
+bounds changes; ``volume_sums`` puts Gauss–Legendre points on each panel and splits a panel whose
+last Legendre coefficients are not small.
 
 Coefficients of a block of volumes are flat: ``a[(((6 r + d) 6 + j) 6 + k) LANES + i]`` belongs to
 the powers d, j, k of the outer, middle and inner parameter of row r at the i-th shared value.
@@ -52,6 +54,7 @@ LEGENDRE = np.array(
         for n in range(N1)
     ]
 )
+STARTS = ((0.0, 0.0), (0.7, 0.7), (-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7))
 DEPTH = 11.5  # nats below the profile's top that still count
 SPLIT = 0.05
 PANELS = 40
@@ -63,18 +66,30 @@ LOW, HIGH, BEST = range(3)
 
 @compiled
 def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type: ignore[no-untyped-def]
-    """Climb at station s from the mode at station `start` (−1: the middle of the box)."""
+    """Climb at station s from the mode at station `start` (−1 − q: from the q-th of `STARTS`).
+
+    From a station also with the step that led there from the one behind it: a narrow ridge leaves
+    the mode of one station far below the ridge at the next.
+    """
     rows = len(ka2)
     for i in range(LANES):
         w[X + i] = plan[LOW, i] + s * (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
         w[V + i] = -math.inf
-        w[TM + i] = w[TG + i] = 0.0
         if start >= 0:
             w[TM + i], w[TG + i] = seen[MID, start, i], seen[INN, start, i]
+        else:
+            w[TM + i], w[TG + i] = STARTS[-1 - start]
     collapse_volumes(a, rows, w, pa)
     collapse_volumes(b, rows, w, pb)
     collapse_volumes(v, rows, w, pv)
     plane_modes(pa, pb, pv, y, s2, ka2, kb2, w)
+    behind = 2 * start - s
+    if start >= 0 and 0 <= behind < STATIONS:
+        for i in range(LANES):
+            m, g = 2.0 * seen[MID, start, i], 2.0 * seen[INN, start, i]
+            w[TM + i] = min(max(m - seen[MID, behind, i], -1.0), 1.0)
+            w[TG + i] = min(max(g - seen[INN, behind, i], -1.0), 1.0)
+        plane_modes(pa, pb, pv, y, s2, ka2, kb2, w)
     codes(w)
     for i in range(LANES):
         if w[V + i] > seen[TOP, s, i] + 1e-6:
@@ -92,7 +107,10 @@ def survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan):  # type: ignore
         for s in range(STATIONS):
             for i in range(LANES):
                 seen[TOP, s, i] = -math.inf
-        for s in range(STATIONS):
+        for s in range(0, STATIONS, STATIONS // 3):
+            for start in range(-1, -1 - len(STARTS), -1):
+                look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start)
+        for s in range(1, STATIONS):
             look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, s - 1)
         for s in range(STATIONS - 2, -1, -1):
             look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, s + 1)
@@ -221,6 +239,8 @@ def volume_sums(a, b, v, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
     breaks, half, mid = np.empty(24), np.empty(LANES), np.empty(LANES)
     f, value = np.empty((N1, LANES)), np.empty(LANES)
     peak, level = np.empty(LANES), np.empty(LANES)
+    # a single row leaves a thin sheet through the box, whose profile bends where it meets a side
+    split = SPLIT if rows > 1 else 0.4 * SPLIT
     survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan)
     for i in range(LANES):
         waiting[i] = first_panels(seen, plan, i, breaks, panels)
@@ -246,14 +266,14 @@ def volume_sums(a, b, v, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
                 f[n, i] = value[i]
         for i in range(LANES):
             if waiting[i] > 0:
-                taken(f, half, mid, level, i, out, peak, panels, waiting)
+                taken(f, half, mid, level, i, out, peak, panels, waiting, split)
     for i in range(LANES):
         out[i] = peak[i] + math.log(out[i])
 
 
 @compiled
-def taken(f, half, mid, level, i, out, peak, panels, waiting):  # type: ignore[no-untyped-def]
-    """Count the last panel of lane i into the integral, or split it."""
+def taken(f, half, mid, level, i, out, peak, panels, waiting, split):  # type: ignore[no-untyped-def]
+    """Count the last panel of lane i into the integral, or split it: its tail exceeds `split`."""
     top = peak[i]
     for n in range(N1):
         top = max(top, f[n, i])
@@ -271,7 +291,7 @@ def taken(f, half, mid, level, i, out, peak, panels, waiting):  # type: ignore[n
     for n in range(N1):
         total += half[i] * GL_W[n] * math.exp(f[n, i] - top)
     q = waiting[i] - 1
-    rough = tail > SPLIT * size and tail * half[i] > 1e-3 * SPLIT * max(out[i], total)
+    rough = tail > split * size and tail * half[i] > 1e-3 * split * max(out[i], total)
     if rough and level[i] < 4.0 and q + 2 <= PANELS:
         low, high = panels[q, 0, i], panels[q, 1, i]
         panels[q, 0, i], panels[q, 1, i], panels[q, 2, i] = mid[i], high, level[i] + 1.0

@@ -7,8 +7,9 @@ readings arrive. Its particles are nodes drawn from a proposal q and weighted ex
 
 so q decides only how evenly the weights fall, never what is right. q is found by a descent that
 starts from the whole box and looks at nothing but the target itself: on each level the target is
-known at a few nodes; where their weights collapse, it is tempered until enough nodes count, a
-quadratic through them gives the next centre and spread, and the level repeats there. Centres and
+known at a few nodes; where their weights collapse, a quadratic through them gives the next centre
+and spread, in steps bounded in every direction of its own, and where no quadratic fits, the
+spread shrinks about the best node (a trust region: Powell, Acta Numerica 15, 2006). Centres and
 spreads are rounded to a coarse lattice, so that one more reading mostly leaves the nodes where they
 are and the work done at them stays valid. Two event sets that are equal give bit-identical nodes,
 whatever the order of arrival; no earlier state is looked at.
@@ -30,7 +31,9 @@ from scipy.stats import qmc
 from core.smc.particles import ess, normalised, tempering_exponent
 
 Array = NDArray[np.float64]
-WIDEN = 1.25  # proposals are a little wider than what they propose for
+WIDEN = 1.4  # proposals are wider than what they propose for: tails are longer than a normal's
+EXPLAINED = 0.3  # of log p's spread that a quadratic may miss and still be followed
+STEP, SCALES, SHRINK = 2.0, (0.15, 2.0), 0.55  # of a proposal's spread, from level to level
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,17 +48,26 @@ class Proposal:
 
     def nodes(self, base: Array) -> tuple[Array, Array]:
         """Nodes (n, d) from points of the unit cube (n, d), and log q at each."""
-        n, d = base.shape
+        return self._walk(base, base)
+
+    def log_density(self, u: Array) -> Array:
+        """log q at places of the unit box (n, d)."""
+        return self._walk(None, u)[1]
+
+    def _walk(self, base: Array | None, u: Array) -> tuple[Array, Array]:
+        """Coordinate by coordinate: places from points `base`, or given ones, and log q there."""
+        n, d = u.shape
         if self.chol is None:
-            return base.copy(), np.zeros(n)
-        u, z, log_q = np.empty((n, d)), np.empty((n, d)), np.zeros(n)
+            return u.copy(), np.zeros(n)
+        u, z, log_q = u.copy(), np.empty((n, d)), np.zeros(n)
         for i in range(d):
             sd = self.chol[i, i]
             centre = self.mean[i] + z[:, :i] @ self.chol[i, :i]
             f0, f1 = ndtr((0.0 - centre) / sd), ndtr((1.0 - centre) / sd)
             mass = np.maximum(f1 - f0, 1e-300)
-            z[:, i] = np.clip(ndtri(f0 + base[:, i] * mass), -9.0, 9.0)
-            u[:, i] = np.clip(centre + sd * z[:, i], 0.0, 1.0)
+            if base is not None:
+                step = np.clip(ndtri(f0 + base[:, i] * mass), -9.0, 9.0)
+                u[:, i] = np.clip(centre + sd * step, 0.0, 1.0)
             z[:, i] = (u[:, i] - centre) / sd
             log_q += -0.5 * z[:, i] ** 2 - np.log(sd * np.sqrt(2 * np.pi) * mass)
         return u, log_q
@@ -97,44 +109,44 @@ def moments(u: Array, w: Array) -> tuple[Array, Array]:
     return mean, (d * w[:, None]).T @ d
 
 
-def _quadratic(
-    u: Array, log_p: Array, w: Array, mean: Array, cov: Array
-) -> tuple[Array, Array] | None:
-    """Centre and covariance of the quadratic through log_p; None where it has no top."""
-    d = u.shape[1]
-    scale = np.sqrt(np.diag(cov))
-    z = (u - mean) / scale
+def _quadratic(u: Array, log_p: Array, w: Array, proposal: Proposal) -> tuple[Array, Array] | None:
+    """Centre and covariance of the quadratic through log_p at weighted nodes, in small steps.
+
+    In the proposal's own coordinates no direction moves by more than `STEP`, or shrinks or grows
+    by more than `SCALES`; where it bends the wrong way it goes uphill and grows. None where the
+    quadratic explains too little of log_p: there it is of no use.
+    """
+    assert proposal.chol is not None
+    n, d = u.shape
+    z = np.linalg.solve(proposal.chol, (u - proposal.mean).T).T
     pairs = [(i, j) for i in range(d) for j in range(i, d)]
-    basis = np.column_stack([np.ones(len(z)), z, *[z[:, i] * z[:, j] for i, j in pairs]])
-    root = np.sqrt(w)
-    coefficients = np.linalg.lstsq(
-        basis * root[:, None], (log_p - log_p.max()) * root, rcond=1e-10
-    )[0]
+    basis = np.column_stack([np.ones(n), z, *[z[:, i] * z[:, j] for i, j in pairs]])
+    y, root = log_p - log_p.max(), np.sqrt(w)
+    freedom = n / max(n - basis.shape[1], 1)
+    coefficients = np.linalg.lstsq(basis * root[:, None], y * root, rcond=1e-10)[0]
+    missed = float(np.sqrt(w @ (y - basis @ coefficients) ** 2 * freedom))
+    if missed > EXPLAINED * float(np.sqrt(w @ (y - w @ y) ** 2)):
+        return None
     slope, bend = coefficients[1 : d + 1], np.zeros((d, d))
     for c, (i, j) in zip(coefficients[d + 1 :], pairs, strict=True):
         bend[i, j] -= c
         bend[j, i] -= c
     values, vectors = np.linalg.eigh(bend)
-    if values[0] <= 0.3:  # flatter than the nodes' own spread: nothing learnt along it
-        return None
-    centre = vectors @ ((vectors.T @ slope) / values)
-    missed = (log_p - log_p.max()) - basis @ coefficients
-    doubt = 1.0 + 2.0 * float(np.sqrt(w @ missed**2))  # nats the quadratic cannot tell apart
-    inside = np.clip(centre, z.min(axis=0), z.max(axis=0))
-    if np.any(np.abs(centre - inside) > 1e-12):  # the top lies outside: move, do not shrink
-        return mean + scale * inside, 2.0 * cov
-    values = np.clip(values / doubt, 1.0, 60.0)
-    spread = (vectors / values) @ vectors.T
-    return mean + scale * centre, spread * np.outer(scale, scale)
+    up = vectors.T @ slope
+    step = np.where(values > 0.1, up / np.maximum(values, 0.1), np.sign(up) * STEP)
+    doubt = 1.0 + 2.0 * missed  # nats the quadratic cannot tell apart
+    sd = np.clip(np.sqrt(doubt / np.maximum(values, 1e-3)), *SCALES)
+    centre = proposal.mean + proposal.chol @ (vectors @ np.clip(step, -STEP, STEP))
+    spread = proposal.chol @ vectors * sd
+    return centre, spread @ spread.T
 
 
 def descend(
     target: Callable[[Array, bytes], Array],
     start: Proposal,
-    scouts: int,
-    seed: int,
+    base: Array,
     *,
-    max_levels: int = 12,
+    max_levels: int = 24,
     enough: float = 0.3,
 ) -> Proposal:
     """Find a proposal that fits `target`.
@@ -142,16 +154,16 @@ def descend(
     target   log p(u, D) at nodes u (n, d); its second argument names the nodes, so that a caller
              can keep what it computed there
     start    where the descent begins
-    scouts   nodes of each level (a power of two)
+    base     points of the unit cube (scouts, d) that become the nodes of each level
     """
-    base = sobol(scouts, len(start.mean), seed)
-    proposal = start
+    proposal, seen = start, set[bytes]()
     for _ in range(max_levels):
         u, log_q = proposal.nodes(base)
         log_p = target(u, proposal.key)
-        fits = ess(floored(log_p) - log_q) >= enough * scouts
-        proposal = improved(u, log_p, log_q, enough)
-        if fits:
+        fits = ess(floored(log_p) - log_q) >= enough * len(base)
+        seen.add(proposal.key)
+        proposal = improved(proposal, u, log_p, log_q, enough)
+        if fits or proposal.key in seen:
             break
     return proposal
 
@@ -165,21 +177,20 @@ def floored(log_p: Array) -> Array:
     return np.asarray(np.maximum(log_p, np.max(log_p) - 1e7))
 
 
-def improved(u: Array, log_p: Array, log_q: Array, enough: float) -> Proposal:
-    """The next proposal from a target known at nodes u (n, d).
+def improved(proposal: Proposal, u: Array, log_p: Array, log_q: Array, enough: float) -> Proposal:
+    """The next proposal from a target known at this one's nodes u (n, d).
 
     Where the weights keep `enough` of the nodes, their moments; else the quadratic through the
-    tempered nodes, or the tempered moments where the quadratic has no top.
+    tempered nodes; where that explains too little, a smaller one about the best node.
     """
     n, d = u.shape
     log_p = floored(log_p)
     log_w = log_p - log_q
-    if ess(log_w) >= enough * n:
+    if ess(log_w) >= enough * n or proposal.chol is None:
         return rounded(*moments(u, normalised(log_w)))
     coefficients = (d + 1) * (d + 2) // 2
-    beta = tempering_exponent(log_w, min(1.6 * coefficients, 0.5 * n))
-    w = normalised(beta * log_w)
-    mean, cov = moments(u, w)
-    cov = cov + 1e-12 * np.eye(d)
-    fit = _quadratic(u, log_p, w, mean, cov)
-    return rounded(*fit) if fit is not None else rounded(mean, cov)
+    w = normalised(tempering_exponent(log_w, min(1.6 * coefficients, 0.5 * n)) * log_w)
+    fit = _quadratic(u, log_p, w, proposal)
+    mean, cov = fit or (u[np.argmax(log_p)], SHRINK**2 * proposal.chol @ proposal.chol.T)
+    inside = 1.0 / np.maximum(np.sqrt(np.diag(cov)), 1.0)
+    return rounded(np.clip(mean, 0.0, 1.0), cov * np.outer(inside, inside) / WIDEN**2)

@@ -28,7 +28,7 @@ from core.calibration.state import Posterior, RotorSpec, blade_posterior, shared
 from core.errors import BladetwinError, InputError
 from core.model import Model
 from core.network import Prior
-from core.prediction import inputs_of, noise_of, predict
+from core.prediction import corrected, inputs_of, noise_of, predict
 from core.rng import stream
 from core.validation.sbc import published_cdf, randomised_pit, wrong_pits
 from core.validation.simulate import Held, simulate
@@ -131,8 +131,13 @@ def _mixture_cdf(model: Model, posterior: Posterior, held: Held) -> float:
     mean, sd = surrogate.predict(x, held.quantity, np.array([held.time_h]), node)
     mean, sd = mean.reshape(len(w)), sd.reshape(len(w))
     sigma = noise_of(model, posterior, held.quantity)
-    total = np.sqrt(sd**2 + (declared.numerical * mean) ** 2 + sigma**2)
-    return float(w @ ndtr((held.reading - mean) / total))
+    gain, offset, sigma_delta, left = (
+        part[..., 0]
+        for part in corrected(model, posterior, declared, np.array([held.time_h]), None)
+    )
+    own = (gain * sd) ** 2 + (gain * np.hypot(declared.numerical, left) * mean) ** 2
+    total = np.sqrt(own + sigma_delta**2 + sigma**2)
+    return float(w @ ndtr((held.reading - gain * mean - offset) / total))
 
 
 @cache

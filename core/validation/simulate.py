@@ -10,12 +10,13 @@ with m and s the mean and the surrogate's standard deviation as compiled for the
 likelihood takes nu times the reading for nu times the mean: a difference of order nu². A 3-D scan
 has the surrogate's error in mode space, with the covariance of `core.calibration.scans`, and white
 noise at every node. Held-out readings follow what a prediction assumes: mean and standard deviation
-of the Gaussian process itself.
+of the Gaussian process itself. A declared discrepancy (`core.discrepancy`), its theta drawn from
+their priors, moves all of it but the noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.target import DEGREE
+from core.discrepancy import NONE, affine, parameters, total
 from core.model import Model
 from core.network import Prior
 from core.observation import Inspection
@@ -39,7 +41,7 @@ class Held:
     """A held-out reading, and what it is made of.
 
     reading  with noise; blade: without; model: the surrogate's mean at the truth (NaN where the
-    truth is a finite-element run) [unit]
+    truth is a finite-element run, or a discrepancy moves it) [unit]
     """
 
     blade: str
@@ -76,6 +78,7 @@ def truths(model: Model, variant: Variant, rotor: int, seed: int) -> tuple[dict[
     for quantity in network.quantities:
         if variant.mixed or quantity.name == "elongation":
             shared[quantity.sigma_name] = drawn(quantity.sigma_obs)
+            shared |= {n: drawn(prior) for n, prior in parameters(model, quantity).items()}
     local = {p.name: p.prior.quantile(rng.random(len(names))) for p in network.of_level("local")}
     if variant.truth == "bounds":
         low, high = network.parameter(COATING).prior.box
@@ -91,15 +94,36 @@ Clean = Callable[[str, float, list[int], bool], tuple[Array, Array]]
 """(quantity, hours, blades, held out?) → the blades' values without noise, and the model's mean."""
 
 
+def wrong(
+    model: Model,
+    quantity: str,
+    time_h: float,
+    shared: Mapping[str, float],
+    error: float,
+    component: int | None = None,
+) -> tuple[float, float, float]:
+    """Gain, offset and sigma_delta of a discrepancy; `error` in sds of what its modes leave."""
+    one = affine(model, model.network.quantity(quantity), time_h, component)
+    if one == NONE:
+        return 1.0, 0.0, 0.0
+    gain = float(1.0 + total(one.gain, lambda name: np.array(shared[name])))
+    offset = float(total(one.offset, lambda name: np.array(shared[name])))
+    return gain * (1.0 + one.left * error), offset, one.sigma
+
+
 def scan(
     model: Model,
     x: Array,
     time_h: float,
     nodes: NDArray[np.int64],
-    sigma: float,
+    shared: Mapping[str, float],
     rng: np.random.Generator,
 ) -> Array:
     """A 3-D scan (n, 3) [mm] at inputs x (d,), with the errors that the likelihood assumes."""
+    error = float(rng.standard_normal())
+    moved = [wrong(model, "deformation", time_h, shared, error, axis) for axis in range(3)]
+    gain, offset, sigma_delta = np.array(moved).T
+    noise_sd = np.hypot(shared[model.network.quantity("deformation").sigma_name], sigma_delta)
     nu, surrogate = model.network.quantity("deformation").numerical, model.part("deformation")
     phi = surrogate.deformation_modes(nodes.tolist())
     q, r = np.linalg.qr(phi.reshape(3 * len(nodes), -1))
@@ -107,9 +131,9 @@ def scan(
     covariance = r @ surrogate.mode_covariance(time_h) @ r.T
     root = sd / np.sqrt(np.diag(covariance))
     unknown = covariance * np.outer(root, root) + np.diag(nu**2 * (z**2 + np.mean(z**2)))
-    error = np.linalg.cholesky(unknown) @ rng.standard_normal(len(z))
-    noise = sigma * rng.standard_normal((len(nodes), 3))
-    return np.asarray((q @ (z + error)).reshape(-1, 3) + noise)
+    own = np.linalg.cholesky(unknown) @ rng.standard_normal(len(z))
+    noise = noise_sd * rng.standard_normal((len(nodes), 3))
+    return np.asarray(gain * (q @ (z + own)).reshape(-1, 3) + offset + noise)
 
 
 def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated:
@@ -138,7 +162,13 @@ def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated
             mean, sd = response.evaluate(x[which])
         mean, sd = mean.reshape(len(which)), sd.reshape(len(which))
         e1, e2 = rng.standard_normal((2, len(which)))
-        return mean * (1 + declared.numerical * e1) + sd * e2, mean
+        value = mean * (1 + declared.numerical * e1) + sd * e2
+        if declared.discrepancy.kind == "none":
+            return value, mean
+        errors = rng.standard_normal((2, len(which)))
+        moved = [wrong(model, quantity, time_h, shared, float(e)) for e in errors[0]]
+        gain, offset, sigma_delta = np.array(moved).T
+        return gain * value + offset + sigma_delta * errors[1], np.full(len(which), np.nan)
 
     def read(quantity: str, due: dict[str, float], held: bool) -> list[Held]:
         """One reading of each blade that is due, in groups of equal hours."""
@@ -162,14 +192,14 @@ def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated
             if k < DESTROYED:
                 gone = names[variant.blades - DESTROYED + k]
                 made += read("ceeq", {gone: due[gone]}, False)
-            sigma = shared[model.network.quantity("deformation").sigma_name]
             if runs is not None:
+                sigma = shared[model.network.quantity("deformation").sigma_name]
                 nodes = runs.scan_nodes
                 shape = runs.deformation[own, np.flatnonzero(runs.scan_h == rotor_h)[0]]
                 values = shape + sigma * rng.standard_normal(shape.shape)
             else:
                 nodes = fe_rotors.scan_nodes(SCANNED)
-                values = scan(model, x[0], rotor_h, nodes, sigma, rng)
+                values = scan(model, x[0], rotor_h, nodes, shared, rng)
             readings.append(
                 Inspection(f"{names[0]}-d{k}", names[0], "deformation", rotor_h, values, nodes)
             )

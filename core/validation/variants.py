@@ -8,6 +8,9 @@ Truths (`Variant.truth`):
             below or above every particle), while predictions should still hold
     fe      finite-element runs (`core.validation.fe_rotors`) in place of m, s and nu
 
+`eight-shared` is `mixed` with a constant offset of elongations and of scans: T1T, three noises and
+four offsets are shared.
+
 `thin-coating` keeps SBC exact with the bounds always near: the prior itself is narrowed to the
 thinnest tenth of the range, a network like any other, and the truths come from it.
 """
@@ -21,12 +24,16 @@ import numpy as np
 
 from core.errors import InputError
 from core.model import Model, rotor_blade
-from core.network import Prior
+from core.network import Discrepancy, Prior
 from core.validation.six_locals import six_locals
 
 COATING = "tbc_thickness"
 THREE = (8_000.0, 16_000.0, 24_000.0)
 SIX = tuple(7_000.0 * k for k in range(1, 7))
+OFFSETS = (
+    ("elongation", Discrepancy("constant", sd=0.02)),
+    ("deformation", Discrepancy("constant", sd=0.1)),
+)
 DESTROYED = 3  # last blades of a mixed rotor: CEEQ of one at each outage, then a new blade
 
 
@@ -40,6 +47,7 @@ class Variant:
     mixed       Table 1 of the paper: a scan of the first blade at each outage, CEEQ of one of the
                 last three, which is then replaced by a new blade
     tbc         range of the coating's prior, where it is not the network's
+    wrong       discrepancies of quantities, where the network declares none
     six_locals  `core.validation.six_locals` in place of the built-in model
     """
 
@@ -50,6 +58,7 @@ class Variant:
     mixed: bool = False
     truth: Literal["prior", "bounds", "fe"] = "prior"
     tbc: tuple[float, float] | None = None
+    wrong: tuple[tuple[str, Discrepancy], ...] = ()
     six_locals: bool = False
 
 
@@ -62,6 +71,7 @@ VARIANTS = {
         Variant("mixed", mixed=True),
         Variant("thin-coating", tbc=(2 / 3, 2 / 3 + 2 / 30)),
         Variant("coating-at-bounds", truth="bounds"),
+        Variant("eight-shared", mixed=True, wrong=OFFSETS),
         Variant("fe", blades=20, truth="fe"),
         Variant("fe-six-outages", blades=20, outages_h=SIX, held_out_h=49_000.0, truth="fe"),
         Variant("fe-mixed", blades=17, mixed=True, truth="fe"),
@@ -90,17 +100,24 @@ def plan(name: str, blades: int | None = None) -> Variant:
 
 
 def model_of(variant: Variant) -> Model:
-    """The built-in model, with the variant's prior of the coating, or that of six parameters."""
+    """The built-in model, with the variant's prior of the coating and its discrepancies; or that of
+    six parameters."""
     if variant.six_locals:
         return six_locals()
-    model = rotor_blade()
-    if variant.tbc is None:
+    model, wrong = rotor_blade(), dict(variant.wrong)
+    if variant.tbc is None and not wrong:
         return model
-    prior = Prior("uniform", *variant.tbc)
-    parameters = tuple(
-        replace(p, prior=prior) if p.name == COATING else p for p in model.network.parameters
+    network = model.network
+    if variant.tbc is not None:
+        prior = Prior("uniform", *variant.tbc)
+        parameters = (
+            replace(p, prior=prior) if p.name == COATING else p for p in network.parameters
+        )
+        network = replace(network, parameters=tuple(parameters))
+    quantities = (
+        replace(q, discrepancy=wrong.get(q.name, q.discrepancy)) for q in network.quantities
     )
-    return Model(replace(model.network, parameters=parameters), model.surrogate)
+    return Model(replace(network, quantities=tuple(quantities)), model.surrogate)
 
 
 def names_of(variant: Variant) -> tuple[str, ...]:

@@ -29,7 +29,6 @@ from pydantic_core import from_json
 from core.observation import Inspection
 from service.api.problems import Fault, RequestError, fault, faults_of_validation
 from service.handlers.inspections import Item
-from service.ports import BladeRecord
 
 ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._:@+\-]*$"
 Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
@@ -105,30 +104,6 @@ class InspectionIn(Body):
             observed_at=self.observed_at,
             replaces=self.replaces,
         )
-
-
-class BladeIn(Body):
-    """A blade that a rotor has, or that joins it."""
-
-    id: Id
-    slot: Text | None = None
-    lot: Text | None = None
-    coating_lot: Text | None = None
-    installed_at: Moment | None = None
-    time_h0: Annotated[FiniteFloat, Field(ge=0)] | None = None
-
-    def record(self) -> BladeRecord:
-        return BladeRecord(**self.model_dump())
-
-
-class RotorIn(Body):
-    """A new rotor."""
-
-    id: Id
-    model: Id
-    blades: Annotated[list[BladeIn], Field(max_length=2000)]
-    particles: Annotated[int, Field(ge=16, le=1_000_000)] | None = None
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
 
 
 class ModelIn(Body):

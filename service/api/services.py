@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -98,5 +98,9 @@ def unchanged(request: Request, tag: str) -> Response | None:
     return None
 
 
-def tagged(body: object, tag: str) -> JSONResponse:
-    return JSONResponse(body, headers={"ETag": tag, "Cache-Control": "no-cache"})
+def tagged(body: Mapping[str, Any], tag: str) -> JSONResponse:
+    """An answer with its ETag and, in a header as well, the health of the state it rests on."""
+    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    if body["health"] is not None:
+        headers["Bladetwin-Health"] = body["health"]["status"]
+    return JSONResponse(body, headers=headers)

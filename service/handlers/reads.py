@@ -10,20 +10,47 @@ from typing import Any
 import numpy as np
 
 from core.errors import InputError, RangeError
-from service.errors import FaultsError, NotFoundError
-from service.ports import Draws, Json, ModelCard, Prediction, Science, StateRecord, Store
+from service.errors import FaultsError, NotFoundError, NotYetError
+from service.ports import (
+    BladeRecord,
+    Draws,
+    Json,
+    ModelCard,
+    Prediction,
+    Science,
+    StateRecord,
+    Store,
+)
 
 LEVELS = (0.025, 0.05, 0.16, 0.5, 0.84, 0.95, 0.975)
 MOST_TIMES = 2000
 DEFAULT_NODE = {"field": "critical", "vector": "tip"}
 
 
+UNSTATED: Json = {
+    "status": "unknown",
+    "reasons": ["the state is of a release that did not say; the next reading computes it anew"],
+    "met_floor": None,
+    "contradicted": [],
+}
+
+
+def health(state: StateRecord) -> Json:
+    """How far a state is to be trusted (`core.calibration.health`); `trusted`: status ok.
+
+    A state of a release that did not say has the status ``unknown``.
+    """
+    told: Json = UNSTATED | state.meta["health"]
+    return told | {"trusted": told["status"] == "ok"}
+
+
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """A version of a rotor's posterior and the model that it rests on."""
+    """A version of a rotor's posterior and the model that it rests on; the blade, if named."""
 
     state: StateRecord
     card: ModelCard
+    blade: BladeRecord | None
 
     def to_json(self) -> Json:
         state = self.state
@@ -41,26 +68,35 @@ class Basis:
         }
 
 
-def basis(store: Store, rotor_id: str, version: int | None, blade: str | None = None) -> Basis:
+def basis(
+    store: Store, science: Science, rotor_id: str, version: int | None, blade: str | None = None
+) -> Basis:
     """The newest version, or the one asked for; the blade, if named, must exist."""
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
-        if blade is not None and not tx.records.has_blade(rotor_id, blade):
+        found = None if blade is None else tx.records.blade(rotor_id, blade)
+        if blade is not None and found is None:
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
         state = tx.states.get(rotor_id, version)
-        return Basis(state, tx.records.model(rotor.model_id, state.model_version))
+        card = tx.records.model(rotor.model_id, state.model_version)
+    if found is not None and found.added_seq > state.through_seq:
+        raise NotYetError(
+            f"blade {blade} in version {state.version} of rotor {rotor_id}",
+            f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={found.added_seq}&timeout=30",
+        )
+    return Basis(state, science.vary(card, rotor.network), found)
 
 
-def posterior(store: Store, science: Science, found: Basis, blade: str | None) -> Json:
+def posterior(store: Store, science: Science, found: Basis) -> Json:
     """Mean, sd, quantiles, correlations and ESS of the shared or of one blade's parameters."""
     meta = found.state.meta
     with store.read() as tx:
         get = tx.states.reader(found.state)
-        if blade is None:
+        if found.blade is None:
             draws = science.shared_draws(meta, get)
         else:
-            draws = science.blade_draws(meta, get, blade)
-    return summary(draws) | {"health": meta["health"]}
+            draws = science.blade_draws(meta, get, found.blade.id)
+    return summary(draws) | {"health": health(found.state)}
 
 
 def summary(draws: Draws) -> Json:
@@ -108,6 +144,7 @@ class Question:
     times: tuple[float, ...]
     node: int | None
     probability: float
+    instrument: str | None
 
 
 def question(
@@ -116,6 +153,7 @@ def question(
     times: Sequence[float] | None,
     node: str | None,
     probability: float,
+    instrument: str | None = None,
 ) -> Question:
     """Check a question; FaultsError names each parameter, its value and the remedy."""
     faults: list[InputError] = []
@@ -141,9 +179,13 @@ def question(
         number = _node(card, output.kind, node)
     except InputError as error:
         faults.append(error)
+    try:
+        card.network.quantity(quantity).check_instrument(instrument)
+    except InputError as error:
+        faults.append(error)
     if faults:
         raise FaultsError(faults)
-    return Question(quantity, asked, number, probability)
+    return Question(quantity, asked, number, probability, instrument)
 
 
 def _node(card: ModelCard, kind: str, node: str | None) -> int | None:
@@ -162,29 +204,36 @@ def _node(card: ModelCard, kind: str, node: str | None) -> int | None:
     return int(name)
 
 
-def predict(store: Store, science: Science, found: Basis, blade: str, asked: Question) -> Json:
-    """Bands by source, as plain lists."""
+def predict(store: Store, science: Science, found: Basis, asked: Question) -> Json:
+    """Bands by source of the blade that the basis names, as plain lists."""
+    blade = found.blade
+    assert blade is not None
     with store.read() as tx:
         bands: Prediction = science.predict(
             found.card,
             found.state.meta,
             tx.states.reader(found.state),
-            blade,
+            blade.id,
             asked.quantity,
             asked.times,
             asked.node,
             asked.probability,
+            instrument=asked.instrument,
+            known=blade.known,
         )
     return {
-        "blade": blade,
+        "blade": blade.id,
         "quantity": asked.quantity,
         "unit": found.card.outputs[asked.quantity].unit,
         "node": asked.node,
         "probability": asked.probability,
+        "instrument": bands.instrument,
+        "noise_from": bands.noise_from,
         "time_h": np.asarray(bands.time_h).tolist(),
         "mean": np.asarray(bands.mean).tolist(),
         "sd": {name: np.asarray(part).tolist() for name, part in bands.sd.items()},
         "lower": np.asarray(bands.lower).tolist(),
         "upper": np.asarray(bands.upper).tolist(),
         "quantiles": {str(p): np.asarray(q).tolist() for p, q in bands.quantiles.items()},
+        "health": health(found.state),
     }

@@ -12,13 +12,16 @@ from service.errors import ConflictError, FaultsError, NotFoundError
 from service.ports import (
     Appended,
     BladeRecord,
+    Json,
     ModelCard,
     NewEvent,
     RotorRecord,
+    Science,
     StateRecord,
     Store,
     Transaction,
 )
+from service.variant import check_known
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,29 @@ def digest_of_json(data: object) -> tuple[str, str]:
     return text, sha256(text.encode()).hexdigest()
 
 
+def check_network(store: Store, science: Science, model_id: str, network: Json | None) -> None:
+    """Refuse a network that the model cannot be varied to, before a rotor asks for it."""
+    with store.read() as tx:
+        card = _registered(tx, model_id)
+    science.vary(card, network)
+
+
+def _registered(tx: Transaction, model_id: str) -> ModelCard:
+    try:
+        return tx.records.model(model_id)
+    except NotFoundError as error:
+        fault = InputError("model", model_id, "is not registered", error.remedy)
+        raise FaultsError([fault]) from None
+
+
+def _told(blade: BladeRecord) -> Json:
+    """A blade as its digest sees it, which knows no field that it does not use."""
+    told = asdict(blade)
+    if blade.known is None:
+        del told["known"]
+    return told
+
+
 def create_rotor(
     store: Store,
     rotor_id: str,
@@ -47,22 +73,23 @@ def create_rotor(
     blades: Sequence[BladeRecord],
     particles: int,
     seed: int,
+    network: Json | None = None,
 ) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool]:
-    """A new rotor, or the one that is there with the same content; whether it is new."""
+    """A new rotor, or the one that is there with the same content; whether it is new.
+
+    network   what it varies of the model's network, already checked (`check_network`)
+    """
     names = [blade.id for blade in blades]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         fault = InputError("blades", twice, "are named twice", "give each blade its own id")
         raise FaultsError([fault])
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
-    body = [rotor_id, model_id, [asdict(b) for b in ordered], particles, seed]
-    digest = digest_of_json(body)[1]
+    body = [rotor_id, model_id, [_told(b) for b in ordered], particles, seed]
+    digest = digest_of_json(body if network is None else [*body, network])[1]
     with store.write() as tx:
-        try:
-            card: ModelCard = tx.records.model(model_id)
-        except NotFoundError as error:
-            fault = InputError("model", model_id, "is not registered", error.remedy)
-            raise FaultsError([fault]) from None
+        card = _registered(tx, model_id)
+        check_known(card.network, [(f"blades[{i}].", blade) for i, blade in enumerate(blades)])
         rotor = RotorRecord(
             rotor_id,
             model_id,
@@ -72,6 +99,7 @@ def create_rotor(
             head_seq=0,
             digest=digest,
             created_at=0.0,
+            network=network,
         )
         new = tx.records.put_rotor(rotor, ordered)
         stored = tx.records.rotor(rotor_id)
@@ -102,17 +130,17 @@ def retry(store: Store, rotor_id: str) -> RotorRecord:
         return tx.records.rotor(rotor_id)
 
 
-def _blade(tx: Transaction, rotor_id: str, blade_id: str) -> BladeRecord | None:
-    return next((b for b in tx.records.blades(rotor_id) if b.id == blade_id), None)
-
-
 def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
     """A blade joins the rotor; its prior is what the rotor knows."""
-    body, digest = digest_of_json(asdict(blade))
+    body, digest = digest_of_json(_told(blade))
     event = NewEvent(f"blade/{blade.id}", "blade", body, digest, blade=blade.id)
+    with store.read() as tx:
+        rotor = tx.records.rotor(rotor_id)
+        card = tx.records.model(rotor.model_id, rotor.model_version)
+    check_known(card.network, [("", blade)])
     with store.write() as tx:
         tx.log.lock(rotor_id)
-        there = _blade(tx, rotor_id, blade.id)
+        there = tx.records.blade(rotor_id, blade.id)
         if there is not None and there.added_seq == 0:
             if replace(there, retired_seq=None) != blade:
                 raise ConflictError("blade", blade.id, "choose a new id for the new blade")
@@ -128,7 +156,7 @@ def retire_blade(store: Store, rotor_id: str, blade_id: str) -> Appended:
     event = NewEvent(f"retirement/{blade_id}", "retirement", *digest_of_json({}), blade=blade_id)
     with store.write() as tx:
         tx.log.lock(rotor_id)
-        if _blade(tx, rotor_id, blade_id) is None:
+        if tx.records.blade(rotor_id, blade_id) is None:
             raise NotFoundError("blade", blade_id, f"GET /v1/rotors/{rotor_id} lists the blades")
         answer = tx.log.append(rotor_id, [event])[0]
         if answer.new:

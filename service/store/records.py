@@ -22,6 +22,7 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("applied_seq", "version", "dirty", "attempts", "blocked")),
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
+BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
 
 
 def insert_new(connection: Connection, table: Any, values: Json) -> bool:
@@ -86,7 +87,7 @@ class SqlRecords:
             status=row["status"],
             request=json.loads(row["request"]),
             created_at=row["created_at"],
-            result=None if row["result"] is None else json.loads(row["result"]),
+            result=_read(row["result"]),
             error=row["error"],
             attempts=row["attempts"],
             finished_at=row["finished_at"],
@@ -95,7 +96,8 @@ class SqlRecords:
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool:
         """Write a new rotor with its blades and a dirty cursor; False: the id is taken."""
         values = {name: getattr(rotor, name) for name in t.rotor.c.keys()}  # noqa: SIM118
-        if not insert_new(self._connection, t.rotor, values | {"created_at": now_s()}):
+        values |= {"created_at": now_s(), "network": _text(rotor.network)}
+        if not insert_new(self._connection, t.rotor, values):
             return False
         self._connection.execute(
             insert(t.cursor).values(
@@ -127,16 +129,17 @@ class SqlRecords:
         return [_rotor(row) for row in self._connection.execute(query.limit(limit))]
 
     def blades(self, rotor_id: str) -> list[BladeRecord]:
-        columns = [c for c in t.blade.c if c.name != "rotor_id"]
-        query = select(*columns).where(t.blade.c.rotor_id == rotor_id).order_by(t.blade.c.id)
-        return [BladeRecord(**row._mapping) for row in self._connection.execute(query)]
+        query = select(*BLADE).where(t.blade.c.rotor_id == rotor_id).order_by(t.blade.c.id)
+        return [_blade(row) for row in self._connection.execute(query)]
 
-    def has_blade(self, rotor_id: str, blade_id: str) -> bool:
+    def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None:
         key = (t.blade.c.rotor_id == rotor_id) & (t.blade.c.id == blade_id)
-        return self._connection.execute(select(t.blade.c.id).where(key)).first() is not None
+        row = self._connection.execute(select(*BLADE).where(key)).one_or_none()
+        return None if row is None else _blade(row)
 
     def put_blade(self, rotor_id: str, blade: BladeRecord) -> None:
-        self._connection.execute(insert(t.blade).values(rotor_id=rotor_id, **asdict(blade)))
+        values = asdict(blade) | {"rotor_id": rotor_id, "known": _text(blade.known)}
+        self._connection.execute(insert(t.blade).values(values))
 
     def retire_blade(self, rotor_id: str, blade_id: str, seq: int) -> None:
         key = (t.blade.c.rotor_id == rotor_id) & (t.blade.c.id == blade_id)
@@ -150,4 +153,16 @@ def _card(text: str) -> ModelCard:
 
 
 def _rotor(row: Row[Any]) -> RotorRecord:
-    return RotorRecord(**row._mapping)
+    return RotorRecord(**dict(row._mapping) | {"network": _read(row.network)})
+
+
+def _blade(row: Row[Any]) -> BladeRecord:
+    return BladeRecord(**dict(row._mapping) | {"known": _read(row.known)})
+
+
+def _text(value: object) -> str | None:
+    return None if value is None else json.dumps(value)
+
+
+def _read(text: str | None) -> Any:
+    return None if text is None else json.loads(text)

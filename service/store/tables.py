@@ -83,6 +83,7 @@ rotor = Table(
     Column("head_seq", BIG, nullable=False),
     Column("digest", String(64), nullable=False),
     Column("created_at", Double, nullable=False),
+    Column("network", Text),
     ForeignKeyConstraint(["model_id", "model_version"], ["model.id", "model.version"]),
 )
 
@@ -98,6 +99,7 @@ blade = Table(
     Column("time_h0", Double),
     Column("added_seq", BIG, nullable=False),
     Column("retired_seq", BIG),
+    Column("known", Text),
 )
 
 entry = Table(
@@ -125,6 +127,7 @@ cursor = Table(
     Column("version", BIG, nullable=False),
     Column("dirty", Boolean, nullable=False),
     Column("dirty_since", Double),
+    Column("provisional_since", Double),
     Column("fence", BIG, nullable=False),
     Column("owner", NAME),
     Column("lease_until", Double),

@@ -7,7 +7,9 @@ worker that dies anywhere leaves either both or neither.
 
 A rotor is claimed to apply what is pending, or, when nothing is, to seal a provisional posterior.
 Sealing takes long and may wait: an entry that comes meanwhile is claimed over it at once, and the
-sealing worker's commit is one that came too late.
+sealing worker's commit is one that came too late. But a stream without a pause must not put it off
+for ever: a rotor that has been provisional for `overdue_s` is sealed before anything more is
+applied, as far as it was applied, and what comes meanwhile waits for that one sealing.
 
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
@@ -15,6 +17,7 @@ Every condition below is one function, so that a test can take it away and see t
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -24,6 +27,7 @@ from sqlalchemy import (
     Engine,
     and_,
     false,
+    func,
     insert,
     not_,
     or_,
@@ -39,6 +43,13 @@ from service.store.log import lock_rotor, notify
 
 c = t.cursor.c
 Role = Literal["all", "apply", "seal"]
+Kind = Literal["late", "apply", "quiet"]
+KINDS: dict[Role, tuple[Kind, ...]] = {
+    "all": ("late", "apply", "quiet"),
+    "apply": ("apply",),
+    "seal": ("late", "quiet"),
+}
+FOREVER = 1e12  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +71,20 @@ def pending() -> ColumnElement[bool]:
     return or_(c.version == 0, c.applied_seq < head)
 
 
-def claimable(*, sealing: bool, quiet_s: float) -> ColumnElement[bool]:
+def overdue(overdue_s: float) -> ColumnElement[bool]:
+    """The rotor has been provisional for too long."""
+    return and_(c.provisional_since.is_not(None), c.provisional_since <= now_s() - overdue_s)
+
+
+def claimable(kind: Kind, *, quiet_s: float, overdue_s: float) -> ColumnElement[bool]:
     """There is work of this kind, nobody alive holds it, and no pause is running."""
     free = or_(c.lease_until.is_(None), c.lease_until <= now_s())
-    due = (
-        and_(not_(pending()), free, c.dirty_since <= now_s() - quiet_s)
-        if sealing
-        else and_(pending(), or_(free, c.sealing == true()))
-    )
+    late = overdue(overdue_s)
+    due = {
+        "late": and_(late, free),
+        "apply": and_(pending(), or_(free, and_(c.sealing == true(), not_(late)))),
+        "quiet": and_(not_(pending()), free, c.dirty_since <= now_s() - quiet_s),
+    }[kind]
     rested = or_(c.not_before.is_(None), c.not_before <= now_s())
     return and_(c.dirty == true(), c.blocked == false(), rested, due)
 
@@ -88,25 +105,30 @@ def owned(lease: Lease) -> ColumnElement[bool]:
 
 
 def claim(
-    engine: Engine, owner: str, lease_s: float, *, role: Role = "all", quiet_s: float = 0.0
+    engine: Engine,
+    owner: str,
+    lease_s: float,
+    *,
+    role: Role = "all",
+    quiet_s: float = 0.0,
+    overdue_s: float = math.inf,
 ) -> Lease | None:
     """Take the rotor that has waited longest; None: nothing to do.
 
-    Pending entries go before sealing; a rotor is sealed when it was quiet for `quiet_s`.
+    Pending entries go before sealing; a rotor is sealed when it was quiet for `quiet_s`, and before
+    anything else when it was provisional for `overdue_s`.
     """
-    for sealing in (False, True):
-        if role == ("apply" if sealing else "seal"):
-            continue
-        lease = _claim(engine, owner, lease_s, sealing, quiet_s)
+    for kind in KINDS[role]:
+        due = claimable(kind, quiet_s=quiet_s, overdue_s=min(overdue_s, FOREVER))
+        lease = _claim(engine, owner, lease_s, kind != "apply", due)
         if lease is not None:
             return lease
     return None
 
 
 def _claim(
-    engine: Engine, owner: str, lease_s: float, sealing: bool, quiet_s: float
+    engine: Engine, owner: str, lease_s: float, sealing: bool, due: ColumnElement[bool]
 ) -> Lease | None:
-    due = claimable(sealing=sealing, quiet_s=quiet_s)
     first = select(c.rotor_id).where(due).order_by(c.dirty_since).limit(1)
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
@@ -156,6 +178,7 @@ def advance(connection: Connection, lease: Lease, through: int, *, sealed: bool)
             version=c.version + 1,
             dirty=dirty,
             dirty_since=now_s() if dirty else None,
+            provisional_since=None if sealed else func.coalesce(c.provisional_since, now_s()),
             attempts=0,
             owner=None,
             lease_until=None,

@@ -108,6 +108,7 @@ class Updater:
             self.settings.lease_s,
             role=self.role,
             quiet_s=self.settings.seal_after_s,
+            overdue_s=self.settings.seal_within_s,
         )
         if lease is None:
             return False
@@ -160,11 +161,13 @@ class Updater:
                 memory = self._restore(tx, lease, memory)
             through = lease.applied_seq if lease.sealing else rotor.head_seq
             fresh = read_entries(tx.connection, rotor.id, memory.through, through)
-            blades = [b.id for b in tx.records.blades(rotor.id) if b.added_seq <= through]
+            blades = [b for b in tx.records.blades(rotor.id) if b.added_seq <= through]
+        known = {b.id: b.known for b in blades if b.known is not None}
+        spec = RotorSpec(rotor.id, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)
         readings = entries_of(fresh)
         return Task(
-            card=card,
-            spec=RotorSpec(rotor.id, tuple(blades), rotor.particles, rotor.seed),
+            card=self.science.vary(card, rotor.network),
+            spec=spec,
             through=through,
             entries=memory.entries + readings,
             pending=len(readings),

@@ -33,7 +33,6 @@ def test_one_seed_shows_nothing() -> None:
         spread(model_of(VARIANT), VARIANT, rotors=1, seed=7, seeds=1)
 
 
-@pytest.mark.skipif(not RESULT.exists(), reason="no study is kept")
 def test_the_kept_study_is_steady() -> None:
     kept = json.loads(RESULT.read_text())
     assert kept["seeds"] >= 8

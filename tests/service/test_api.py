@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, ClassVar
 
 import httpx
 import pytest
 from sqlalchemy.exc import OperationalError
 
+from core.calibration.health import verdict
 from service.bootstrap import make_worker
 from service.client import BlockedError, Client, ProblemError
-from service.fake import FakeScience
+from service.fake import FakeScience, FakeState
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
@@ -117,6 +119,8 @@ QUESTIONS: list[tuple[dict[str, str], str]] = [
     ({"probability": "nan"}, "probability"),
     ({"probability": "often"}, "probability"),
     ({"version": "0"}, "version"),
+    ({"instrument": "gauge 1"}, "instrument"),
+    ({"instrument": ""}, "instrument"),
 ]
 
 
@@ -397,6 +401,10 @@ def test_a_blade_joins_and_leaves(created: httpx.Client, worker: Worker) -> None
     refuse(created.post("/v1/rotors/r1/blades/B9/retirement"), 404, "blade")
     worker.drain()
     view = created.get("/v1/rotors/r1").json()
+    assert created.post("/v1/rotors/r1/blades", json={"id": "B4"}).json()["head_seq"] == 4
+    for what in ("posterior", "prediction?times=1"):
+        told = refuse(created.get(f"/v1/rotors/r1/blades/B4/{what}"), 409, "version")
+        assert "wait_for=4" in told["detail"]
     assert [(b["id"], b["lot"], b["retired"]) for b in view["blades"]] == [
         ("B1", None, True),
         ("B2", None, False),
@@ -426,6 +434,52 @@ def test_an_etag_holds_until_the_state_changes(
     fresh = created.get(path, headers={"if-none-match": tag})
     assert fresh.status_code == 200
     assert fresh.headers["etag"] != tag
+
+
+class Doubtful(FakeScience):
+    """Says of its states what `told` says."""
+
+    told: ClassVar[Json]
+
+    def update(self, *args: Any, **kw: Any) -> FakeState:
+        state = super().update(*args, **kw)
+        return replace(state, meta=state.meta | {"health": self.told})
+
+
+class Degenerate(Doubtful):
+    told = verdict({"nodes": 64, "ess": 2.0, "ess_ratio": 0.03, "tempered": 1.0}, [], sealed=True)
+
+
+class OfAnEarlierRelease(Doubtful):
+    told: ClassVar[Json] = {"ess": 64, "ess_ratio": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("science_type", "status", "trusted"),
+    [
+        (FakeScience, "ok", True),
+        (Degenerate, "degenerate", False),
+        (OfAnEarlierRelease, "unknown", False),
+    ],
+)
+def test_a_state_below_its_floor_is_never_read_without_being_told(
+    created: httpx.Client,
+    store: SqlStore,
+    settings: Settings,
+    science_type: type[FakeScience],
+    status: str,
+    trusted: bool,
+) -> None:
+    assert created.get("/v1/rotors/r1").json()["health"] is None
+    assert "bladetwin-health" not in created.get("/v1/rotors/r1").headers
+    make_worker(store, science_type(), settings).drain()
+    for path in ("", "/posterior", "/blades/B1/posterior", "/blades/B1/prediction?times=1"):
+        answer = created.get(f"/v1/rotors/r1{path}")
+        health = answer.json()["health"]
+        assert (health["status"], health["trusted"]) == (status, trusted)
+        assert bool(health["reasons"]) == (not trusted)
+        assert health["contradicted"] == []
+        assert answer.headers["bladetwin-health"] == status
 
 
 def test_an_older_version_can_be_read_and_an_unknown_one_is_refused(
@@ -532,16 +586,26 @@ def test_the_client_goes_the_whole_way(api: httpx.Client, worker: Worker) -> Non
     worker.drain()
     assert twin.wait_for("r1", seq)["applied_seq"] == 2
     assert twin.wait_sealed("r1")["posterior"]["sealed"] is True
-    assert twin.prediction("r1", "B1", times=[0.0, 50_000.0])["mean"][0] == 0.0
+    bands = twin.prediction("r1", "B1", times=[0.0, 50_000.0])
+    assert bands["mean"][0] == 0.0
+    assert (bands["instrument"], bands["noise_from"]) == (None, "prior")
+    assert bands["health"]["trusted"] is True
     assert set(twin.posterior("r1")["parameters"]) == {"rate"}
     assert twin.retract("r1", "b") == 3
     assert twin.add_blade("r1", "B3") == 4
     assert twin.retire_blade("r1", "B3") == 5
     assert twin.retry("r1")["id"] == "r1"
     assert [m["id"] for m in twin.models()] == ["rotor-blade"]
-    with pytest.raises(ProblemError) as caught:
-        twin.post_inspections("r1", [one("x", blade="B9")])
-    assert caught.value.faults[0]["field"] == "inspections[0].blade"
+    refused: list[tuple[Callable[[], Any], str]] = [
+        (lambda: twin.post_inspections("r1", [one("x", blade="B9")]), "inspections[0].blade"),
+        (lambda: twin.prediction("r1", "B1", instrument="gauge 1"), "instrument"),
+        (lambda: twin.create_rotor("x", blades=[], network={"forgetting_h": 2e4}), "network"),
+        (lambda: twin.add_blade("r1", {"id": "B4", "known": {"load": 2.0}}), "known.load"),
+    ]
+    for ask, field in refused:
+        with pytest.raises(ProblemError) as caught:
+            ask()
+        assert caught.value.faults[0]["field"] == field
 
 
 def test_the_client_says_that_a_rotor_is_blocked(

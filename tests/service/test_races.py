@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
-from sqlalchemy import select, text, true
+from sqlalchemy import false, select, text, true
 from sqlalchemy.exc import DBAPIError
 
 from core.observation import Inspection
@@ -350,16 +350,23 @@ def test_an_entry_that_comes_during_an_update_is_not_lost(
         assert tx.records.rotor(rotor).applied_seq == 2
 
 
-def test_an_entry_is_not_kept_waiting_by_a_sealing(
+def sealing(
     race: Race, rotor: str, reading: Make, post: Post
-) -> None:
+) -> tuple[updates.Updater, leases.Lease]:
+    """A worker that has claimed a provisional state to seal it."""
     race.provisional = True
     post(rotor, reading("a"))
     assert race.updater("before").run_once()
-    sealer = race.updater("sealer")
-    lease = leases.claim(race.store.engine, "sealer", 60.0, role="seal")
+    lease = leases.claim(race.store.engine, "sealer", 60.0, role="seal", overdue_s=0.0)
     assert lease is not None
     assert lease.sealing
+    return race.updater("sealer"), lease
+
+
+def test_an_entry_is_not_kept_waiting_by_a_sealing(
+    race: Race, rotor: str, reading: Make, post: Post
+) -> None:
+    sealer, lease = sealing(race, rotor, reading, post)
     assert leases.claim(race.store.engine, "second", 60.0) is None, "nothing is pending"
     task = sealer.read(lease)
     state = sealer.compute(task, quick=False)
@@ -388,3 +395,52 @@ def test_a_busy_rotor_is_not_sealed_before_it_is_quiet(
     engine = race.store.engine
     assert leases.claim(engine, "sealer", 60.0, role="seal", quiet_s=3600.0) is None
     assert leases.claim(engine, "sealer", 60.0, role="seal", quiet_s=0.0) is not None
+
+
+def endless_stream(race: Race, rotor: str, reading: Make, post: Post) -> list[bool]:
+    """Which versions are sealed, where an entry is always pending and patience is over at once."""
+    race.provisional = True
+    settings = race.settings.model_copy(update={"seal_within_s": 0.0, "seal_after_s": 3600.0})
+    race.settings = settings
+    applier, sealer = race.updater("applier"), race.updater("sealer")
+    applier.role, sealer.role = "apply", "seal"
+    post(rotor, reading("first"))
+    for n in range(4):
+        assert applier.run_once()
+        post(rotor, reading(f"next{n}", blade="B2"))
+        sealer.run_once()
+    check_history(race.store, rotor)
+    with race.store.read() as tx:
+        return [
+            tx.states.get(rotor, v).sealed for v in range(1, tx.records.rotor(rotor).version + 1)
+        ]
+
+
+def test_a_stream_without_a_pause_is_sealed_all_the_same(
+    race: Race, rotor: str, reading: Make, post: Post
+) -> None:
+    assert endless_stream(race, rotor, reading, post) == [False, True] * 4
+
+
+def test_without_the_limit_a_stream_is_never_sealed(
+    race: Race, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(leases, "overdue", lambda overdue_s: false())
+    assert endless_stream(race, rotor, reading, post) == [False] * 4, "mutant"
+
+
+def test_entries_wait_for_a_sealing_that_is_overdue(
+    race: Race, rotor: str, reading: Make, post: Post
+) -> None:
+    sealer, lease = sealing(race, rotor, reading, post)
+    engine = race.store.engine
+    task = sealer.read(lease)
+    post(rotor, reading("b", blade="B2"))
+    assert leases.claim(engine, "applier", 60.0, role="apply", overdue_s=0.0) is None
+    state = sealer.compute(task, quick=False)
+    sealer.commit(lease, task, state, sealer.change(task, state))
+    assert race.updater("applier").run_once()
+    check_history(race.store, rotor)
+    with race.store.read() as tx:
+        assert [tx.states.get(rotor, v).sealed for v in (1, 2, 3)] == [False, True, False]
+        assert tx.records.rotor(rotor).applied_seq == 2

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from core.errors import ModelError
 from core.model import Model
@@ -23,26 +22,9 @@ from service.science import CoreScience
 from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.unit_of_work import SqlStore
+from tests.service.smooth import TRUE, elongation, formula_science
 
 Make = Callable[..., Inspection]
-TRUE = np.array([[1.1, 0.87, 0.4, -0.5]])
-
-
-def elongation(x: NDArray[np.float64], time_h: float) -> NDArray[np.float64]:
-    """A smooth blade: tbc, t1t, alpha, gamma → mm."""
-    tbc, t1t, alpha, gamma = x.T
-    heat = np.exp(8.0 * (t1t - 0.9) - 1.5 * (tbc - 1.0))
-    primary = 0.08 * np.exp(0.15 * alpha) * time_h / (time_h + 3000.0)
-    return np.asarray(heat * (primary + 0.3 * np.exp(0.2 * gamma) * time_h / 50_000.0))
-
-
-def formula_science() -> CoreScience:
-    network = rotor_blade_network()
-    inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in network.parameters)
-    formula = FormulaModel(
-        inputs, {"elongation": elongation}, "smooth", 50_000.0, positive=("elongation",)
-    )
-    return CoreScience(model=Model(network, formula))
 
 
 @pytest.fixture
@@ -74,7 +56,7 @@ def test_any_order_of_arrival_ends_in_the_same_sealed_posterior_and_a_band_that_
     assert state is not None
     assert state.sealed
     science = formula_science()
-    basis = reads.basis(real_store, "r1", None, "B1")
+    basis = reads.basis(real_store, science, "r1", None, "B1")
     spec = RotorSpec("r1", ("B1", "B2"), 512, 5)
     alone = science.update(basis.card, spec, readings, None, quick=False)
     assert state.digest == alone.digest
@@ -82,14 +64,14 @@ def test_any_order_of_arrival_ends_in_the_same_sealed_posterior_and_a_band_that_
     assert all(get(name).tobytes() == array.tobytes() for name, array in alone.arrays.items())
 
     asked = reads.question(basis.card, "elongation", [30_000.0, 50_000.0], None, 0.95)
-    bands = reads.predict(real_store, science, basis, "B1", asked)
+    bands = reads.predict(real_store, science, basis, asked)
     truth = [float(elongation(TRUE, t)[0]) for t in asked.times]
     for low, true, high in zip(bands["lower"], truth, bands["upper"], strict=True):
         assert low < true < high
     total = np.array(bands["sd"]["total"]) ** 2
     parts = sum(np.array(v) ** 2 for k, v in bands["sd"].items() if k != "total")
     assert parts == pytest.approx(total)
-    assert "t1t_rate" in reads.posterior(real_store, science, basis, None)["parameters"]
+    assert "t1t_rate" in reads.posterior(real_store, science, basis)["parameters"]
 
 
 def test_a_model_of_another_release_is_refused_by_name(real_store: SqlStore) -> None:

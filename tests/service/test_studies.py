@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
+from core.validation import schedule_study
 from service.cli import app
 
 
@@ -34,3 +36,24 @@ def test_a_seed_study_says_the_spread_of_every_mean(tmp_path: Path) -> None:
     kept = json.loads(invoke("study", "seeds", "rotor-20", *small))
     assert kept["seeds"] == 2
     assert kept["table"]["ceeq at 32000 h"]["means"] == 2
+
+
+def test_a_stored_reference_is_compared_without_numpyro() -> None:
+    kept = json.loads(invoke("study", "reference", "thin-coating", "--seeds", "1"))["rotors"][
+        "thin-coating"
+    ]
+    assert kept["blades"] == 10
+    assert len(kept["log_evidence"]) == len(kept["worst"]) == 1
+    assert set(kept["worst"][0]["beyond"]) == {"mean", "ratio", "correlation"}
+
+
+def test_a_schedule_study_compares_arms_with_the_joint_posterior(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(schedule_study, "PLAIN", schedule_study.PLAIN[:2])
+    small = ("--rotors", "1", "--disturbed", "0", "--blades", "4", "--particles", "200")
+    kept = json.loads(invoke("study", "schedule", *small, "--no-shipped"))
+    assert set(kept["coverage"]) == {"joint", "offline"}
+    assert kept["coverage"]["joint"]["t1t_rate"]["sd_ratio"] == 1
+    assert kept["coverage"]["offline"]["creep_steady"]["truths"] == 6
+    assert kept["joint_online_is_offline"] == 0

@@ -31,12 +31,12 @@ def get_blade_posterior(
 def _posterior(
     request: Request, services: Wired, r: str, b: str | None, version: int | None
 ) -> Response:
-    found = use.basis(services.store, r, version, b)
+    found = use.basis(services.store, services.science, r, version, b)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:
         return same
     body = {"rotor": r} | ({} if b is None else {"blade": b})
-    body |= use.posterior(services.store, services.science, found, b)
+    body |= use.posterior(services.store, services.science, found)
     return tagged(body | {"rests_on": found.to_json()}, tag)
 
 
@@ -50,14 +50,22 @@ def get_prediction(
     times: Annotated[str | None, Query(description="hours, with commas between")] = None,
     node: Annotated[str | None, Query(max_length=100)] = None,
     probability: float = 0.95,
+    instrument: Annotated[
+        str | None,
+        Query(
+            min_length=1,
+            max_length=200,
+            description="whose noise a reading has, where noises are by it",
+        ),
+    ] = None,
     version: Version = None,
 ) -> Response:
-    found = use.basis(services.store, r, version, b)
-    asked = use.question(found.card, quantity, read_times(times), node, probability)
+    found = use.basis(services.store, services.science, r, version, b)
+    asked = use.question(found.card, quantity, read_times(times), node, probability, instrument)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:
         return same
-    body = {"rotor": r} | use.predict(services.store, services.science, found, b, asked)
+    body = {"rotor": r} | use.predict(services.store, services.science, found, asked)
     return tagged(body | {"rests_on": found.to_json()}, tag)
 
 

@@ -13,7 +13,8 @@ from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.api.problems import RequestError, fault
-from service.api.schemas import BladeIn, Nothing, RotorIn
+from service.api.rotor_bodies import BladeIn, RotorIn
+from service.api.schemas import Nothing
 from service.api.services import (
     Cursor,
     Limit,
@@ -29,6 +30,7 @@ from service.api.services import (
     unchanged,
 )
 from service.handlers import rotors as use
+from service.handlers.reads import health
 from service.ports import BladeRecord, RotorRecord
 
 router = APIRouter(prefix="/v1/rotors", tags=["rotors"])
@@ -43,6 +45,7 @@ def rotor_out(rotor: RotorRecord) -> dict[str, Any]:
         "model_version": rotor.model_version,
         "particles": rotor.particles,
         "seed": rotor.seed,
+        "network": rotor.network,
         "created_at": moment(rotor.created_at),
         "head_seq": rotor.head_seq,
         "applied_seq": rotor.applied_seq,
@@ -72,12 +75,14 @@ def view_out(view: use.RotorView) -> dict[str, Any]:
     return rotor_out(view.rotor) | {
         "blades": [blade_out(blade) for blade in view.blades],
         "posterior": posterior,
-        "health": state.meta["health"] if state else None,
+        "health": state and health(state),
     }
 
 
 @router.post("", status_code=201, summary="Create a rotor; the same again gives the same answer")
 def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
+    network = body.asked_network()
+    use.check_network(services.store, services.science, body.model, network)
     rotor, blades, new = use.create_rotor(
         services.store,
         body.id,
@@ -85,6 +90,7 @@ def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
         [blade.record() for blade in body.blades],
         services.settings.particles if body.particles is None else body.particles,
         body.seed,
+        network,
     )
     answer = {
         "id": rotor.id,
@@ -93,6 +99,7 @@ def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
         "blades": [blade_out(blade) for blade in blades],
         "particles": rotor.particles,
         "seed": rotor.seed,
+        "network": rotor.network,
         "created_at": moment(rotor.created_at),
     }
     headers = {"Location": f"/v1/rotors/{rotor.id}"}

@@ -10,14 +10,20 @@ import pytest
 from core.calibration import online
 from core.calibration.online import RotorSpec, RotorState, Workspace, update
 from core.calibration.state import shared_posterior
+from core.calibration.surface import Surface
+from core.calibration.target import assemble, shared_space
 from core.errors import InputError
 from core.observation import Inspection
+from core.smc.particles import normalised
+from core.smc.placement import moments, sobol
 from tests.core.calibration.bar import bar, measured
 
 MODEL = bar()
 BLADES = 6
 SPEC = RotorSpec("r", tuple(f"b{i}" for i in range(BLADES)), 6000, 3)
 READINGS = measured(BLADES, (8e3, 16e3), 0)
+ROWS = [assemble(MODEL, [r for r in READINGS if r.blade == b]) for b in SPEC.blades]
+SPACE = shared_space(MODEL, [rows for rows in ROWS if rows is not None])
 LATE = measured(BLADES, (24e3,), 1)[2]
 
 
@@ -36,12 +42,30 @@ def stored(state: RotorState, asked: list[str]) -> RotorState:
     return RotorState.restore(state.meta, get)
 
 
+def test_a_sealed_state_has_the_moments_of_its_surface(before: RotorState) -> None:
+    arrays = before.arrays
+    unit, log_w = arrays["shared/unit"], arrays["shared/log_p"] - arrays["shared/log_q"]
+    assert np.any(arrays["shared/tilt"])
+    np.testing.assert_allclose(
+        normalised(arrays["shared/log_w"]), normalised(log_w + arrays["shared/tilt"]), rtol=1e-9
+    )
+    surface, error = Surface.through(unit, arrays["shared/log_p"], normalised(log_w))
+    assert before.meta["health"]["surface_error_nat"] == pytest.approx(error, abs=1e-4)
+    box = np.clip(moments(unit, normalised(log_w))[0] + [[-0.5], [0.5]], 0.0, 1.0)
+    grid = box[0] + sobol(2**15, unit.shape[1], 5) * (box[1] - box[0])
+    w, tilted = normalised(surface(grid)), normalised(arrays["shared/log_w"])
+    x, dense = arrays["shared/x"][:, 0], SPACE.to_x(grid)[:, 0]
+    sd = np.sqrt(w @ (dense - w @ dense) ** 2)
+    assert tilted @ x == pytest.approx(w @ dense, abs=0.01 * sd)
+    assert np.sqrt(tilted @ (x - tilted @ x) ** 2) == pytest.approx(sd, rel=0.01)
+
+
 def test_a_quick_update_reads_and_makes_the_touched_blade_only(before: RotorState) -> None:
     asked: list[str] = []
     state = update(MODEL, SPEC, [*READINGS, LATE], stored(before, asked), quick=True)
     assert not state.sealed
     assert state.meta["provisional"] == [LATE.blade]
-    shared = {"shared/unit", "shared/log_p", "shared/log_q"}
+    shared = {"shared/unit", "shared/log_p", "shared/log_q", "shared/tilt"}
     assert set(asked) == shared | {f"column/{LATE.blade}"}
     own = {f"column/{LATE.blade}", f"blade/{LATE.blade}/local", f"blade/{LATE.blade}/log_w"}
     assert state.fresh == own | {"shared/log_p", "shared/log_w"}

@@ -67,7 +67,8 @@ def test_a_scan_has_the_covariance_of_its_likelihood(model: Model) -> None:
     """Components along the modes: surrogate and mesh; all others: white noise only."""
     nodes, x, sigma, time_h = scan_nodes(80), np.array([0.8, 0.93, 1.0, -1.0]), 0.004, 16_000.0
     rng = np.random.default_rng(1)
-    y = np.array([scan(model, x, time_h, nodes, sigma, rng).ravel() for _ in range(800)])
+    shared = {"sigma_obs.deformation": sigma}
+    y = np.array([scan(model, x, time_h, nodes, shared, rng).ravel() for _ in range(800)])
     q, r = np.linalg.qr(model.surrogate.deformation_modes(nodes.tolist()).reshape(240, -1))
     z, sd = model.surrogate.mode_response(time_h, r, degree=DEGREE).evaluate(x[None])
     along = (y @ q - z[0]).var(axis=0)
@@ -76,6 +77,32 @@ def test_a_scan_has_the_covariance_of_its_likelihood(model: Model) -> None:
     np.testing.assert_allclose(along, expected, rtol=5 * np.sqrt(2 / 800))
     across = y - (y @ q) @ q.T
     assert across.var() * 240 / (240 - q.shape[1]) == pytest.approx(sigma**2, rel=0.01)
+
+
+def test_a_declared_offset_moves_readings_and_scans() -> None:
+    variant = plan("eight-shared", blades=40)
+    model = model_of(variant)
+    made = simulate(model, variant, 3, seed=1)
+    assert len(made.shared) == 8
+    x = {
+        b: np.array([[{**made.shared, **v}[n] for n in model.input_names]])
+        for b, v in made.local.items()
+    }
+    held = [h for h in made.held if h.quantity == "elongation" and h.time_h == 32_000.0]
+    off = []
+    for one in held:
+        (mean,), (sd,) = model.surrogate.predict(x[one.blade], "elongation", np.array([one.time_h]))
+        moved = one.value - mean[0] - made.shared["theta.elongation"]
+        off.append(moved / np.hypot(sd[0], 0.003 * mean[0]))
+    assert np.mean(np.square(off)) == pytest.approx(1, abs=4 * np.sqrt(2 / len(off)))
+    reading = next(r for r in made.readings if r.quantity == "deformation")
+    assert reading.nodes is not None
+    clean = model.surrogate.predict(
+        x["B001"], "deformation", np.array([reading.time_h]), reading.nodes.tolist()
+    )[0][0, 0]
+    theta = [made.shared[f"theta.deformation.{axis}"] for axis in "xyz"]
+    error = np.abs(clean).max() * 0.01 + made.shared["sigma_obs.deformation"]
+    assert (reading.values - clean).mean(axis=0) == pytest.approx(theta, abs=error)
 
 
 def test_the_noise_of_a_study_depends_on_variant_seed_and_rotor_alone(model: Model) -> None:

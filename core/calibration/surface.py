@@ -1,0 +1,185 @@
+"""The log density between the shared nodes, and weights of the nodes that agree with it.
+
+The nodes hold log p(s | D) exactly at K places u_k of the unit box. A surface through them,
+
+    log p(u) ≈ quadratic(z) + Σ_k alpha_k exp(−|z − z_k|² / 2 l²),    z = whitened u,
+
+is universal kriging; beyond the outermost node it goes on as steeply as the normal of the nodes'
+moments falls there: the tails of a posterior are longer than a normal's. What
+it may be off is known beforehand: the weighted root mean square of its leave-one-out errors
+(Dubrule, Math. Geology 15, 1983).
+
+Sixty-four weighted nodes know a mean to some hundredths of a standard deviation, but a standard
+deviation to some hundredths of itself only, and worse where a tail is long. The surface integrates
+at thousands of points for nothing; the nodes' weights are tilted until mean and covariance are the
+surface's,
+
+    log w'_k = log w_k + lambda · f(x_k),    f = (z, z z^T),
+
+the change of least relative entropy (Csiszár 1975; as calibration of survey weights: Deville &
+Särndal 1992). Every blade's particles hang on the nodes, so all that is published follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.target import SharedSpace
+from core.errors import InputError
+from core.response import monomials
+from core.smc.particles import ess, log_sum_exp, normalised
+from core.smc.placement import Proposal, moments, rounded, sobol
+
+Array = NDArray[np.float64]
+DEPTH = 25.0  # nats below the best node that still shape the surface
+LENGTHS = (1.0, 1.5, 2.0, 3.0, 4.5)
+NUGGETS = (1e-8, 1e-5, 1e-2)
+POINTS = 8192
+FORESEEN = 2.0  # nat of leave-one-out error up to which a surface tells where to go
+KEPT = 0.6  # of the effective nodes: a tilt that costs more is not believed
+TRUSTED = 0.5  # nat of leave-one-out error up to which a surface is
+GRAIN = 2.0**-20  # nat: tilts are rounded, so that the last bits of a solver do not matter
+
+
+@dataclass(frozen=True)
+class Surface:
+    """log p over the unit box by universal kriging through nodes; whitened z = turn (u − mean)."""
+
+    mean: Array
+    turn: Array
+    nodes: Array
+    length: float
+    alpha: Array
+    reach: float
+
+    def __call__(self, unit: Array) -> Array:
+        """log p at (n, d), (n,)."""
+        z = (unit - self.mean) @ self.turn.T
+        r = np.sqrt(np.sum(z**2, axis=1))
+        z = z * np.minimum(1.0, self.reach / np.maximum(r, 1e-300))[:, None]
+        inside = np.hstack([_bells(z, self.nodes, self.length), monomials(z, 2)]) @ self.alpha
+        return np.asarray(inside - self.reach * np.maximum(r - self.reach, 0.0))
+
+    @staticmethod
+    def through(unit: Array, log_p: Array, w: Array) -> tuple[Surface, float]:
+        """The surface through log p at nodes (K, d) of weights w, and its error [nat]."""
+        mean, cov = moments(unit, w)
+        turn = np.linalg.inv(np.linalg.cholesky(cov + 1e-14 * np.eye(len(mean))))
+        shapes = log_p > np.max(log_p) - DEPTH
+        z, value, w = (unit[shapes] - mean) @ turn.T, log_p[shapes], normalised(np.log(w[shapes]))
+        basis = monomials(z, 2)
+        k, m = basis.shape
+        if k < m + 2:
+            raise InputError(
+                "nodes of the state", k, f"cannot carry {m} coefficients", "calibrate anew"
+            )
+        best: tuple[float, float, Array] | None = None
+        for length in LENGTHS:
+            for nugget in NUGGETS:
+                system = np.zeros((k + m, k + m))
+                system[:k, :k] = _bells(z, z, length) + nugget * np.eye(k)
+                system[:k, k:], system[k:, :k] = basis, basis.T
+                inverse = np.linalg.inv(system)
+                alpha = inverse[:, :k] @ value
+                left_out = alpha[:k] / np.diag(inverse)[:k]
+                error = float(np.sqrt(w @ left_out**2))
+                if best is None or error < best[0]:
+                    best = error, length, alpha
+        assert best is not None
+        reach = float(np.sqrt(np.max(np.sum(z**2, axis=1))))
+        return Surface(mean, turn, z, best[1], best[2], reach), best[0]
+
+
+def _bells(a: Array, b: Array, length: float) -> Array:
+    square = np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2)
+    return np.asarray(np.exp(-0.5 * square / length**2))
+
+
+def foreseen(proposal: Proposal, unit: Array, log_p: Array, log_q: Array) -> tuple[float, Proposal]:
+    """The share of effective nodes by a surface through log p that looks beyond them, and the
+    proposal that has its moments.
+
+    A proposal may sit aside of the posterior where log p is nearly flat over it: its weights are
+    even, and nothing at its own nodes tells. The surface is integrated over a proposal twice as
+    wide; with p normalised there, the share is 1 / ∫ p² / q. Raises InputError and LinAlgError
+    where no surface goes through.
+    """
+    w = normalised(log_p - log_q)
+    surface, error = Surface.through(unit, log_p, w)
+    if not error < FORESEEN:
+        raise InputError("surface", error, "nat off", "use the nodes alone")
+    assert proposal.chol is not None
+    wide = Proposal(proposal.mean, 2.0 * proposal.chol)
+    dense, log_dense_q = wide.nodes(sobol(POINTS, unit.shape[1], POINTS))
+    log_dense_p = surface(dense)
+    log_w = log_dense_p - log_dense_q
+    log_w -= log_sum_exp(log_w)
+    total = log_sum_exp(log_dense_p - log_dense_q) - np.log(POINTS)
+    ratio = log_sum_exp(log_w + log_dense_p - total - proposal.log_density(dense))
+    return float(np.exp(-ratio)), rounded(*moments(dense, normalised(log_w)))
+
+
+def evening(
+    space: SharedSpace, proposal: Proposal, unit: Array, log_p: Array, log_q: Array
+) -> tuple[Array, float | None]:
+    """What to add to log weights of nodes (K, d) for the surface's mean and covariance; its error.
+
+    Zero, and None, where no surface can be trusted or no gentle tilt leads there. The weights' sum
+    stays what it was: the evidence.
+    """
+    log_w, none = log_p - log_q, np.zeros(len(unit))
+    x = space.to_x(unit)
+    try:
+        surface, error = Surface.through(unit, log_p, normalised(log_w))
+        if not error < TRUSTED:
+            return none, None
+        dense, log_dense_q = proposal.nodes(sobol(POINTS, space.dim, POINTS))
+        log_dense_w = surface(dense) - log_dense_q
+        if ess(log_dense_w) / POINTS < KEPT * ess(log_w) / len(log_w):  # it rises between nodes
+            return none, None
+        mean, cov = moments(space.to_x(dense), normalised(log_dense_w))
+        z = np.linalg.solve(np.linalg.cholesky(cov), (x - mean).T).T
+    except (InputError, np.linalg.LinAlgError):
+        return none, None
+    i, j = np.triu_indices(space.dim)
+    found = tilt(np.hstack([z, z[:, i] * z[:, j] - (i == j)]), log_w)
+    if found is None or ess(log_w + found) < KEPT * ess(log_w):
+        return none, None
+    found -= log_sum_exp(log_w + found) - log_sum_exp(log_w)
+    return np.round(found / GRAIN) * GRAIN, error
+
+
+def tilt(features: Array, log_w: Array) -> Array | None:
+    """lambda · f at each node (K,) with which features (K, m) average to zero; None: no such.
+
+    Newton's method on the convex log Σ w exp(lambda · f).
+
+    >>> f = np.array([[-1.0], [0.0], [2.0]])
+    >>> w = normalised(np.zeros(3) + tilt(f, np.zeros(3)))
+    >>> abs(float(w @ f[:, 0])) < 1e-9
+    True
+    """
+    lam = np.zeros(features.shape[1])
+    value = log_sum_exp(log_w)
+    for _ in range(60):
+        w = normalised(log_w + features @ lam)
+        slope = w @ features
+        if np.max(np.abs(slope)) < 1e-9:
+            return np.asarray(features @ lam)
+        bend = (features * w[:, None]).T @ features - np.outer(slope, slope)
+        try:
+            step = np.linalg.solve(bend + 1e-10 * np.eye(len(lam)), -slope)
+        except np.linalg.LinAlgError:
+            return None
+        size = 1.0
+        while (
+            trial := log_sum_exp(log_w + features @ (lam + size * step))
+        ) > value + 1e-4 * size * float(slope @ step):
+            size *= 0.5
+            if size < 1e-6:
+                return None
+        lam, value = lam + size * step, trial
+    return None
