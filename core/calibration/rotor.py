@@ -180,7 +180,7 @@ def weigh(
     rounds: int = 12,
 ) -> Weighed:
     """Place and weight the shared nodes for these messages."""
-    d, n = space.dim, node_count(space.dim) * space.tails
+    d, n = space.dim, max(node_count(space.dim), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
     fitting = min(0.3, 1.2 / d)
     base = sobol(max(n, 2 * scouts), d, seed)
