@@ -57,7 +57,6 @@ def compared(
 def test_there_are_references_enough() -> None:
     assert len(MEETING) >= 4
     assert set(KEPT) <= set(ROTORS)
-    assert sum(kept(name).head["log_evidence"]["error"] < KNOWN for name in KEPT) >= 4
     for name in KEPT:
         size = sum((FOLDER / name).with_suffix(end).stat().st_size for end in (".json", ".npz"))
         assert size < 300_000
@@ -101,10 +100,9 @@ def test_the_rotor_of_table_1_misses_the_acceptance_by_no_more_than_is_said() ->
 
 @pytest.mark.parametrize("name", KEPT)
 def test_the_evidence_is_that_of_the_reference(name: str) -> None:
-    """Importance sampling from NUTS's draws, wherever its own error is small."""
+    """Importance sampling from NUTS's draws, whose own error is small for all that are kept."""
     there = kept(name).head["log_evidence"]
-    if there["error"] > KNOWN:
-        pytest.skip(f"its own error is {there['error']}")
+    assert there["error"] < KNOWN
     assert abs(calibrated(name).meta["log_evidence"] - there["value"]) < EVIDENCE
 
 
