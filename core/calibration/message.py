@@ -30,7 +30,7 @@ from core.response import multi_indices
 
 Array = NDArray[np.float64]
 PARTS = max(1, os.cpu_count() or 1)
-_POOL = ThreadPoolExecutor(max_workers=PARTS)
+POOL = ThreadPoolExecutor(max_workers=PARTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,14 +171,7 @@ def _side_by_side(work: Callable[[slice], None], parts: list[slice]) -> None:
     if len(parts) == 1:
         work(parts[0])
     else:
-        list(_POOL.map(work, parts))
-
-
-def columns(messages: Sequence[BladeMessage], unit: Array, *, rough: bool) -> list[Array]:
-    """The columns of several blades, one blade beside the other; of a single one, its nodes."""
-    if len(messages) < PARTS:
-        return [m.column(unit, rough) for m in messages]
-    return list(_POOL.map(lambda m: m.column(unit, rough, parts=1), messages))
+        list(POOL.map(work, parts))
 
 
 class BladeMessage:

@@ -26,10 +26,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.columns import Columns
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
 from core.calibration.message import BladeMessage, prior_draws
-from core.calibration.rotor import Columns, node_count, weigh
+from core.calibration.rotor import node_count, weigh
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.stored import StoredPosterior
 from core.calibration.surface import evening
@@ -50,7 +51,7 @@ from core.smc.particles import log_sum_exp, tempering_exponent
 Array = NDArray[np.float64]
 QUICK_ESS = 0.1  # share of the nodes that must carry the weight, tempered if need be
 LEAST_TEMPERING = 0.2  # below this exponent the nodes are placed anew at once
-MESSAGE_ERROR = 0.001  # nat, rms against a dense reference; more only far from what blades do
+MESSAGE_ERROR = 0.002  # nat, rms against a dense reference; more only far from what blades do
 MANY = 4  # touched blades for which a rough look comes first
 PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
 

@@ -15,57 +15,24 @@ new reading costs one blade's columns as long as the nodes stay.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.message import BladeMessage, columns
+from core.calibration.columns import Columns
+from core.calibration.message import BladeMessage
 from core.calibration.surface import foreseen
 from core.calibration.target import SharedSpace
-from core.errors import CalibrationError, InputError
+from core.errors import InputError
 from core.response import monomials
 from core.rng import seed_of
 from core.smc.particles import ess, normalised, tempering_exponent
 from core.smc.placement import Proposal, descend, improved, sobol
 
 Array = NDArray[np.float64]
-
-
-@dataclass
-class Columns:
-    """Messages already computed, by what they rest on. Bounded, oldest out."""
-
-    kept: dict[tuple[str, str, int, bytes], Array] = field(default_factory=dict)
-    limit: int = 20_000
-    computed: int = 0
-
-    def of(self, message: BladeMessage, key: bytes, unit: Array, how: str) -> Array:
-        return self.all({"": message}, key, unit, how)[""]
-
-    def all(
-        self, messages: Mapping[str, BladeMessage], key: bytes, unit: Array, how: str
-    ) -> dict[str, Array]:
-        """The column of each blade; those that are missing are computed side by side."""
-        # a proposal's scouts are fewer than its nodes: their number is part of the name
-        places = {b: (m.name, how, len(unit), key) for b, m in messages.items()}
-        missing = {b: messages[b] for b, place in places.items() if place not in self.kept}
-        if len(self.kept) + len(missing) > self.limit:
-            for old in list(self.kept)[: self.limit // 2]:
-                if old not in places.values():
-                    del self.kept[old]
-        found = columns(list(missing.values()), unit, rough=how == "rough")
-        for (blade, message), column in zip(missing.items(), found, strict=True):
-            self.computed += 1
-            if np.isnan(column).any():
-                raise CalibrationError(
-                    f"a blade's message is not a number at {int(np.isnan(column).sum())} of "
-                    f"{len(column)} nodes; its readings: {message.rows.y.tolist()[:12]}"
-                )
-            self.kept[places[blade]] = column
-        return {b: self.kept[place] for b, place in places.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +70,7 @@ class Weighed:
 
 MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
 CARRIES = 0.15  # share of effective nodes from which a surface through them tells where to go
+CIRCLE = 4  # placements at most that are looked at together
 IDLE = 4  # turns without a better placement after which no more are tried
 PANEL = 12  # blades of a kind whose exact messages place the nodes
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
@@ -171,6 +139,32 @@ def panel(messages: Mapping[str, BladeMessage]) -> dict[str, float]:
     return {blade: found[blade] for blade in sorted(found)}
 
 
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A placement that was tried: its nodes (n, d), log p and log q there."""
+
+    proposal: Proposal
+    unit: Array
+    log_p: Array
+    log_q: Array
+
+    @property
+    def share(self) -> float:
+        """Of effective nodes."""
+        return ess(self.log_p - self.log_q) / len(self.unit)
+
+    def judged(self, others: Sequence[Tried] = ()) -> tuple[float, Proposal]:
+        """The share that a surface through the nodes, its own and others', agrees with; and the
+        placement of that surface's moments. Raises InputError and LinAlgError as `foreseen`."""
+        tried = [self, *(one for one in others if one is not self)]
+        unit = np.concatenate([one.unit for one in tried])
+        log_p = np.concatenate([one.log_p for one in tried])
+        densities = np.array([one.proposal.log_density(unit) for one in tried])
+        log_q = np.logaddexp.reduce(densities, axis=0) - np.log(len(tried))
+        beyond, further = foreseen(self.proposal, unit, log_p, log_q)
+        return min(self.share, beyond), further
+
+
 def weigh(
     space: SharedSpace,
     messages: Mapping[str, BladeMessage],
@@ -217,25 +211,33 @@ def weigh(
                 space.log_prior(unit) + seen(unit, key, "rough", everyone) + mend(unit)
             ),
             start,
-            base[: scouts if d > 4 else 2 * scouts],
+            base[:scouts],
             enough=fitting,
             max_levels=6,
         )
 
     def settled(start: Proposal, turns: int, least: float = 0.0) -> tuple[float, Proposal]:
         """The best share of effective nodes on the way from `start`, and its proposal."""
-        best, idle = (-1.0, start), 0
+        best, idle, tried = (-1.0, start), 0, dict[bytes, Tried]()
         for _ in range(turns):
             unit, log_q = start.nodes(base[:n])
             log_p = space.log_prior(unit) + seen(unit, start.key, "exact", everyone)
-            share, following = ess(log_p - log_q) / n, improved(start, unit, log_p, log_q, fitting)
+            here = tried[start.key] = Tried(start, unit, log_p, log_q)
+            share, following = here.share, improved(start, unit, log_p, log_q, fitting)
             with suppress(InputError, np.linalg.LinAlgError):
-                beyond, further = foreseen(start, unit, log_p, log_q)
+                believed, further = here.judged()
                 following = further if share > CARRIES else following
-                share = min(share, beyond)
+                share = believed
             idle = 0 if share > 1.05 * best[0] else idle + 1
             best = max(best, (share, start), key=lambda found: found[0])
-            if best[0] >= enough or following.key == start.key or share < least or idle == IDLE:
+            if best[0] < enough and following.key in tried:  # in a circle
+                circle = list(tried.values())[-CIRCLE:]
+                for one in circle:
+                    with suppress(InputError, np.linalg.LinAlgError):
+                        share, further = one.judged(circle)
+                        if share > best[0]:
+                            best, following = (share, one.proposal), further
+            if best[0] >= enough or following.key in tried or share < least or idle == IDLE:
                 break
             start = following
         return best
