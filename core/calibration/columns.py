@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,19 +42,18 @@ def smooth_columns(messages: Sequence[BladeMessage], unit: Array) -> list[Array]
 class Columns:
     """Messages already computed, by what they rest on. Bounded, oldest out."""
 
-    kept: dict[tuple[str, str, int, bytes], Array] = field(default_factory=dict)
+    kept: dict[tuple[str, str, bytes], Array] = field(default_factory=dict)
     limit: int = 20_000
     computed: int = 0
 
-    def of(self, message: BladeMessage, key: bytes, unit: Array, how: str) -> Array:
-        return self.all({"": message}, key, unit, how)[""]
+    def of(self, message: BladeMessage, unit: Array, how: str) -> Array:
+        return self.all({"": message}, unit, how)[""]
 
-    def all(
-        self, messages: Mapping[str, BladeMessage], key: bytes, unit: Array, how: str
-    ) -> dict[str, Array]:
+    def all(self, messages: Mapping[str, BladeMessage], unit: Array, how: str) -> dict[str, Array]:
         """The column of each blade; those that are missing are computed side by side."""
-        # a proposal's scouts are fewer than its nodes: their number is part of the name
-        places = {b: (m.name, how, len(unit), key) for b, m in messages.items()}
+        # by the nodes: rotors with equal readings share the proposal, but each has its own nodes
+        nodes = blake2b(np.ascontiguousarray(unit).tobytes(), digest_size=16).digest()
+        places = {b: (m.name, how, nodes) for b, m in messages.items()}
         missing = {b: messages[b] for b, place in places.items() if place not in self.kept}
         if len(self.kept) + len(missing) > self.limit:
             for old in list(self.kept)[: self.limit // 2]:

@@ -180,9 +180,9 @@ def weigh(
     base = sobol(max(n, 2 * scouts), d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
-    def seen(unit: Array, key: bytes, how: str, blades: Mapping[str, float]) -> Array:
+    def seen(unit: Array, how: str, blades: Mapping[str, float]) -> Array:
         """Σ_b c_b log m_b at nodes, (n,); the blades' counts are c_b."""
-        found = known.all({b: messages[b] for b in blades}, key, unit, how)
+        found = known.all({b: messages[b] for b in blades}, unit, how)
         out = np.zeros(len(unit))
         for blade, count in blades.items():
             out = out + count * found[blade]
@@ -192,7 +192,7 @@ def weigh(
         """Where a descent on the exact messages of some blades ends."""
         alike = dict.fromkeys(blades, 1.0)
         return descend(
-            lambda unit, key: space.log_prior(unit) + seen(unit, key, "exact", alike),
+            lambda unit: space.log_prior(unit) + seen(unit, "exact", alike),
             start,
             base[:scouts],
             enough=fitting,
@@ -201,15 +201,13 @@ def weigh(
     def mended(start: Proposal, blades: Mapping[str, float]) -> Proposal | None:
         """Where a descent on all rough messages ends, mended by the exact ones of some blades."""
         unit, log_q = start.nodes(base[:scouts])
-        exact, rough = (seen(unit, start.key, how, blades) for how in ("exact", "rough"))
-        likely = space.log_prior(unit) + seen(unit, start.key, "exact", dict.fromkeys(blades, 1.0))
+        exact, rough = (seen(unit, how, blades) for how in ("exact", "rough"))
+        likely = space.log_prior(unit) + seen(unit, "exact", dict.fromkeys(blades, 1.0))
         mend, left = quadratic(unit, exact - rough, likely - log_q)
         if left > MISLED:
             return None
         return descend(
-            lambda unit, key: (
-                space.log_prior(unit) + seen(unit, key, "rough", everyone) + mend(unit)
-            ),
+            lambda unit: space.log_prior(unit) + seen(unit, "rough", everyone) + mend(unit),
             start,
             base[:scouts],
             enough=fitting,
@@ -221,7 +219,7 @@ def weigh(
         best, idle, tried = (-1.0, start), 0, dict[bytes, Tried]()
         for _ in range(turns):
             unit, log_q = start.nodes(base[:n])
-            log_p = space.log_prior(unit) + seen(unit, start.key, "exact", everyone)
+            log_p = space.log_prior(unit) + seen(unit, "exact", everyone)
             here = tried[start.key] = Tried(start, unit, log_p, log_q)
             share, following = here.share, improved(start, unit, log_p, log_q, fitting)
             with suppress(InputError, np.linalg.LinAlgError):
@@ -251,5 +249,5 @@ def weigh(
     if best[0] < enough:
         best = max(best, settled(exactly(place, everyone), rounds), key=lambda found: found[0])
     unit, log_q = best[1].nodes(base[:n])
-    columns = known.all(messages, best[1].key, unit, "exact")
+    columns = known.all(messages, unit, "exact")
     return Weighed(unit, log_q, space.log_prior(unit), columns, best[1])
