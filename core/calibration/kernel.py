@@ -15,9 +15,10 @@ import numpy as np
 
 from core.calibration import lines, modes
 from core.calibration.draws import draw_block, draw_volumes
+from core.calibration.panels import MOST
 from core.calibration.planes import FIELDS as PLANE_FIELDS
-from core.calibration.planes import NODES, plane_sums
 from core.calibration.planes import STATIONS as PLANE_STATIONS
+from core.calibration.planes import plane_sums
 from core.calibration.vector import LANES
 from core.calibration.volumes import FIELDS, STATIONS, volume_glances, volume_sums
 from core.compiled import compiled, contracted
@@ -73,14 +74,14 @@ def plane_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, out):  # type: 
     pa, pb = np.empty(36 * rows * LANES), np.empty(36 * rows * LANES)
     pv = np.empty(36 * rows * LANES)
     seen, plan = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
-    nodes, counts = np.empty((4, NODES, LANES)), np.empty(LANES, dtype=np.int64)
+    panels, waiting = np.empty((MOST, 3, LANES)), np.empty(LANES, dtype=np.int64)
     for n in range(len(factors)):
         collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
         yn, sn = y[n].ravel(), s2[n].ravel()
         modes.middle_plane(ca, cb, cv, rows, wp, pa, pb, pv)
         modes.plane_modes(pa, pb, pv, yn, sn, ka2, kb2, wp)
         plane_sums(
-            pa, pb, pv, yn, sn, ka2, kb2, wp, w, la, lb, lv, seen, plan, nodes, counts, out[n]
+            pa, pb, pv, yn, sn, ka2, kb2, wp, w, la, lb, lv, seen, plan, panels, waiting, out[n]
         )
 
 

@@ -46,7 +46,7 @@ def _through(places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 QUARTIC, OCTIC = _through(LOBATTO[::2]), _through(LOBATTO)
-INSIDE, OUTSIDE = 7.0, 16.0  # nats by which a bell has fallen where its range ends
+INSIDE, OUTSIDE = 8.0, 17.0  # nats by which a bell has fallen where its range ends
 
 
 @contracted

@@ -27,10 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.collapsed import message_of
+from core.calibration.columns import Columns
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
 from core.calibration.message import BladeMessage, prior_draws
-from core.calibration.rotor import Columns, node_count, weigh
+from core.calibration.rotor import node_count, weigh
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.stored import StoredPosterior
 from core.calibration.surface import evening
@@ -177,7 +178,7 @@ class _Update:
         if not self.fits(previous):
             return None
         old, unread = previous.arrays, self.unread(previous)
-        unit, key = old["shared/unit"], bytes.fromhex(previous.meta["placement"])
+        unit = old["shared/unit"]
         touched = [b for b in sorted(self.messages) if b not in unread]
         rest = old["shared/log_p"].copy()
         for blade in sorted(previous.meta["readings"]):
@@ -186,7 +187,7 @@ class _Update:
         many = len(touched) > MANY
         log_p, columns = rest, dict[str, Array]()
         for how in ("rough", "exact") if many else ("exact",):
-            columns = {b: self.work.columns.of(self.messages[b], key, unit, how) for b in touched}
+            columns = {b: self.work.columns.of(self.messages[b], unit, how) for b in touched}
             log_p = rest + sum(columns.values(), np.zeros(len(unit)))
             beta = tempering(log_p - old["shared/log_q"] + old["shared/tilt"])
             if not beta >= (1.0 if many else LEAST_TEMPERING):  # or not a number

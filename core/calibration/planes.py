@@ -4,8 +4,8 @@ For each value of the middle parameter, `lines` gives the inner integral I. Over
 parameter I is a bell, or a plateau that falls off where the inner mode runs into a bound of the
 box: the width of that fall is the bell's own width, often a thousandth of the box. ``scan`` looks
 at the profile (the mode's log L along the way) at even places over the support and
-``panels_of`` sees where the set of active bounds changes, and breaks the panels there. A bell that
-neither a bound nor the box disturbs is summed by the trapezoidal rule over the scan's own places.
+``first_panels`` breaks it where the set of active bounds changes; the integral goes panel by panel
+(`panels`).
 
 A block holds `LANES` planes, of one blade at as many values of the shared parameters, each with
 its own places: they go through the same steps together, and a plane that needs fewer of them
@@ -31,24 +31,22 @@ from core.calibration.lines import (
     line_ranges,
     line_sums,
 )
-from core.calibration.vector import LANES, fast_exp
+from core.calibration.panels import GL_X, POINTS, laid_out, next_panels, take
+from core.calibration.vector import LANES
 from core.compiled import compiled, contracted
 
 STATIONS = 10
-POINTS = 6
-GL_X, GL_W = np.polynomial.legendre.leggauss(POINTS)
-CELL = np.concatenate([[-1.0], np.cumsum(GL_W) - 1.0])  # cells that hold one point each
-NODES = 48  # the most points of the middle parameter
-EDGE = 9.5  # nats below the top where the support ends
+EDGE = 11.5  # nats below the top where the support ends
+SPLIT = 0.05  # nat, times a panel's share, that its last coefficient may be
+THIN = 0.004  # share of the support that is no panel of its own
+EDGES = (-1.0, 1.0)  # breaks about a meeting with a bound, in its half widths
 REACH = 5.2  # half width of a first scan in widths of the bell
 PX, PM, PG, PV = modes.X, modes.M, modes.G, modes.V
 HXX, HXG, HGG = modes.HXX, modes.HXG, modes.HGG
 # a scan's numbers by station: place, profile, inner mode, its curvature, active bound and slope
 AT, TOP, MODE, BEND, BOUND, STEEP = range(6)
 FIELDS = 6
-# a plane's points: place, weight, log of the inner integral, left border of the cell
-PLACE, WEIGHT, VALUE, BORDER = range(4)
-LOW, HIGH, X0, G0, TILT, BEST, BELL = range(7)
+LOW, HIGH, X0, G0, TILT, BEST = range(6)
 
 
 @contracted
@@ -155,17 +153,6 @@ def fall(seen, i, s, t, top):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def insertion_sort(x):  # type: ignore[no-untyped-def]
-    """Sort a dozen values in place; numpy's sort costs seconds to compile."""
-    for i in range(1, len(x)):
-        value, j = x[i], i
-        while j > 0 and x[j - 1] > value:
-            x[j] = x[j - 1]
-            j -= 1
-        x[j] = value
-
-
-@compiled
 def kink(seen, i, s):  # type: ignore[no-untyped-def]
     """Where the inner mode meets a bound between stations s and s + 1: (place, half width)."""
     here, there = seen[BOUND, s, i], seen[BOUND, s + 1, i]
@@ -185,8 +172,8 @@ def kink(seen, i, s):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def panels_of(seen, plan, i, breaks):  # type: ignore[no-untyped-def]
-    """Borders of the panels of plane i; their number. plan[BELL] tells an undisturbed bell."""
+def first_panels(seen, plan, i, breaks, panels):  # type: ignore[no-untyped-def]
+    """Panels over the support of plane i into panels (MOST, 3, LANES); their number."""
     top = plan[BEST, i]
     first, last, best = STATIONS, -1, 0
     for s in range(STATIONS):
@@ -200,101 +187,47 @@ def panels_of(seen, plan, i, breaks):  # type: ignore[no-untyped-def]
     right = seen[AT, STATIONS - 1, i]
     if last < STATIONS - 1:
         right = fall(seen, i, last, last + 1, top)
-    breaks[0], breaks[1] = left, right
+    breaks[0], breaks[1] = left, max(right, left + 1e-15)
     n, width = 2, right - left
-    bell = first > 0 and last < STATIONS - 1 and last - first >= 5
     for s in range(max(first - 1, 0), min(last + 1, STATIONS - 1)):
         if seen[BOUND, s, i] == seen[BOUND, s + 1, i]:
             continue
-        bell = False
         place, half = kink(seen, i, s)
-        for t in (-1.0, 1.0):
+        for t in EDGES:
             edge = place + t * half
-            if left + 0.01 * width < edge < right - 0.01 * width and n < len(breaks) - 1:
+            if left + THIN * width < edge < right - THIN * width and n < len(breaks):
                 breaks[n] = edge
                 n += 1
-    if not bell:  # the two flanks may differ in steepness by an order
-        place = seen[AT, best, i]
-        if left + 0.01 * width < place < right - 0.01 * width:
-            breaks[n] = place
-            n += 1
-    plan[BELL, i] = 1.0 if bell else 0.0
-    insertion_sort(breaks[:n])
-    m = 1
-    for q in range(1, n):
-        if breaks[q] - breaks[m - 1] > 0.004 * width or q == n - 1:
-            breaks[m] = breaks[q]
-            m += 1
-    return m
+    return laid_out(breaks, n, THIN, panels, i)
 
 
 @compiled
-def points_of(seen, plan, i, breaks, nodes):  # type: ignore[no-untyped-def]
-    """Places and weights of the middle parameter on plane i, into nodes (4, NODES, LANES)."""
-    n = panels_of(seen, plan, i, breaks)
-    count = 0
-    if plan[BELL, i] > 0.0:
-        step = seen[AT, 1, i] - seen[AT, 0, i]
-        for s in range(STATIONS):
-            if seen[TOP, s, i] > plan[BEST, i] - EDGE - 6.0:
-                x = seen[AT, s, i]
-                nodes[PLACE, count, i], nodes[WEIGHT, count, i] = x, step
-                nodes[BORDER, count, i] = x - 0.5 * step
-                count += 1
-        return count
-    for q in range(n - 1):
-        half, mid = 0.5 * (breaks[q + 1] - breaks[q]), 0.5 * (breaks[q + 1] + breaks[q])
-        if half <= 0.0 or count + POINTS > NODES:
-            continue
-        for j in range(POINTS):
-            nodes[PLACE, count, i], nodes[WEIGHT, count, i] = mid + half * GL_X[j], half * GL_W[j]
-            nodes[BORDER, count, i] = mid + half * CELL[j]
-            count += 1
-    if count == 0:  # narrower than a float tells
-        nodes[PLACE, 0, i], nodes[WEIGHT, 0, i] = breaks[0], 1e-15
-        nodes[BORDER, 0, i] = breaks[0]
-        count = 1
-    return count
-
-
-@compiled
-def plane_sums(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan, nodes, counts, out):  # type: ignore[no-untyped-def]
+def plane_sums(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan, panels, waiting, out):  # type: ignore[no-untyped-def]
     """log ∫∫ L over the box of the two inner parameters, out (LANES,).
 
-    wp holds the modes as plane_modes left them; nodes (4, NODES, LANES) and counts (LANES,)
-    receive the points of the middle parameter. The rest is scratch.
+    wp holds the modes as plane_modes left them; the rest is scratch.
     """
-    breaks, ends = np.empty(16), np.empty((9, LANES))
+    breaks, ends = np.empty(24), np.empty((9, LANES))
+    half, mid, peak = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    f = np.empty((POINTS, LANES))
     scan(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan)
-    most = 0
     for i in range(LANES):
-        counts[i] = points_of(seen, plan, i, breaks, nodes)
-        most = max(most, counts[i])
-    for n in range(most):
-        for i in range(LANES):
-            x = nodes[PLACE, min(n, counts[i] - 1), i]
-            first, wide = seen[AT, 0, i], seen[AT, STATIONS - 1, i] - seen[AT, 0, i]
-            at = (x - first) / (wide + 1e-300) * (STATIONS - 1)
-            j = min(max(int(at), 0), STATIONS - 2)
-            w[X + i] = x
-            w[G + i] = seen[MODE, j, i] + (at - j) * (seen[MODE, j + 1, i] - seen[MODE, j, i])
-        profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv)
-        line_ranges(la, lb, lv, y, s2, ka2, kb2, w, ends)
-        line_sums(la, lb, lv, y, s2, ka2, kb2, w, ends)
-        for i in range(LANES):
-            if n < counts[i]:
-                nodes[VALUE, n, i] = w[SUM + i]
+        waiting[i] = first_panels(seen, plan, i, breaks, panels)
+        out[i], peak[i] = 0.0, -math.inf
+    while next_panels(panels, waiting, half, mid) > 0:
+        for n in range(POINTS):
+            for i in range(LANES):
+                x = mid[i] + half[i] * GL_X[n]
+                first, wide = seen[AT, 0, i], seen[AT, STATIONS - 1, i] - seen[AT, 0, i]
+                at = (x - first) / (wide + 1e-300) * (STATIONS - 1)
+                j = min(max(int(at), 0), STATIONS - 2)
+                w[X + i] = x
+                w[G + i] = seen[MODE, j, i] + (at - j) * (seen[MODE, j + 1, i] - seen[MODE, j, i])
+            profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv)
+            line_ranges(la, lb, lv, y, s2, ka2, kb2, w, ends)
+            line_sums(la, lb, lv, y, s2, ka2, kb2, w, ends)
+            for i in range(LANES):
+                f[n, i] = w[SUM + i]
+        take(f, half, mid, SPLIT, panels, waiting, out, peak)
     for i in range(LANES):
-        out[i] = log_sum(nodes, counts[i], i)
-
-
-@compiled
-def log_sum(nodes, count, i):  # type: ignore[no-untyped-def]
-    """log Σ weight · exp(log value) over the first `count` points of lane i."""
-    peak = -math.inf
-    for n in range(count):
-        peak = max(peak, nodes[VALUE, n, i])
-    total = 0.0
-    for n in range(count):
-        total += nodes[WEIGHT, n, i] * fast_exp(nodes[VALUE, n, i] - peak)
-    return peak + math.log(total)
+        out[i] = peak[i] + math.log(out[i])

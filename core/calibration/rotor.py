@@ -15,57 +15,24 @@ new reading costs one blade's columns as long as the nodes stay.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.message import BladeMessage, columns
+from core.calibration.columns import Columns
+from core.calibration.message import BladeMessage
 from core.calibration.surface import foreseen
 from core.calibration.target import SharedSpace
-from core.errors import CalibrationError, InputError
+from core.errors import InputError
 from core.response import monomials
 from core.rng import seed_of
 from core.smc.particles import ess, normalised, tempering_exponent
 from core.smc.placement import Proposal, descend, improved, sobol
 
 Array = NDArray[np.float64]
-
-
-@dataclass
-class Columns:
-    """Messages already computed, by what they rest on. Bounded, oldest out."""
-
-    kept: dict[tuple[str, str, int, bytes], Array] = field(default_factory=dict)
-    limit: int = 20_000
-    computed: int = 0
-
-    def of(self, message: BladeMessage, key: bytes, unit: Array, how: str) -> Array:
-        return self.all({"": message}, key, unit, how)[""]
-
-    def all(
-        self, messages: Mapping[str, BladeMessage], key: bytes, unit: Array, how: str
-    ) -> dict[str, Array]:
-        """The column of each blade; those that are missing are computed side by side."""
-        # a proposal's scouts are fewer than its nodes: their number is part of the name
-        places = {b: (m.name, how, len(unit), key) for b, m in messages.items()}
-        missing = {b: messages[b] for b, place in places.items() if place not in self.kept}
-        if len(self.kept) + len(missing) > self.limit:
-            for old in list(self.kept)[: self.limit // 2]:
-                if old not in places.values():
-                    del self.kept[old]
-        found = columns(list(missing.values()), unit, rough=how == "rough")
-        for (blade, message), column in zip(missing.items(), found, strict=True):
-            self.computed += 1
-            if np.isnan(column).any():
-                raise CalibrationError(
-                    f"a blade's message is not a number at {int(np.isnan(column).sum())} of "
-                    f"{len(column)} nodes; its readings: {message.rows.y.tolist()[:12]}"
-                )
-            self.kept[places[blade]] = column
-        return {b: self.kept[place] for b, place in places.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +70,7 @@ class Weighed:
 
 MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
 CARRIES = 0.15  # share of effective nodes from which a surface through them tells where to go
+CIRCLE = 4  # placements at most that are looked at together
 IDLE = 4  # turns without a better placement after which no more are tried
 PANEL = 12  # blades of a kind whose exact messages place the nodes
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
@@ -171,6 +139,32 @@ def panel(messages: Mapping[str, BladeMessage]) -> dict[str, float]:
     return {blade: found[blade] for blade in sorted(found)}
 
 
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A placement that was tried: its nodes (n, d), log p and log q there."""
+
+    proposal: Proposal
+    unit: Array
+    log_p: Array
+    log_q: Array
+
+    @property
+    def share(self) -> float:
+        """Of effective nodes."""
+        return ess(self.log_p - self.log_q) / len(self.unit)
+
+    def judged(self, others: Sequence[Tried] = ()) -> tuple[float, Proposal]:
+        """The share that a surface through the nodes, its own and others', agrees with; and the
+        placement of that surface's moments. Raises InputError and LinAlgError as `foreseen`."""
+        tried = [self, *(one for one in others if one is not self)]
+        unit = np.concatenate([one.unit for one in tried])
+        log_p = np.concatenate([one.log_p for one in tried])
+        densities = np.array([one.proposal.log_density(unit) for one in tried])
+        log_q = np.logaddexp.reduce(densities, axis=0) - np.log(len(tried))
+        beyond, further = foreseen(self.proposal, unit, log_p, log_q)
+        return min(self.share, beyond), further
+
+
 def weigh(
     space: SharedSpace,
     messages: Mapping[str, BladeMessage],
@@ -180,15 +174,15 @@ def weigh(
     rounds: int = 12,
 ) -> Weighed:
     """Place and weight the shared nodes for these messages."""
-    d, n = space.dim, node_count(space.dim) * space.tails
+    d, n = space.dim, max(node_count(space.dim), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
     fitting = min(0.3, 1.2 / d)
     base = sobol(max(n, 2 * scouts), d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
-    def seen(unit: Array, key: bytes, how: str, blades: Mapping[str, float]) -> Array:
+    def seen(unit: Array, how: str, blades: Mapping[str, float]) -> Array:
         """Σ_b c_b log m_b at nodes, (n,); the blades' counts are c_b."""
-        found = known.all({b: messages[b] for b in blades}, key, unit, how)
+        found = known.all({b: messages[b] for b in blades}, unit, how)
         out = np.zeros(len(unit))
         for blade, count in blades.items():
             out = out + count * found[blade]
@@ -198,7 +192,7 @@ def weigh(
         """Where a descent on the exact messages of some blades ends."""
         alike = dict.fromkeys(blades, 1.0)
         return descend(
-            lambda unit, key: space.log_prior(unit) + seen(unit, key, "exact", alike),
+            lambda unit: space.log_prior(unit) + seen(unit, "exact", alike),
             start,
             base[:scouts],
             enough=fitting,
@@ -207,35 +201,41 @@ def weigh(
     def mended(start: Proposal, blades: Mapping[str, float]) -> Proposal | None:
         """Where a descent on all rough messages ends, mended by the exact ones of some blades."""
         unit, log_q = start.nodes(base[:scouts])
-        exact, rough = (seen(unit, start.key, how, blades) for how in ("exact", "rough"))
-        likely = space.log_prior(unit) + seen(unit, start.key, "exact", dict.fromkeys(blades, 1.0))
+        exact, rough = (seen(unit, how, blades) for how in ("exact", "rough"))
+        likely = space.log_prior(unit) + seen(unit, "exact", dict.fromkeys(blades, 1.0))
         mend, left = quadratic(unit, exact - rough, likely - log_q)
         if left > MISLED:
             return None
         return descend(
-            lambda unit, key: (
-                space.log_prior(unit) + seen(unit, key, "rough", everyone) + mend(unit)
-            ),
+            lambda unit: space.log_prior(unit) + seen(unit, "rough", everyone) + mend(unit),
             start,
-            base[: scouts if d > 4 else 2 * scouts],
+            base[:scouts],
             enough=fitting,
             max_levels=6,
         )
 
     def settled(start: Proposal, turns: int, least: float = 0.0) -> tuple[float, Proposal]:
         """The best share of effective nodes on the way from `start`, and its proposal."""
-        best, idle = (-1.0, start), 0
+        best, idle, tried = (-1.0, start), 0, dict[bytes, Tried]()
         for _ in range(turns):
             unit, log_q = start.nodes(base[:n])
-            log_p = space.log_prior(unit) + seen(unit, start.key, "exact", everyone)
-            share, following = ess(log_p - log_q) / n, improved(start, unit, log_p, log_q, fitting)
+            log_p = space.log_prior(unit) + seen(unit, "exact", everyone)
+            here = tried[start.key] = Tried(start, unit, log_p, log_q)
+            share, following = here.share, improved(start, unit, log_p, log_q, fitting)
             with suppress(InputError, np.linalg.LinAlgError):
-                beyond, further = foreseen(start, unit, log_p, log_q)
+                believed, further = here.judged()
                 following = further if share > CARRIES else following
-                share = min(share, beyond)
+                share = believed
             idle = 0 if share > 1.05 * best[0] else idle + 1
             best = max(best, (share, start), key=lambda found: found[0])
-            if best[0] >= enough or following.key == start.key or share < least or idle == IDLE:
+            if best[0] < enough and following.key in tried:  # in a circle
+                circle = list(tried.values())[-CIRCLE:]
+                for one in circle:
+                    with suppress(InputError, np.linalg.LinAlgError):
+                        share, further = one.judged(circle)
+                        if share > best[0]:
+                            best, following = (share, one.proposal), further
+            if best[0] >= enough or following.key in tried or share < least or idle == IDLE:
                 break
             start = following
         return best
@@ -249,5 +249,5 @@ def weigh(
     if best[0] < enough:
         best = max(best, settled(exactly(place, everyone), rounds), key=lambda found: found[0])
     unit, log_q = best[1].nodes(base[:n])
-    columns = known.all(messages, best[1].key, unit, "exact")
+    columns = known.all(messages, unit, "exact")
     return Weighed(unit, log_q, space.log_prior(unit), columns, best[1])

@@ -5,9 +5,9 @@ The nodes hold log p(s | D) exactly at K places u_k of the unit box. A surface t
     log p(u) ≈ quadratic(z) + Σ_k alpha_k exp(−|z − z_k|² / 2 l²),    z = whitened u,
 
 is universal kriging; beyond the outermost node it goes on as steeply as the normal of the nodes'
-moments falls there: the tails of a posterior are longer than a normal's. What
-it may be off is known beforehand: the weighted root mean square of its leave-one-out errors
-(Dubrule, Math. Geology 15, 1983).
+moments falls there: the tails of a posterior are longer than a normal's. What it may be off is
+known beforehand: the weighted root mean square of its leave-one-out errors (Dubrule, Math. Geology
+15, 1983).
 
 Sixty-four weighted nodes know a mean to some hundredths of a standard deviation, but a standard
 deviation to some hundredths of itself only, and worse where a tail is long. The surface integrates
@@ -116,10 +116,10 @@ def foreseen(proposal: Proposal, unit: Array, log_p: Array, log_q: Array) -> tup
     dense, log_dense_q = wide.nodes(sobol(POINTS, unit.shape[1], POINTS))
     log_dense_p = surface(dense)
     log_w = log_dense_p - log_dense_q
-    log_w -= log_sum_exp(log_w)
-    total = log_sum_exp(log_dense_p - log_dense_q) - np.log(POINTS)
-    ratio = log_sum_exp(log_w + log_dense_p - total - proposal.log_density(dense))
-    return float(np.exp(-ratio)), rounded(*moments(dense, normalised(log_w)))
+    total = log_sum_exp(log_w)
+    log_ratio = log_dense_p - total + np.log(POINTS) - proposal.log_density(dense)  # of p to q
+    share = np.exp(-log_sum_exp(log_w - total + log_ratio))
+    return float(share), rounded(*moments(dense, normalised(log_w)))
 
 
 def evening(

@@ -84,7 +84,7 @@ class SharedSpace:
     """The shared parameters as a unit box: physical ones, noises, theta of the discrepancies.
 
     joint  prior of several of them together
-    tails  how many times more nodes than usual: a population's sd has a long tail
+    tails  64 nodes so many times, at least: a population's sd has a long tail
     """
 
     names: tuple[str, ...]

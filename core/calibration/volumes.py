@@ -6,8 +6,7 @@ the mode, `modes`) at even stations over the support, which it narrows where har
 inside. A plane may have a second summit at one of its sides, which holds a climb where the noise is
 small; so every fifth station is climbed from five places, and its mode is handed on from station
 to station along the ridge. Panels break at the ends of the support and where the set of active
-bounds changes; ``volume_sums`` puts Gauss–Legendre points on each panel and splits a panel whose
-last Legendre coefficients are not small.
+bounds changes; ``volume_sums`` goes panel by panel (`panels`).
 
 Coefficients of a block of volumes are flat: ``a[(((6 r + d) 6 + j) 6 + k) LANES + i]`` belongs to
 the powers d, j, k of the outer, middle and inner parameter of row r at the i-th shared value.
@@ -36,28 +35,19 @@ from core.calibration.modes import (
     collapse_volumes,
     plane_modes,
 )
+from core.calibration.panels import GL_X, MOST, POINTS, laid_out, next_panels, take
 from core.calibration.planes import FIELDS as PLANE_FIELDS
-from core.calibration.planes import NODES, insertion_sort, plane_sums
 from core.calibration.planes import STATIONS as PLANE_STATIONS
+from core.calibration.planes import plane_sums
 from core.calibration.vector import LANES
 from core.compiled import compiled
 
 STATIONS = 16
-N1 = 5
-GL_X, GL_W = np.polynomial.legendre.leggauss(N1)
-LEGENDRE = np.array(
-    [
-        [
-            (2 * n + 1) / 2 * w * np.polynomial.legendre.Legendre.basis(n)(x)
-            for x, w in zip(GL_X, GL_W, strict=True)
-        ]
-        for n in range(N1)
-    ]
-)
 STARTS = ((0.0, 0.0), (0.7, 0.7), (-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7))
 DEPTH = 11.5  # nats below the profile's top that still count
-SPLIT = 0.05
-PANELS = 40
+SPLIT = 0.025  # nat, times a panel's share, that its last coefficient may be
+THIN = 0.01  # share of the support that is no panel of its own
+EDGES = (-1.0, 0.0, 1.0)  # breaks about a meeting with a bound, in its half widths
 # a survey's numbers by station: place, profile, middle and inner mode, information, active bounds
 AT, TOP, MID, INN, IXX, IXG, IGG, ACTIVE = range(8)
 FIELDS = 8
@@ -176,7 +166,7 @@ def meeting(seen, i, s, width):  # type: ignore[no-untyped-def]
 
 @compiled
 def first_panels(seen, plan, i, breaks, panels):  # type: ignore[no-untyped-def]
-    """Panels over the support of lane i into panels (PANELS, 3, LANES); their number."""
+    """Panels over the support of lane i into panels (MOST, 3, LANES); their number."""
     first, last = support(seen, plan, i)
     top = plan[BEST, i]
     low = seen[AT, 0, i] if first == 0 else cross(seen, i, first, first - 1, top)
@@ -188,23 +178,12 @@ def first_panels(seen, plan, i, breaks, panels):  # type: ignore[no-untyped-def]
         if seen[ACTIVE, s, i] == seen[ACTIVE, s + 1, i]:
             continue
         place, half = meeting(seen, i, s, high - low)
-        for t in (-1.0, 0.0, 1.0):
+        for t in EDGES:
             edge = place + t * half
             if low + 0.01 * (high - low) < edge < high - 0.01 * (high - low) and n < len(breaks):
                 breaks[n] = edge
                 n += 1
-    insertion_sort(breaks[:n])
-    m = 1
-    for q in range(1, n):
-        if breaks[q] - breaks[m - 1] > 0.01 * (high - low) or q == n - 1:
-            breaks[m] = breaks[q]
-            m += 1
-    count = 0
-    for q in range(m - 1, 0, -1):
-        panels[count, 0, i], panels[count, 1, i] = breaks[q - 1], breaks[q]
-        panels[count, 2, i] = 0.0
-        count += 1
-    return count
+    return laid_out(breaks, n, THIN, panels, i)
 
 
 @compiled
@@ -234,73 +213,30 @@ def volume_sums(a, b, v, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
     pv = np.empty(36 * rows * LANES)
     seen, plan = np.empty((FIELDS, STATIONS, LANES)), np.empty((3, LANES))
     seen2, plan2 = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
-    nodes, counts = np.empty((4, NODES, LANES)), np.empty(LANES, dtype=np.int64)
-    panels, waiting = np.empty((PANELS + 2, 3, LANES)), np.empty(LANES, dtype=np.int64)
+    panels, waiting = np.empty((MOST, 3, LANES)), np.empty(LANES, dtype=np.int64)
+    panels2, waiting2 = np.empty((MOST, 3, LANES)), np.empty(LANES, dtype=np.int64)
     breaks, half, mid = np.empty(24), np.empty(LANES), np.empty(LANES)
-    f, value = np.empty((N1, LANES)), np.empty(LANES)
-    peak, level = np.empty(LANES), np.empty(LANES)
+    f, value, peak = np.empty((POINTS, LANES)), np.empty(LANES), np.empty(LANES)
     # a single row leaves a thin sheet through the box, whose profile bends where it meets a side
     split = SPLIT if rows > 1 else 0.4 * SPLIT
     survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan)
     for i in range(LANES):
         waiting[i] = first_panels(seen, plan, i, breaks, panels)
         out[i], peak[i] = 0.0, -math.inf
-    for _ in range(400):
-        left = 0
-        for i in range(LANES):
-            left = max(left, waiting[i])
-            q = max(waiting[i] - 1, 0)
-            half[i] = 0.5 * (panels[q, 1, i] - panels[q, 0, i])
-            mid[i] = 0.5 * (panels[q, 1, i] + panels[q, 0, i])
-            level[i] = panels[q, 2, i]
-        if left == 0:
-            break
-        for n in range(N1):
+    while next_panels(panels, waiting, half, mid) > 0:
+        for n in range(POINTS):
             for i in range(LANES):
                 w[X + i] = mid[i] + half[i] * GL_X[n]
             near(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan)
             plane_sums(
-                pa, pb, pv, y, s2, ka2, kb2, w, wl, la, lb, lv, seen2, plan2, nodes, counts, value
-            )
+                pa, pb, pv, y, s2, ka2, kb2, w, wl, la, lb, lv, seen2, plan2, panels2, waiting2,
+                value
+            )  # fmt: skip
             for i in range(LANES):
                 f[n, i] = value[i]
-        for i in range(LANES):
-            if waiting[i] > 0:
-                taken(f, half, mid, level, i, out, peak, panels, waiting, split)
+        take(f, half, mid, split, panels, waiting, out, peak)
     for i in range(LANES):
         out[i] = peak[i] + math.log(out[i])
-
-
-@compiled
-def taken(f, half, mid, level, i, out, peak, panels, waiting, split):  # type: ignore[no-untyped-def]
-    """Count the last panel of lane i into the integral, or split it: its tail exceeds `split`."""
-    top = peak[i]
-    for n in range(N1):
-        top = max(top, f[n, i])
-    if top > peak[i]:
-        out[i] *= math.exp(peak[i] - top)
-        peak[i] = top
-    total = tail = size = 0.0
-    for k in range(N1):
-        c = 0.0
-        for n in range(N1):
-            c += LEGENDRE[k, n] * math.exp(f[n, i] - top)
-        size = max(size, abs(c))
-        if k == N1 - 1:
-            tail = abs(c)
-    for n in range(N1):
-        total += half[i] * GL_W[n] * math.exp(f[n, i] - top)
-    q = waiting[i] - 1
-    rough = tail > split * size and tail * half[i] > 1e-3 * split * max(out[i], total)
-    if rough and level[i] < 4.0 and q + 2 <= PANELS:
-        low, high = panels[q, 0, i], panels[q, 1, i]
-        panels[q, 0, i], panels[q, 1, i], panels[q, 2, i] = mid[i], high, level[i] + 1.0
-        panels[q + 1, 0, i], panels[q + 1, 1, i] = low, mid[i]
-        panels[q + 1, 2, i] = level[i] + 1.0
-        waiting[i] = q + 2
-        return
-    out[i] += total
-    waiting[i] = q
 
 
 @compiled

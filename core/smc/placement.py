@@ -142,7 +142,7 @@ def _quadratic(u: Array, log_p: Array, w: Array, proposal: Proposal) -> tuple[Ar
 
 
 def descend(
-    target: Callable[[Array, bytes], Array],
+    target: Callable[[Array], Array],
     start: Proposal,
     base: Array,
     *,
@@ -151,15 +151,14 @@ def descend(
 ) -> Proposal:
     """Find a proposal that fits `target`.
 
-    target   log p(u, D) at nodes u (n, d); its second argument names the nodes, so that a caller
-             can keep what it computed there
+    target   log p(u, D) at nodes u (n, d)
     start    where the descent begins
     base     points of the unit cube (scouts, d) that become the nodes of each level
     """
     proposal, seen = start, set[bytes]()
     for _ in range(max_levels):
         u, log_q = proposal.nodes(base)
-        log_p = target(u, proposal.key)
+        log_p = target(u)
         fits = ess(floored(log_p) - log_q) >= enough * len(base)
         seen.add(proposal.key)
         proposal = improved(proposal, u, log_p, log_q, enough)

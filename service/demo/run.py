@@ -67,9 +67,11 @@ def service(folder: Path, port: int | None = None) -> Iterator[Running]:
             stderr=out,
         )
         running = Running(f"http://127.0.0.1:{chosen}", process, log)
+        before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the block ends
         try:
             yield running
         finally:
+            signal.signal(signal.SIGTERM, before)
             if process.poll() is None:
                 process.send_signal(signal.SIGTERM)
                 try:

@@ -57,7 +57,6 @@ def compared(
 def test_there_are_references_enough() -> None:
     assert len(MEETING) >= 4
     assert set(KEPT) <= set(ROTORS)
-    assert sum(kept(name).head["log_evidence"]["error"] < KNOWN for name in KEPT) >= 4
     for name in KEPT:
         size = sum((FOLDER / name).with_suffix(end).stat().st_size for end in (".json", ".npz"))
         assert size < 300_000
@@ -89,22 +88,21 @@ def test_means_spreads_and_correlations_are_those_of_the_reference(name: str) ->
 
 def test_the_rotor_of_table_1_misses_the_acceptance_by_no_more_than_is_said() -> None:
     """Means are right; sds of a noise read three times, and correlations of the scanned blade's
-    parameters with the scan's noise, are known to 8 % and 0.11 by 128 nodes in four dimensions."""
+    parameters with noises, are known to 9 % and 0.08 by 128 nodes in four dimensions."""
     found = compared("mixed")
     assert np.abs(found.mean).max() < 0.05
     assert np.abs(found.ratio - 1).max() < 0.09
-    assert np.abs(found.correlation).max() < 0.12
+    assert np.abs(found.correlation).max() < 0.08
     beyond = found.beyond()
     assert all("sigma_obs.ceeq" in one for one in beyond["ratio"])
-    assert all("B001" in one and "sigma_obs.deformation" in one for one in beyond["correlation"])
+    assert all("B001" in one and "sigma_obs" in one for one in beyond["correlation"])
 
 
 @pytest.mark.parametrize("name", KEPT)
 def test_the_evidence_is_that_of_the_reference(name: str) -> None:
-    """Importance sampling from NUTS's draws, wherever its own error is small."""
+    """Importance sampling from NUTS's draws, whose own error is small for all that are kept."""
     there = kept(name).head["log_evidence"]
-    if there["error"] > KNOWN:
-        pytest.skip(f"its own error is {there['error']}")
+    assert there["error"] < KNOWN
     assert abs(calibrated(name).meta["log_evidence"] - there["value"]) < EVIDENCE
 
 

@@ -18,12 +18,12 @@ VARIANT = plan("rotor-20", blades=5)
 def test_means_of_four_seeds_agree_and_those_of_few_particles_do_not() -> None:
     """The negative control: with 768 particles per blade, means of local parameters scatter."""
     model = model_of(VARIANT)
-    many = spread(model, VARIANT, rotors=1, seed=7, seeds=4, particles=10_000)
+    many = spread(model, VARIANT, rotors=1, seed=9, seeds=4, particles=10_000)
     assert many["table"]["t1t_rate"]["means"] == 1
     assert many["table"]["creep_steady"]["means"] == VARIANT.blades
     assert all(row["rms"] > 0 for row in many["table"].values())
     assert many["passed"]
-    few = spread(model, VARIANT, rotors=1, seed=7, seeds=4, particles=100)
+    few = spread(model, VARIANT, rotors=1, seed=9, seeds=4, particles=100)
     assert few["table"]["tbc_thickness"]["largest"] > LIMIT
     assert not few["passed"]
 

@@ -102,6 +102,17 @@ def test_sealed_states_remember_no_path(before: RotorState) -> None:
     assert retracted.digest == before.digest
 
 
+def test_rotors_with_equal_readings_share_no_column_in_one_workspace(before: RotorState) -> None:
+    """Their proposals may be equal, their nodes are not: the seed is the rotor's own."""
+    work = Workspace()
+    for number in range(4):
+        spec = replace(SPEC, seed=number)
+        alone, beside = (update(MODEL, spec, READINGS, workspace=w) for w in (None, work))
+        assert set(alone.arrays) == set(beside.arrays)
+        for name in alone.arrays:
+            np.testing.assert_array_equal(alone.arrays[name], beside.arrays[name], err_msg=name)
+
+
 def test_draws_of_a_provisional_blade_are_not_sealed_in(before: RotorState) -> None:
     """The mutant takes over every draw at the same nodes: the digest shows it."""
     readings = [*READINGS, replace(LATE, sigma=0.5)]  # hardly moves the nodes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.calibration.surface import evening, tilt
+from core.calibration.surface import Surface, evening, tilt
 from core.calibration.target import SharedSpace
 from core.network import Prior
 from core.smc.particles import ess, log_sum_exp, normalised
@@ -49,6 +49,23 @@ def test_evened_weights_know_mean_and_spread_better() -> None:
     )
     assert np.all(even < 0.006)
     assert np.all(even < 0.5 * plain)
+
+
+def test_a_surface_that_rises_between_the_nodes_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    proposal = rounded(MEAN, COV)
+    unit, log_q = proposal.nodes(sobol(64, 2, 1))
+    assert evening(SPACE, proposal, unit, log_p(unit), log_q)[1] is not None
+
+    def rising(u: np.ndarray) -> np.ndarray:
+        z = (u - MEAN) / np.sqrt(COV.diagonal()) - np.array([1.5, 0.0])
+        return log_p(u) + 4.0 * np.exp(-0.5 * np.sum((z / 0.2) ** 2, axis=1))
+
+    monkeypatch.setattr(Surface, "through", staticmethod(lambda *_: (rising, 0.1)))
+    added, error = evening(SPACE, proposal, unit, log_p(unit), log_q)
+    assert error is None
+    assert not added.any()
 
 
 def test_a_surface_that_cannot_be_trusted_changes_nothing() -> None:

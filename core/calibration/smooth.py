@@ -1,0 +1,127 @@
+"""A blade's message between the shared nodes: computed at some of them, and known at the rest.
+
+Where many blades speak of a rotor, its shared parameters are known far better than one blade could
+tell: over the nodes, log m_b is a few tenths of a nat high and smooth. Universal kriging,
+
+    log m_b(u) ≈ quadratic(z) + Σ_k alpha_k exp(−|z − z_k|² / 2 l²),    z = whitened u,
+
+through a part of the nodes then gives the others as well as the quadrature does. What it may be
+off is known beforehand, by its leave-one-out errors (Dubrule, Math. Geology 15, 1983), so every
+blade takes as many nodes as it needs: those that lie farthest from all before come first (so that
+the rest lies between them), sixteen at a time, until the root mean square of these errors is below
+`TOLERANCE`; a blade that never gets there is computed at all nodes. Length and nugget are the
+blade's own, those of the least error.
+
+A blade's column depends on its own readings and the nodes alone, in whatever company it is
+computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.vector import LANES
+from core.response import monomials
+
+Array = NDArray[np.float64]
+TOLERANCE = 0.003  # nat of leave-one-out error; at the nodes left out it is a tenth of that
+STAGES = (1, 2, 3, 4, 6)  # blocks of nodes after which a blade may be done
+LENGTHS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
+NUGGETS = (1e-9, 1e-7, 1e-5, 1e-3)
+SPARE = 4  # nodes more than a quadratic has coefficients, at least
+
+
+def from_afar(z: Array) -> NDArray[np.intp]:
+    """Points (n, d) in an order in which each lies as far as possible from all before it.
+
+    The first is the one nearest to the origin.
+
+    >>> from_afar(np.array([[0.9], [0.1], [-1.0], [0.5]])).tolist()
+    [1, 2, 0, 3]
+    """
+    order = [int(np.argmin(np.sum(z**2, axis=1)))]
+    nearest = np.sum((z - z[order[0]]) ** 2, axis=1)
+    while len(order) < len(z):
+        order.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.sum((z - z[order[-1]]) ** 2, axis=1))
+        nearest[order] = -1.0
+    return np.array(order)
+
+
+@dataclass(frozen=True, slots=True)
+class Kriging:
+    """The linear maps from values at k points to their leave-one-out errors and to other points.
+
+    left_out (c, k, k), others (c, n − k, k), for each choice of a length and a nugget.
+    """
+
+    left_out: Array
+    others: Array
+
+    @staticmethod
+    def between(known: Array, wanted: Array) -> Kriging:
+        """From known points z (k, d) to wanted ones (m, d)."""
+        here, there = monomials(known, 2), monomials(wanted, 2)
+        k, m = here.shape
+        square, far = _squares(known, known), _squares(wanted, known)
+        left_out, others = [], []
+        for length in LENGTHS:
+            for nugget in NUGGETS:
+                system = np.zeros((k + m, k + m))
+                system[:k, :k] = np.exp(-0.5 * square / length**2) + nugget * np.eye(k)
+                system[:k, k:], system[k:, :k] = here, here.T
+                inverse = np.linalg.inv(system)[:, :k]
+                left_out.append(inverse[:k] / np.diag(inverse[:k])[:, None])
+                others.append(np.hstack([np.exp(-0.5 * far / length**2), there]) @ inverse)
+        return Kriging(np.array(left_out), np.array(others))
+
+    def __call__(self, values: Array) -> tuple[Array, float]:
+        """Values at the wanted points from those at the known ones (k,), and the error [nat]."""
+        shift = values[0]
+        errors = np.sqrt(np.mean((self.left_out @ (values - shift)) ** 2, axis=1))
+        best = int(np.argmin(errors))
+        return self.others[best] @ (values - shift) + shift, float(errors[best])
+
+
+def _squares(a: Array, b: Array) -> Array:
+    return np.asarray(np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2))
+
+
+def smoothly(
+    compute: Callable[[Sequence[int], Array], Sequence[Array]], blades: int, unit: Array
+) -> list[Array]:
+    """Columns (n,) of so many blades at nodes `unit` (n, d).
+
+    compute  exact columns of some blades, by number, at some nodes
+    """
+    n, d = unit.shape
+    least = (d + 1) * (d + 2) // 2 + SPARE
+    stages = [k * LANES for k in STAGES if least <= k * LANES < n]
+    turn = np.linalg.cholesky(np.cov(unit.T).reshape(d, d) + 1e-18 * np.eye(d))
+    z = np.linalg.solve(turn, (unit - unit.mean(axis=0)).T).T
+    order = from_afar(z)
+    columns, waiting, seen = [np.empty(n) for _ in range(blades)], list(range(blades)), 0
+    for stage in [*stages, n]:
+        if not waiting:
+            break
+        fresh, known, wanted = order[seen:stage], order[:stage], order[stage:]
+        for i, values in zip(waiting, compute(waiting, unit[fresh]), strict=True):
+            columns[i][fresh] = values
+        seen = stage
+        if stage == n:
+            break
+        kriging = Kriging.between(z[known], z[wanted])
+        rest = []
+        for i in waiting:
+            values = columns[i][known]
+            guess, error = kriging(values) if np.isfinite(values).all() else (None, np.inf)
+            if guess is not None and error < TOLERANCE:
+                columns[i][wanted] = guess
+            else:
+                rest.append(i)
+        waiting = rest
+    return columns

@@ -1,0 +1,113 @@
+"""Columns computed at some of the shared nodes and known at the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.calibration.columns import columns, smooth_columns
+from core.calibration.message import BladeMessage
+from core.calibration.smooth import TOLERANCE, from_afar, smoothly
+from core.calibration.target import assemble, shared_space
+from core.model import rotor_blade
+from core.smc.placement import Proposal, sobol
+from core.validation.simulate import simulate
+from core.validation.variants import plan
+
+Array = NDArray[np.float64]
+
+
+def gentle(scale: float, u: Array) -> Array:
+    """About what a blade of a large rotor says: a bell much wider than the nodes' region."""
+    z = scale * (u - 0.45)
+    return np.asarray(-0.5 * np.sum(z**2, axis=1) + 0.3 * np.tanh(z[:, 0]) - 4.0)
+
+
+def jagged(u: Array) -> Array:
+    return np.asarray(0.05 * np.sin(900.0 * u[:, 0]))
+
+
+def asked(functions: Sequence[object], unit: Array) -> tuple[list[Array], list[int]]:
+    """Columns of functions, and at how many nodes each was computed."""
+    counts = [0] * len(functions)
+
+    def compute(which: Sequence[int], nodes: Array) -> list[Array]:
+        for i in which:
+            counts[i] += len(nodes)
+        return [functions[i](nodes) for i in which]  # type: ignore[operator]
+
+    return smoothly(compute, len(functions), unit), counts
+
+
+@pytest.mark.parametrize("d", [1, 2, 4])
+def test_a_smooth_column_is_computed_at_a_part_of_the_nodes(d: int) -> None:
+    unit = 0.5 + 0.1 * (sobol(128, d, 3) - 0.5)
+    scales = np.linspace(2.0, 12.0, 9)
+    found, counts = asked([lambda u, s=s: gentle(s, u) for s in scales], unit)
+    assert max(counts) <= 48
+    for scale, column in zip(scales, found, strict=True):
+        off = column - gentle(scale, unit)
+        assert np.sqrt(np.mean(off**2)) < TOLERANCE / 3
+        assert np.abs(off).max() < 2 * TOLERANCE
+
+
+def test_a_column_that_is_not_smooth_is_computed_everywhere() -> None:
+    unit = sobol(64, 2, 3)
+    (column,), counts = asked([jagged], unit)
+    assert counts == [64]
+    assert column.tolist() == jagged(unit).tolist()
+
+
+def test_a_column_that_is_not_finite_is_computed_everywhere() -> None:
+    unit = sobol(64, 2, 3)
+
+    def cut(u: Array) -> Array:
+        return np.where(u[:, 0] < 0.3, -np.inf, gentle(1.0, u))
+
+    (column,), counts = asked([cut], unit)
+    assert counts == [64]
+    assert column.tolist() == cut(unit).tolist()
+
+
+def test_a_column_does_not_depend_on_its_company() -> None:
+    unit = 0.5 + 0.1 * (sobol(64, 2, 3) - 0.5)
+    functions = [jagged, *(lambda u, s=s: gentle(s, u) for s in (2.0, 7.0, 11.0))]
+    together, _ = asked(functions, unit)
+    for function, column in zip(functions, together, strict=True):
+        (alone,), _ = asked([function], unit)
+        assert alone.tobytes() == column.tobytes()
+
+
+def test_points_come_from_afar() -> None:
+    z = np.random.default_rng(0).standard_normal((64, 2))
+    order = from_afar(z)
+    assert sorted(order.tolist()) == list(range(64))
+    outermost = np.argsort(np.sum(z**2, axis=1))[-3:]
+    assert set(outermost.tolist()) <= set(order[:16].tolist())
+
+
+def test_the_blades_of_a_rotor_are_known_between_the_nodes() -> None:
+    """The built-in blade: what is not computed is off by less than the quadrature itself."""
+    variant, model = plan("rotor-20", 20), rotor_blade()
+    made = simulate(model, variant, 0, 5)
+    by_blade: dict[str, list[object]] = {}
+    for reading in made.readings:
+        by_blade.setdefault(reading.blade, []).append(reading)
+    rows = [assemble(model, readings) for readings in by_blade.values()]  # type: ignore[arg-type]
+    space = shared_space(model, [r for r in rows if r is not None])
+    messages = [BladeMessage(model, r, space, {}) for r in rows if r is not None]
+    low, high = np.array([p.box for p in space.priors]).T
+    truth = np.array([made.shared[name] for name in space.names])
+    scaled = [p.log_scale for p in space.priors]
+    centre = (np.where(scaled, np.log(truth), truth) - low) / (high - low)
+    unit, _ = Proposal(centre, np.diag([0.01, 0.02])).nodes(sobol(64, 2, 0))
+    exact = np.array(columns(messages, unit, rough=False))
+    found = np.array(smooth_columns(messages, unit))
+    off = found - exact
+    assert np.mean(off != 0.0) > 0.25, "less than a quarter was known without being computed"
+    assert np.sqrt(np.mean(off**2)) < 0.001
+    assert np.abs(off).max() < 0.02
+    assert np.abs(off.sum(axis=0)).max() < 0.03
