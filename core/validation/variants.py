@@ -24,7 +24,8 @@ import numpy as np
 
 from core.errors import InputError
 from core.model import Model, rotor_blade
-from core.network import Discrepancy, Prior
+from core.network import Discrepancy
+from core.prior import Prior
 
 COATING = "tbc_thickness"
 THREE = (8_000.0, 16_000.0, 24_000.0)
