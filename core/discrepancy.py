@@ -45,7 +45,8 @@ from numpy.typing import NDArray
 
 from core.errors import InputError
 from core.model import Model
-from core.network import LEAST_GAIN, WIDTH, Prior, Quantity
+from core.network import LEAST_GAIN, WIDTH, Quantity
+from core.prior import Prior
 
 Array = NDArray[np.float64]
 Term = tuple[float, tuple[str, ...]]

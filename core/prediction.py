@@ -30,7 +30,8 @@ from core.calibration.target import nominal
 from core.discrepancy import affine, parameters, total
 from core.errors import InputError, RangeError
 from core.model import Model
-from core.network import Prior, Quantity
+from core.network import Quantity
+from core.prior import Prior
 
 Array = NDArray[np.float64]
 SOURCES = ("parameters", "surrogate", "discrepancy", "noise", "total")

@@ -25,8 +25,9 @@ from scipy.special import ndtri
 
 from core.digest import array_digest, state_digest
 from core.errors import InputError
-from core.network import Network, Parameter, Prior, Quantity
+from core.network import Network, Parameter, Quantity
 from core.observation import Inspection, digest_of
+from core.prior import Prior
 from core.rng import stream
 from service.ports import Array, Draws, Get, Json, ModelCard, NoiseFrom, Output, RotorSpec
 

@@ -19,7 +19,8 @@ from dataclasses import replace
 from functools import partial
 
 from core.errors import InputError, RangeError
-from core.network import Discrepancy, Network, Parameter, Population, Prior, Quantity
+from core.network import Discrepancy, Network, Parameter, Quantity
+from core.prior import Population, Prior
 from service.errors import FaultsError
 from service.ports import BladeRecord, Json
 

@@ -40,8 +40,8 @@ from core.calibration.stored import StoredPosterior
 from core.calibration.target import shared_prior
 from core.errors import InputError, RangeError
 from core.model import Model
-from core.network import Prior
 from core.observation import Inspection
+from core.prior import Prior
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,8 @@ from core.calibration.vector import LANES
 from core.discrepancy import total
 from core.errors import CalibrationError
 from core.model import Model
-from core.network import Parameter, cut_mass, cut_quantile
+from core.network import Parameter
+from core.prior import cut_mass, cut_quantile
 from core.response import multi_indices
 
 Array = NDArray[np.float64]

@@ -38,8 +38,8 @@ from scipy.stats import qmc
 
 from core.discrepancy import AXES, Affine, Term, affine, parameters, total
 from core.model import Model
-from core.network import Prior
 from core.observation import Inspection
+from core.prior import Prior
 from core.response import Response
 
 Array = NDArray[np.float64]

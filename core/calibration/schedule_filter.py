@@ -27,8 +27,8 @@ from core.calibration.target import SharedSpace, assemble, locals_of, nominal
 from core.discrepancy import total
 from core.errors import CalibrationError
 from core.model import Model
-from core.network import Prior
 from core.observation import Inspection
+from core.prior import Prior
 from core.response import multi_indices
 from core.smc.particles import Particles, ess, tempering_exponent
 

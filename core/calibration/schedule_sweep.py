@@ -16,8 +16,8 @@ from core.calibration.schedule_filter import Belief, LogDensity, Readings, carri
 from core.calibration.state import RotorSpec
 from core.calibration.target import SharedSpace, locals_of, shared_prior
 from core.model import Model
-from core.network import Prior
 from core.observation import Inspection
+from core.prior import Prior
 from core.rng import stream
 
 if TYPE_CHECKING:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +92,35 @@ def _squares(a: Array, b: Array) -> Array:
     return np.asarray(np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2))
 
 
+class Ladder:
+    """Stages in which columns at nodes `unit` (n, d) are computed, and the kriging after each.
+
+    A stage is its number of nodes, the first so many of `order`; the last is all n.
+    """
+
+    def __init__(self, unit: Array) -> None:
+        n, d = unit.shape
+        least = (d + 1) * (d + 2) // 2 + SPARE
+        self.stages = [*(k * LANES for k in STAGES if least <= k * LANES < n), n]
+        turn = np.linalg.cholesky(np.cov(unit.T).reshape(d, d) + 1e-18 * np.eye(d))
+        self._z = np.linalg.solve(turn, (unit - unit.mean(axis=0)).T).T
+        self.order = from_afar(self._z)
+        self._krigings: dict[int, Kriging] = {}
+
+    def kriging(self, stage: int) -> Kriging:
+        """From the nodes of this stage to the others."""
+        if stage not in self._krigings:
+            known, wanted = self._z[self.order[:stage]], self._z[self.order[stage:]]
+            self._krigings[stage] = Kriging.between(known, wanted)
+        return self._krigings[stage]
+
+
+@lru_cache(maxsize=8)
+def ladder_of(nodes: bytes, dim: int) -> Ladder:
+    """The ladder of nodes (n, dim), as bytes: a blade's next reading meets the same nodes."""
+    return Ladder(np.frombuffer(nodes).reshape(-1, dim))
+
+
 def smoothly(
     compute: Callable[[Sequence[int], Array], Sequence[Array]], blades: int, unit: Array
 ) -> list[Array]:
@@ -99,29 +129,30 @@ def smoothly(
     compute  exact columns of some blades, by number, at some nodes
     """
     n, d = unit.shape
-    least = (d + 1) * (d + 2) // 2 + SPARE
-    stages = [k * LANES for k in STAGES if least <= k * LANES < n]
-    turn = np.linalg.cholesky(np.cov(unit.T).reshape(d, d) + 1e-18 * np.eye(d))
-    z = np.linalg.solve(turn, (unit - unit.mean(axis=0)).T).T
-    order = from_afar(z)
+    ladder = ladder_of(np.ascontiguousarray(unit).tobytes(), d)
     columns, waiting, seen = [np.empty(n) for _ in range(blades)], list(range(blades)), 0
-    for stage in [*stages, n]:
+    for stage in ladder.stages:
         if not waiting:
             break
-        fresh, known, wanted = order[seen:stage], order[:stage], order[stage:]
+        fresh, known, wanted = (
+            ladder.order[part] for part in (slice(seen, stage), slice(stage), slice(stage, n))
+        )
         for i, values in zip(waiting, compute(waiting, unit[fresh]), strict=True):
             columns[i][fresh] = values
         seen = stage
-        if stage == n:
-            break
-        kriging = Kriging.between(z[known], z[wanted])
-        rest = []
-        for i in waiting:
-            values = columns[i][known]
-            guess, error = kriging(values) if np.isfinite(values).all() else (None, np.inf)
-            if guess is not None and error < TOLERANCE:
-                columns[i][wanted] = guess
-            else:
-                rest.append(i)
-        waiting = rest
+        if stage < n:
+            waiting = [
+                i for i in waiting if not _told(columns[i], known, wanted, ladder.kriging(stage))
+            ]
     return columns
+
+
+def _told(column: Array, known: NDArray[np.intp], wanted: NDArray[np.intp], to: Kriging) -> bool:
+    """Fill in the wanted nodes of a column if the known ones tell them."""
+    values = column[known]
+    if not np.isfinite(values).all():
+        return False
+    guess, error = to(values)
+    if error < TOLERANCE:
+        column[wanted] = guess
+    return error < TOLERANCE

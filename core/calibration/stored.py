@@ -26,7 +26,7 @@ from core.calibration.surface import Surface
 from core.calibration.target import shared_prior
 from core.errors import InputError
 from core.model import Model
-from core.network import Prior
+from core.prior import Prior
 from core.smc.particles import normalised
 from core.smc.placement import WIDEN, Proposal, moments, sobol
 

@@ -24,8 +24,9 @@ from core.calibration.scans import Dense, scan_rows
 from core.discrepancy import NONE, Affine, affine, parameters
 from core.errors import InputError
 from core.model import Model, Stacked
-from core.network import Parameter, Prior
+from core.network import Parameter
 from core.observation import Inspection, digest_of
+from core.prior import Prior
 from core.response import Response, multi_indices
 
 Array = NDArray[np.float64]

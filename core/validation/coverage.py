@@ -27,8 +27,8 @@ from core.calibration.online import update
 from core.calibration.state import Posterior, RotorSpec, blade_posterior, shared_posterior
 from core.errors import BladetwinError, InputError
 from core.model import Model
-from core.network import Prior
 from core.prediction import corrected, inputs_of, noise_of, predict
+from core.prior import Prior
 from core.rng import stream
 from core.validation.sbc import published_cdf, randomised_pit, wrong_pits
 from core.validation.simulate import Held, simulate

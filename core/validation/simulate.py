@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from core.calibration.target import DEGREE
 from core.discrepancy import NONE, affine, parameters, total
 from core.model import Model
-from core.network import Prior
 from core.observation import Inspection
+from core.prior import Prior
 from core.rng import stream
 from core.validation import fe_rotors
 from core.validation.variants import COATING, DESTROYED, Variant, hours, names_of

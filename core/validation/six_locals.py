@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.model import Model
-from core.network import Network, Parameter, Prior, Quantity
+from core.network import Network, Parameter, Quantity
+from core.prior import Prior
 from core.validation.formula import FormulaInput, FormulaModel
 
 Array = NDArray[np.float64]

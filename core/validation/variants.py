@@ -24,7 +24,8 @@ import numpy as np
 
 from core.errors import InputError
 from core.model import Model, rotor_blade
-from core.network import Discrepancy, Prior
+from core.network import Discrepancy
+from core.prior import Prior
 from core.validation.six_locals import six_locals
 
 COATING = "tbc_thickness"

@@ -13,8 +13,9 @@ from core.calibration.state import Posterior
 from core.discrepancy import HELD, affine, modes, parameters
 from core.errors import InputError
 from core.model import Model
-from core.network import Discrepancy, Network, Parameter, Prior, Quantity, rotor_blade_network
+from core.network import Discrepancy, Network, Parameter, Quantity, rotor_blade_network
 from core.prediction import instrument_of, noise_of, predict
+from core.prior import Prior
 from core.smc.particles import Particles
 from tests.core.calibration.drifting import HORIZON, KINDS, LOCAL_SD, drifting
 

@@ -8,7 +8,8 @@ import httpx
 import pytest
 
 from core.model import Model
-from core.network import Network, Parameter, Prior, Quantity
+from core.network import Network, Parameter, Quantity
+from core.prior import Prior
 from core.validation.formula import FormulaInput, FormulaModel
 from service.bootstrap import make_worker
 from service.client import Client

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from core.model import Model
-from core.network import Network, Parameter, Prior, Quantity
+from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
+from core.prior import Prior
 from core.validation.formula import FormulaInput, FormulaModel
 
 LOCAL = (("tbc", 2 / 3, 4 / 3), ("alpha", -3.0, 3.0), ("gamma", -3.0, 3.0))

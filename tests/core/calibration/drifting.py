@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from core.model import Model
-from core.network import Discrepancy, Network, Parameter, Prior, Quantity
+from core.network import Discrepancy, Network, Parameter, Quantity
 from core.observation import Inspection
+from core.prior import Prior
 from core.validation.formula import FormulaInput, FormulaModel
 
 S = Prior("normal", 1.4, 2.6, 2.0, 0.2)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.model import Model
-from core.network import Network, Parameter, Prior, Quantity
+from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
+from core.prior import Prior
 from core.response import Response, multi_indices
 from core.validation.formula import FormulaInput, FormulaModel
 

@@ -13,8 +13,9 @@ from core.calibration.online import update
 from core.calibration.state import RotorSpec, RotorState, blade_posterior, shared_posterior
 from core.errors import CalibrationError
 from core.model import Model, rotor_blade
-from core.network import Network, Parameter, Prior, Quantity
+from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
+from core.prior import Prior
 from core.validation.formula import FormulaInput, FormulaModel
 
 SPEC = RotorSpec("r", tuple(f"b{i}" for i in range(6)), particles=1200, seed=4)

@@ -8,9 +8,10 @@ import pytest
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior, shared_posterior
 from core.model import Model
-from core.network import Network, Parameter, Prior, Quantity
+from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prediction import predict
+from core.prior import Prior
 from core.validation.formula import FormulaInput, FormulaModel
 
 SLOPES = (1.3, -0.7, 0.4)

@@ -11,8 +11,9 @@ from core.calibration.online import update
 from core.calibration.state import RotorSpec, RotorState, blade_posterior
 from core.errors import InputError
 from core.model import Model
-from core.network import Network, Parameter, Prior, Quantity, rotor_blade_network
+from core.network import Network, Parameter, Quantity, rotor_blade_network
 from core.observation import Inspection
+from core.prior import Prior
 from core.validation.formula import FormulaInput, FormulaModel
 
 SIGMA, HALF_LIFE = 0.2, 8e3

@@ -14,9 +14,10 @@ from core.calibration.state import RotorSpec, RotorState, blade_posterior, share
 from core.calibration.stored import StoredPosterior
 from core.errors import InputError, ModelError, RangeError
 from core.model import Model, Stacked
-from core.network import Network, Parameter, Prior, Quantity
+from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prediction import predict
+from core.prior import Prior
 from core.validation.formula import FormulaInput, FormulaModel
 
 NOISE = Prior("log_uniform", 0.01, 1.0)

@@ -12,8 +12,9 @@ from core.calibration.online import update
 from core.calibration.state import RotorSpec, RotorState, blade_posterior, shared_posterior
 from core.errors import InputError
 from core.model import Model
-from core.network import Network, Parameter, Population, Prior, Quantity, rotor_blade_network
+from core.network import Network, Parameter, Quantity, rotor_blade_network
 from core.observation import Inspection
+from core.prior import Population, Prior
 from core.validation.formula import FormulaInput, FormulaModel
 
 SIGMA = 0.2

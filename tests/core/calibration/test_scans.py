@@ -13,8 +13,9 @@ from core.calibration.online import update
 from core.calibration.state import RotorSpec, shared_posterior
 from core.calibration.target import assemble, shared_space
 from core.model import Model, rotor_blade
-from core.network import Discrepancy, Network, Parameter, Prior, Quantity
+from core.network import Discrepancy, Network, Parameter, Quantity
 from core.observation import Inspection
+from core.prior import Prior
 from core.response import Response
 from core.validation.formula import FormulaInput, FormulaModel
 

@@ -17,9 +17,10 @@ from core.calibration.state import RotorSpec, shared_posterior
 from core.calibration.target import assemble, shared_space
 from core.errors import InputError
 from core.model import Model, rotor_blade
-from core.network import Network, Parameter, Population, Prior
+from core.network import Network, Parameter
 from core.observation import Inspection
 from core.prediction import predict
+from core.prior import Population, Prior
 from core.validation.schedule_study import DISCREPANCIES, model_with, plan_readings
 from tests.core.calibration.bar import LOCAL, bar, creep
 from tests.core.calibration.test_exact import SLOPES, conjugate, exact, readings

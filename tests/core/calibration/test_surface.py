@@ -7,7 +7,7 @@ import pytest
 
 from core.calibration.surface import Surface, evening, tilt
 from core.calibration.target import SharedSpace
-from core.network import Prior
+from core.prior import Prior
 from core.smc.particles import ess, log_sum_exp, normalised
 from core.smc.placement import Proposal, rounded, sobol
 
