@@ -104,9 +104,8 @@ def test_imports_run_one_way() -> None:
 @pytest.mark.parametrize(
     ("path", "source"),
     [
-        ("core/smc/moves.py", "from core.network import Network")(
-            "core/blade/run.py", "import core.calibration.online"
-        ),
+        ("core/smc/moves.py", "from core.network import Network"),
+        ("core/blade/run.py", "import core.calibration.online"),
         ("core/response.py", "import sqlalchemy"),
         ("core/observation.py", "from core import prediction"),
         ("service/api/models.py", "from sqlalchemy import select"),

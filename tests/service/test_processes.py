@@ -17,6 +17,7 @@ import httpx
 import pytest
 
 from core.observation import Inspection
+from service.bootstrap import SEALER_NICENESS
 from service.client import Client
 from service.fake import FakeScience
 from service.handlers.inspections import retract
@@ -207,6 +208,23 @@ def test_serve_applies_readings_replaces_a_dead_worker_and_ends_cleanly(
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE_S) == 0
         assert not any(alive(pid) for pid in successors)
+
+
+def test_a_sealer_lets_others_go_first_but_not_for_ever(tmp_path: Path) -> None:
+    """With idle time only, a rotor on a machine that others keep busy was never sealed."""
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    bare_url = f"sqlite:///{tmp_path / 'bladetwin.db'}"
+    with serving(Settings(database_url=bare_url, science="fake")) as (process, client):
+        client.create_rotor("r1", blades=["B1"])
+        client.wait_for("r1", client.post_inspections("r1", [body("a")]), PATIENCE_S)
+        until(
+            "a sealer of low priority",
+            lambda: (
+                sorted(os.getpriority(os.PRIO_PROCESS, p) for p in children(process.pid))
+                == [own, max(own, SEALER_NICENESS)]
+            ),
+        )
+        assert {os.sched_getscheduler(p) for p in children(process.pid)} == {os.SCHED_OTHER}
 
 
 def test_no_worker_outlives_a_server_that_was_killed(tmp_path: Path) -> None:
