@@ -10,15 +10,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import blake2b
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.message import PARTS, POOL, BladeMessage
-from core.calibration.smooth import smoothly
+from core.calibration.smooth import NEARLY, TOLERANCE, Column, smoothly
 from core.errors import CalibrationError
 
 Array = NDArray[np.float64]
+How = Literal["exact", "near", "rough"]
 MANY = 64  # nodes from which on a column is computed at a part of them
 
 
@@ -29,50 +31,59 @@ def columns(messages: Sequence[BladeMessage], unit: Array, *, rough: bool) -> li
     return list(POOL.map(lambda m: m.column(unit, rough, parts=1), messages))
 
 
-def smooth_columns(messages: Sequence[BladeMessage], unit: Array) -> list[Array]:
-    """The exact columns of several blades at many nodes, as many as each needs (`smooth`)."""
+def smooth_columns(
+    messages: Sequence[BladeMessage],
+    unit: Array,
+    begun: Sequence[Column | None] | None = None,
+    tolerance: float = TOLERANCE,
+) -> list[Column]:
+    """Exact columns of several blades at many nodes, at as many as each needs (`smooth`)."""
 
     def compute(which: Sequence[int], nodes: Array) -> list[Array]:
         return columns([messages[i] for i in which], nodes, rough=False)
 
-    return smoothly(compute, len(messages), unit)
+    return smoothly(compute, begun or [None] * len(messages), unit, tolerance)
 
 
 @dataclass
 class Columns:
-    """Messages already computed, by what they rest on. Bounded, oldest out."""
+    """Messages already computed, by what they rest on. Bounded, oldest out.
 
-    kept: dict[tuple[str, str, bytes], Array] = field(default_factory=dict)
+    How a column is asked for: ``exact``; ``near``, which may be off by `smooth.NEARLY`; ``rough``.
+    """
+
+    kept: dict[tuple[str, bool, bytes], Column] = field(default_factory=dict)
     limit: int = 20_000
     computed: int = 0
 
-    def of(self, message: BladeMessage, unit: Array, how: str) -> Array:
+    def of(self, message: BladeMessage, unit: Array, how: How) -> Array:
         return self.all({"": message}, unit, how)[""]
 
-    def all(self, messages: Mapping[str, BladeMessage], unit: Array, how: str) -> dict[str, Array]:
+    def all(self, messages: Mapping[str, BladeMessage], unit: Array, how: How) -> dict[str, Array]:
         """The column of each blade; those that are missing are computed side by side."""
         # by the nodes: rotors with equal readings share the proposal, but each has its own nodes
         nodes = blake2b(np.ascontiguousarray(unit).tobytes(), digest_size=16).digest()
-        places = {b: (m.name, how, nodes) for b, m in messages.items()}
-        missing = {b: messages[b] for b, place in places.items() if place not in self.kept}
+        places = {b: (m.name, how == "rough", nodes) for b, m in messages.items()}
+        tolerance = NEARLY if how == "near" else TOLERANCE
+        begun = {b: self.kept.get(place) for b, place in places.items()}
+        missing = {b: messages[b] for b, c in begun.items() if c is None or c.error > tolerance}
         if len(self.kept) + len(missing) > self.limit:
             for old in list(self.kept)[: self.limit // 2]:
                 if old not in places.values():
                     del self.kept[old]
-        found = dict[str, Array]()
-        for smooth in (True, False):
-            own = {b: m for b, m in missing.items() if m.smooth == smooth}
-            if smooth and how == "exact" and len(unit) >= MANY:
-                made = smooth_columns(list(own.values()), unit)
-            else:
-                made = columns(list(own.values()), unit, rough=how == "rough")
-            found |= dict(zip(own, made, strict=True))
+        many = how != "rough" and len(unit) >= MANY
+        smooth = {b: m for b, m in missing.items() if many and m.smooth}
+        others = {b: m for b, m in missing.items() if b not in smooth}
+        made = smooth_columns([*smooth.values()], unit, [begun[b] for b in smooth], tolerance)
+        full = columns([*others.values()], unit, rough=how == "rough")
+        found = dict(zip(smooth, made, strict=True))
+        found |= {b: Column(v, len(unit), 0.0) for b, v in zip(others, full, strict=True)}
         for blade, column in found.items():
             self.computed += 1
-            if np.isnan(column).any():
+            if np.isnan(column.values).any():
                 raise CalibrationError(
-                    f"a blade's message is not a number at {int(np.isnan(column).sum())} of "
-                    f"{len(column)} nodes; its readings: {missing[blade].rows.y.tolist()[:12]}"
+                    f"a blade's message is not a number at {int(np.isnan(column.values).sum())} of "
+                    f"{len(unit)} nodes; its readings: {missing[blade].rows.y.tolist()[:12]}"
                 )
             self.kept[places[blade]] = column
-        return {b: self.kept[place] for b, place in places.items()}
+        return {b: self.kept[place].values for b, place in places.items()}

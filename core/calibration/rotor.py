@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.columns import Columns
+from core.calibration.columns import Columns, How
 from core.calibration.message import BladeMessage
 from core.calibration.surface import foreseen
 from core.calibration.target import SharedSpace
@@ -180,7 +180,7 @@ def weigh(
     base = sobol(max(n, 2 * scouts), d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
-    def seen(unit: Array, how: str, blades: Mapping[str, float]) -> Array:
+    def seen(unit: Array, how: How, blades: Mapping[str, float]) -> Array:
         """Σ_b c_b log m_b at nodes, (n,); the blades' counts are c_b."""
         found = known.all({b: messages[b] for b in blades}, unit, how)
         out = np.zeros(len(unit))
@@ -219,7 +219,7 @@ def weigh(
         best, idle, tried = (-1.0, start), 0, dict[bytes, Tried]()
         for _ in range(turns):
             unit, log_q = start.nodes(base[:n])
-            log_p = space.log_prior(unit) + seen(unit, "exact", everyone)
+            log_p = space.log_prior(unit) + seen(unit, "near", everyone)
             here = tried[start.key] = Tried(start, unit, log_p, log_q)
             share, following = here.share, improved(start, unit, log_p, log_q, fitting)
             with suppress(InputError, np.linalg.LinAlgError):

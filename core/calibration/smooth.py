@@ -13,7 +13,7 @@ the rest lies between them), sixteen at a time, until the root mean square of th
 blade's own, those of the least error.
 
 A blade's column depends on its own readings and the nodes alone, in whatever company it is
-computed.
+computed, and whether at once or first nearly and then in full.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from core.response import monomials
 
 Array = NDArray[np.float64]
 TOLERANCE = 0.003  # nat of leave-one-out error; at the nodes left out it is a tenth of that
+NEARLY = 0.03  # nat; as much will do to tell where nodes should stand
 STAGES = (1, 2, 3, 4, 6)  # blocks of nodes after which a blade may be done
 LENGTHS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
 NUGGETS = (1e-9, 1e-7, 1e-5, 1e-3)
@@ -121,38 +122,42 @@ def ladder_of(nodes: bytes, dim: int) -> Ladder:
     return Ladder(np.frombuffer(nodes).reshape(-1, dim))
 
 
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column as far as it is known: values (n,), at how many nodes computed, and its error [nat].
+
+    The error is that of leaving nodes out, zero where all of them are computed.
+    """
+
+    values: Array
+    computed: int = 0
+    error: float = np.inf
+
+
 def smoothly(
-    compute: Callable[[Sequence[int], Array], Sequence[Array]], blades: int, unit: Array
-) -> list[Array]:
-    """Columns (n,) of so many blades at nodes `unit` (n, d).
+    compute: Callable[[Sequence[int], Array], Sequence[Array]],
+    begun: Sequence[Column | None],
+    unit: Array,
+    tolerance: float = TOLERANCE,
+) -> list[Column]:
+    """Columns at nodes `unit` (n, d) to within `tolerance`, each from where it was left.
 
     compute  exact columns of some blades, by number, at some nodes
+    begun    what is known of each blade's column; None: nothing
     """
     n, d = unit.shape
     ladder = ladder_of(np.ascontiguousarray(unit).tobytes(), d)
-    columns, waiting, seen = [np.empty(n) for _ in range(blades)], list(range(blades)), 0
+    columns, before = [one or Column(np.empty(n)) for one in begun], 0
     for stage in ladder.stages:
-        if not waiting:
-            break
         fresh, known, wanted = (
-            ladder.order[part] for part in (slice(seen, stage), slice(stage), slice(stage, n))
+            ladder.order[part] for part in (slice(before, stage), slice(stage), slice(stage, n))
         )
-        for i, values in zip(waiting, compute(waiting, unit[fresh]), strict=True):
-            columns[i][fresh] = values
-        seen = stage
-        if stage < n:
-            waiting = [
-                i for i in waiting if not _told(columns[i], known, wanted, ladder.kriging(stage))
-            ]
+        due = [i for i, c in enumerate(columns) if c.error > tolerance and c.computed < stage]
+        for i, values in zip(due, compute(due, unit[fresh]) if due else (), strict=True):
+            column, error = columns[i].values.copy(), 0.0 if stage == n else np.inf
+            column[fresh] = values
+            if stage < n and np.isfinite(column[known]).all():
+                column[wanted], error = ladder.kriging(stage)(column[known])
+            columns[i] = Column(column, stage, error)
+        before = stage
     return columns
-
-
-def _told(column: Array, known: NDArray[np.intp], wanted: NDArray[np.intp], to: Kriging) -> bool:
-    """Fill in the wanted nodes of a column if the known ones tell them."""
-    values = column[known]
-    if not np.isfinite(values).all():
-        return False
-    guess, error = to(values)
-    if error < TOLERANCE:
-        column[wanted] = guess
-    return error < TOLERANCE

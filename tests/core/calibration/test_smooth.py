@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from core.calibration.columns import columns, smooth_columns
 from core.calibration.message import BladeMessage
-from core.calibration.smooth import TOLERANCE, from_afar, smoothly
+from core.calibration.smooth import NEARLY, TOLERANCE, from_afar, smoothly
 from core.calibration.target import assemble, shared_space
 from core.model import rotor_blade
 from core.smc.placement import Proposal, sobol
@@ -39,7 +39,8 @@ def asked(functions: Sequence[object], unit: Array) -> tuple[list[Array], list[i
             counts[i] += len(nodes)
         return [functions[i](nodes) for i in which]  # type: ignore[operator]
 
-    return smoothly(compute, len(functions), unit), counts
+    found = smoothly(compute, [None] * len(functions), unit)
+    return [column.values for column in found], counts
 
 
 @pytest.mark.parametrize("d", [1, 2, 4])
@@ -81,6 +82,24 @@ def test_a_column_does_not_depend_on_its_company() -> None:
         assert alone.tobytes() == column.tobytes()
 
 
+def test_a_column_that_was_nearly_known_goes_on_from_there() -> None:
+    unit = 0.5 + 0.5 * (sobol(64, 2, 3) - 0.5)
+    nodes: list[int] = []
+
+    def compute(which: Sequence[int], at: Array) -> list[Array]:
+        nodes.append(len(at))
+        return [gentle(12.0, at) for _ in which]
+
+    (near,) = smoothly(compute, [None], unit, NEARLY)
+    assert near.computed < 64
+    assert TOLERANCE < near.error < NEARLY
+    (then,) = smoothly(compute, [near], unit)
+    assert sum(nodes) == then.computed
+    (at_once,) = smoothly(compute, [None], unit)
+    assert at_once.values.tobytes() == then.values.tobytes()
+    assert smoothly(compute, [at_once], unit, NEARLY) == [at_once]
+
+
 def test_points_come_from_afar() -> None:
     z = np.random.default_rng(0).standard_normal((64, 2))
     order = from_afar(z)
@@ -105,7 +124,7 @@ def test_the_blades_of_a_rotor_are_known_between_the_nodes() -> None:
     centre = (np.where(scaled, np.log(truth), truth) - low) / (high - low)
     unit, _ = Proposal(centre, np.diag([0.01, 0.02])).nodes(sobol(64, 2, 0))
     exact = np.array(columns(messages, unit, rough=False))
-    found = np.array(smooth_columns(messages, unit))
+    found = np.array([column.values for column in smooth_columns(messages, unit)])
     off = found - exact
     assert np.mean(off != 0.0) > 0.25, "less than a quarter was known without being computed"
     assert np.sqrt(np.mean(off**2)) < 0.001
