@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.errors", "core.rng", "core.compiled", "core.digest"),
-    ("core.network", "core.response", "core.observation", "core.archive"),
+    ("core.network", "core.prior", "core.response", "core.observation", "core.archive"),
     ("core.blade", "core.design", "core.reduction", "core.smc"),
     ("core.surrogate",),
     ("core.builtin",),
@@ -30,8 +30,16 @@ FORBIDDEN_IN_CORE = {
     "httpx", "typer", "rich", "dotenv",
 }  # fmt: skip
 RULES: tuple[tuple[str, frozenset[str]], ...] = (
-    ("core/smc", frozenset({"core.blade", "core.calibration", "core.network", "core.surrogate"})),
-    ("core/blade", frozenset({"core.smc", "core.calibration", "core.network", "core.surrogate"})),
+    (
+        "core/smc",
+        frozenset(
+            {"core.blade", "core.calibration", "core.network", "core.prior", "core.surrogate"}
+        ),
+    ),
+    (
+        "core/blade",
+        frozenset({"core.smc", "core.calibration", "core.network", "core.prior", "core.surrogate"}),
+    ),
     ("service/handlers", frozenset({"fastapi", "starlette", "httpx", "uvicorn"})),
     ("service/api", frozenset({"sqlalchemy", "psycopg", "sqlite3"})),
     ("service/client.py", frozenset({"sqlalchemy", "fastapi", "service.store"})),

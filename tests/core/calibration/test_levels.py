@@ -461,11 +461,25 @@ def test_bad_levels_and_pairs_are_named() -> None:
         update(Model(network, first.surrogate), replace(SPEC, id="q"), [], prior=prior)
 
 
-def test_a_component_may_not_mix_more_than_three_local_parameters() -> None:
-    model = stacked({"strain": 1, "length": 2})
-    mixed = [replace(r, blade="b0") for r in data() if r.quantity == "strain"]
+def mixed() -> list[Inspection]:
+    """One component with readings of two quantities: four local parameters."""
+    both = [replace(r, blade="b0") for r in data() if r.quantity == "strain"]
+    return [*both, *(r for r in data() if r.quantity == "length")]
+
+
+def test_a_component_of_more_than_three_local_parameters_has_its_exact_posterior() -> None:
+    readings = mixed()
+    state = update(stacked({"strain": 1, "length": 2}), SPEC, readings)
+    assert_shared(state, readings)
+    assert state.meta["log_evidence"] == pytest.approx(exact(readings)[3], abs=0.05)
+
+
+def test_a_component_may_not_mix_too_many_local_parameters(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("core.model.MOST_LOCAL", 3)
     with pytest.raises(InputError, match="component b0"):
-        update(model, SPEC, [*mixed, *(r for r in data() if r.quantity == "length")])
+        update(stacked({"strain": 1, "length": 2}), SPEC, mixed())
 
 
 def test_a_component_without_local_parameters_weighs_exactly() -> None:
