@@ -41,7 +41,7 @@ SPLIT = 0.05  # nat, times a panel's share, that its last coefficient may be
 THIN = 0.004  # share of the support that is no panel of its own
 EDGES = (-1.0, 1.0)  # breaks about a meeting with a bound, in its half widths
 REACH = 5.2  # half width of a first scan in widths of the bell
-PX, PM, PG, PV = modes.X, modes.M, modes.G, modes.V
+PM, PG, PV = modes.M, modes.G, modes.V
 HXX, HXG, HGG = modes.HXX, modes.HXG, modes.HGG
 # a scan's numbers by station: place, profile, inner mode, its curvature, active bound and slope
 AT, TOP, MODE, BEND, BOUND, STEEP = range(6)

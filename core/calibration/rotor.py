@@ -177,7 +177,7 @@ def weigh(
     d, n = space.dim, max(node_count(space.dim), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
     fitting = min(0.3, 1.2 / d)
-    base = sobol(max(n, 2 * scouts), d, seed)
+    base = sobol(n, d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
     def seen(unit: Array, how: How, blades: Mapping[str, float]) -> Array:
@@ -232,9 +232,9 @@ def weigh(
                 circle = list(tried.values())[-CIRCLE:]
                 for one in circle:
                     with suppress(InputError, np.linalg.LinAlgError):
-                        share, further = one.judged(circle)
-                        if share > best[0]:
-                            best, following = (share, one.proposal), further
+                        believed, further = one.judged(circle)
+                        if believed > best[0]:
+                            best, following = (believed, one.proposal), further
             if best[0] >= enough or following.key in tried or share < least or idle == IDLE:
                 break
             start = following
