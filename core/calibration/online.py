@@ -6,13 +6,13 @@ duplicate inspections give the bit-identical state, because nothing in it rememb
 makes it *online* is that almost nothing is computed again: a blade's message depends on that
 blade's readings only, and is kept.
 
-Quick (``quick=True``), the shared nodes stay where the previous state has them, the touched blades'
-messages are exact at these nodes, and every other blade moves through the weights. That is the
-classical particle-filter step. Where too few nodes would carry the weight it is tempered, so that
-the shared parameters are rather too wide than too sharp; where even that would not do, the nodes
-are placed anew at once. The state says that it is provisional until a sealed one follows, how far
-it is tempered, and which blades carry fewer draws until then. It reads and writes the touched
-blades' arrays only.
+Quick (``quick=True``), the shared nodes stay where the previous state has them, the touched
+blades' messages are known there to a few hundredths of a nat, every other blade moves through the
+weights. That is the classical particle-filter step. Where too few nodes would carry the weight it
+is tempered, so that the shared parameters are rather too wide than too sharp; where even that
+would not do, the nodes are placed anew at once. The state says that it is provisional until a
+sealed one follows, how far it is tempered, and which blades carry fewer draws until then. It reads
+and writes the touched blades' arrays only.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.collapsed import message_of
-from core.calibration.columns import Columns
+from core.calibration.columns import Columns, How
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
 from core.calibration.message import BladeMessage, prior_draws
 from core.calibration.rotor import node_count, weigh
+from core.calibration.smooth import NEARLY
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.stored import StoredPosterior
 from core.calibration.surface import evening
@@ -186,7 +187,8 @@ class _Update:
                 rest -= old[f"column/{blade}"]
         many = len(touched) > MANY
         log_p, columns = rest, dict[str, Array]()
-        for how in ("rough", "exact") if many else ("exact",):
+        stages: tuple[How, ...] = ("rough", "near") if many else ("near",)
+        for how in stages:
             columns = {b: self.work.columns.of(self.messages[b], unit, how) for b in touched}
             log_p = rest + sum(columns.values(), np.zeros(len(unit)))
             beta = tempering(log_p - old["shared/log_q"] + old["shared/tilt"])
@@ -303,6 +305,8 @@ class _Update:
         unread = set() if previous is None else self.unread(previous) & set(self.messages)
         own = [m.error(unit) for b, m in self.messages.items() if b not in unread]
         square = np.sum(np.reshape(own, (-1, 2)) ** 2, axis=0)
+        if previous is not None:
+            square += len(own) * NEARLY**2
         if previous is not None and unread:
             health, share = previous.meta["health"], len(unread) / len(previous.meta["readings"])
             before = np.array([health["message_error_nat"], health["message_tilt_nat"]])

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from core.calibration import online
+from core.calibration.message import BladeMessage
 from core.calibration.online import RotorSpec, RotorState, Workspace, update
+from core.calibration.smooth import NEARLY
 from core.calibration.state import shared_posterior
 from core.calibration.surface import Surface
 from core.calibration.target import assemble, shared_space
@@ -84,6 +86,21 @@ def test_a_quick_update_weighs_as_if_every_message_were_new(before: RotorState) 
         before.arrays[f"column/{b}"] for b in SPEC.blades
     )
     assert state.arrays["shared/log_p"] == pytest.approx(total + space_prior, abs=1e-9)
+
+
+def test_a_quick_update_says_that_its_messages_are_nearly_known(before: RotorState) -> None:
+    """Computed at some of the nodes, within `NEARLY` of all of them; the health counts that."""
+    work = Workspace()
+    state = update(MODEL, SPEC, [*READINGS, LATE], before, quick=True, workspace=work)
+    (column,) = work.columns.kept.values()
+    assert column.computed < len(column.values)
+    rows = assemble(MODEL, [r for r in [*READINGS, LATE] if r.blade == LATE.blade])
+    assert rows is not None
+    exact = BladeMessage(MODEL, rows, SPACE, {}).column(state.arrays["shared/unit"])
+    left = state.arrays[f"column/{LATE.blade}"] - exact
+    assert 0.0 < np.sqrt(np.mean(left**2)) < NEARLY
+    assert state.meta["health"]["message_error_nat"] > NEARLY
+    assert before.meta["health"]["message_error_nat"] < NEARLY
 
 
 def test_sealed_states_remember_no_path(before: RotorState) -> None:
