@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
 from service.progress import bar
 from service.settings import Settings, table

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 import core.builtin
 from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
@@ -54,15 +53,11 @@ class CoreScience:
 
     folder   holds a rebuilt model, used instead of the shipped one
     model    any network and surrogate, e.g. a formula (core.validation.formula), used instead
-
-    Linear algebra gets one thread from here on: matrices are small, workers use the processors
-    blade by blade, and sums then have the same order on machines with any number of processors.
     """
 
     builtins = (NAME,)
 
     def __init__(self, folder: str = "", model: Model | None = None) -> None:
-        threadpool_limits(1, user_api="blas")
         self._folder = Path(folder) if folder else SHIPPED
         self._given = model
         self._lock = threading.Lock()

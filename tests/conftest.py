@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import create_engine, make_url, text
 
+import service.one_thread  # noqa: F401  before numpy, as every command does
 from service.store.engine import open_engine
 from service.store.migrate import migrate
 

@@ -72,7 +72,7 @@ class StoredPosterior:
             raise InputError("names", unknown, "are not in the state", f"choose among {below}")
         unit, log_w = arrays["shared/unit"], arrays["shared/log_w"]
         w = normalised(log_w)
-        surface, error = Surface.through(unit, arrays["shared/log_p"], w)
+        surface, error = Surface.through(unit, arrays["shared/log_p"], w, arrays["shared/x"])
         before: Mapping[str, Mapping[str, str]] = meta.get("prior", {}).get("seen", {})
         own = {**before.get(meta["rotor"], {}), **meta["readings"]}
         return StoredPosterior(

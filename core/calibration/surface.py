@@ -7,7 +7,8 @@ The nodes hold log p(s | D) exactly at K places u_k of the unit box. A surface t
 is universal kriging; beyond the outermost node it goes on as steeply as the normal of the nodes'
 moments falls there: the tails of a posterior are longer than a normal's. What it may be off is
 known beforehand: the weighted root mean square of its leave-one-out errors (Dubrule, Math. Geology
-15, 1983).
+15, 1983). Length and nugget are those of the least errors where second moments in natural units
+come from: a noise that few readings tell has much of its variance at nodes of hardly any weight.
 
 Sixty-four weighted nodes know a mean to some hundredths of a standard deviation, but a standard
 deviation to some hundredths of itself only, and worse where a tail is long. The surface integrates
@@ -64,19 +65,26 @@ class Surface:
         return np.asarray(inside - self.reach * np.maximum(r - self.reach, 0.0))
 
     @staticmethod
-    def through(unit: Array, log_p: Array, w: Array) -> tuple[Surface, float]:
-        """The surface through log p at nodes (K, d) of weights w, and its error [nat]."""
+    def through(
+        unit: Array, log_p: Array, w: Array, x: Array | None = None
+    ) -> tuple[Surface, float]:
+        """The surface through log p at nodes (K, d) of weights w, and its error [nat].
+
+        x   natural values (K, d) at the nodes, where their second moments matter
+        """
         mean, cov = moments(unit, w)
         turn = np.linalg.inv(np.linalg.cholesky(cov + 1e-14 * np.eye(len(mean))))
         shapes = log_p > np.max(log_p) - DEPTH
-        z, value, w = (unit[shapes] - mean) @ turn.T, log_p[shapes], normalised(np.log(w[shapes]))
+        z, value = (unit[shapes] - mean) @ turn.T, log_p[shapes]
+        matters = w if x is None else w * (1.0 + _distances(x, w))
+        w, matters = (normalised(np.log(one[shapes])) for one in (w, matters))
         basis = monomials(z, 2)
         k, m = basis.shape
         if k < m + 2:
             raise InputError(
                 "nodes of the state", k, f"cannot carry {m} coefficients", "calibrate anew"
             )
-        best: tuple[float, float, Array] | None = None
+        best: tuple[float, float, float, Array] | None = None
         for length in LENGTHS:
             for nugget in NUGGETS:
                 system = np.zeros((k + m, k + m))
@@ -85,12 +93,18 @@ class Surface:
                 inverse = np.linalg.inv(system)
                 alpha = inverse[:, :k] @ value
                 left_out = alpha[:k] / np.diag(inverse)[:k]
-                error = float(np.sqrt(w @ left_out**2))
-                if best is None or error < best[0]:
-                    best = error, length, alpha
+                judged = float(matters @ left_out**2)
+                if best is None or judged < best[0]:
+                    best = judged, float(np.sqrt(w @ left_out**2)), length, alpha
         assert best is not None
         reach = float(np.sqrt(np.max(np.sum(z**2, axis=1))))
-        return Surface(mean, turn, z, best[1], best[2], reach), best[0]
+        return Surface(mean, turn, z, best[2], best[3], reach), best[1]
+
+
+def _distances(x: Array, w: Array) -> Array:
+    """Squares of x's distances from its mean in sds, summed over the parameters, (K,)."""
+    mean = w @ x
+    return np.asarray(np.sum((x - mean) ** 2 / (w @ (x - mean) ** 2 + 1e-300), axis=1))
 
 
 def _bells(a: Array, b: Array, length: float) -> Array:
@@ -133,7 +147,7 @@ def evening(
     log_w, none = log_p - log_q, np.zeros(len(unit))
     x = space.to_x(unit)
     try:
-        surface, error = Surface.through(unit, log_p, normalised(log_w))
+        surface, error = Surface.through(unit, log_p, normalised(log_w), x)
         if not error < TRUSTED:
             return none, None
         dense, log_dense_q = proposal.nodes(sobol(POINTS, space.dim, POINTS))

@@ -8,7 +8,6 @@ lines into tables. No rotor is dropped: one that cannot be calibrated fails the 
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -191,7 +190,7 @@ def run(
             keep(calibrated(model, variant, r, seed, particles))
     elif todo:
         context = get_context("spawn")
-        with ProcessPoolExecutor(processes, mp_context=context, initializer=_one_thread) as pool:
+        with ProcessPoolExecutor(processes, mp_context=context) as pool:
             calls = [pool.submit(_spawned, variant, r, seed, particles) for r in todo]
             try:
                 for call in as_completed(calls):
@@ -221,7 +220,3 @@ def _spawned(variant: Variant, rotor: int, seed: int, particles: int) -> Record:
     if variant not in _models:
         _models[variant] = model_of(variant)
     return calibrated(_models[variant], variant, rotor, seed, particles)
-
-
-def _one_thread() -> None:
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")

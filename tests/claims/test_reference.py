@@ -87,15 +87,12 @@ def test_means_spreads_and_correlations_are_those_of_the_reference(name: str) ->
 
 
 def test_the_rotor_of_table_1_misses_the_acceptance_by_no_more_than_is_said() -> None:
-    """Means are right; sds of a noise read three times, and correlations of the scanned blade's
-    parameters with noises, are known to 9 % and 0.08 by 128 nodes in four dimensions."""
+    """What is left is Monte-Carlo error: a noise read three times has an sd above its mean."""
     found = compared("mixed")
     assert np.abs(found.mean).max() < 0.05
-    assert np.abs(found.ratio - 1).max() < 0.09
-    assert np.abs(found.correlation).max() < 0.08
-    beyond = found.beyond()
-    assert all("sigma_obs.ceeq" in one for one in beyond["ratio"])
-    assert all("B001" in one and "sigma_obs" in one for one in beyond["correlation"])
+    assert np.abs(found.ratio - 1).max() < 0.07
+    assert np.abs(found.correlation).max() < 0.07
+    assert all("sigma_obs.ceeq" in one for one in found.beyond()["ratio"])
 
 
 @pytest.mark.parametrize("name", KEPT)

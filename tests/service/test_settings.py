@@ -101,3 +101,19 @@ def test_a_child_runs_the_code_of_its_parent_wherever_it_starts(tmp_path: Path) 
 
     assert told(["-P"], same_code(dict(os.environ))) == service.__file__
     assert told([], dict(os.environ)) == "another copy", "negative control"
+
+
+def test_commands_have_linear_algebra_on_one_thread_unless_told_otherwise() -> None:
+    """Last bits, and so digests and random streams, must not depend on the processors."""
+    seen = (
+        "import service.cli, core.calibration.online, threadpoolctl as t; "
+        "print({i['num_threads'] for i in t.threadpool_info() if i['user_api'] == 'blas'})"
+    )
+    clean = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    most = min(2, os.cpu_count() or 1)
+    for given, found in (({}, "{1}"), ({"OPENBLAS_NUM_THREADS": "2"}, f"{{{most}}}")):
+        environ = same_code({**clean, **given})
+        run = subprocess.run(
+            [sys.executable, "-c", seen], env=environ, capture_output=True, text=True, check=True
+        )
+        assert run.stdout.strip() == found

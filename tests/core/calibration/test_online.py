@@ -51,12 +51,13 @@ def test_a_sealed_state_has_the_moments_of_its_surface(before: RotorState) -> No
     np.testing.assert_allclose(
         normalised(arrays["shared/log_w"]), normalised(log_w + arrays["shared/tilt"]), rtol=1e-9
     )
-    surface, error = Surface.through(unit, arrays["shared/log_p"], normalised(log_w))
+    at = arrays["shared/x"]
+    surface, error = Surface.through(unit, arrays["shared/log_p"], normalised(log_w), at)
     assert before.meta["health"]["surface_error_nat"] == pytest.approx(error, abs=1e-4)
     box = np.clip(moments(unit, normalised(log_w))[0] + [[-0.5], [0.5]], 0.0, 1.0)
     grid = box[0] + sobol(2**15, unit.shape[1], 5) * (box[1] - box[0])
     w, tilted = normalised(surface(grid)), normalised(arrays["shared/log_w"])
-    x, dense = arrays["shared/x"][:, 0], SPACE.to_x(grid)[:, 0]
+    x, dense = at[:, 0], SPACE.to_x(grid)[:, 0]
     sd = np.sqrt(w @ (dense - w @ dense) ** 2)
     assert tilted @ x == pytest.approx(w @ dense, abs=0.01 * sd)
     assert np.sqrt(tilted @ (x - tilted @ x) ** 2) == pytest.approx(sd, rel=0.01)
