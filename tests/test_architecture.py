@@ -12,7 +12,14 @@ ROOT = Path(__file__).parent.parent
 
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.errors", "core.rng", "core.compiled", "core.digest"),
-    ("core.network", "core.prior", "core.response", "core.observation", "core.archive"),
+    (
+        "core.network",
+        "core.prior",
+        "core.response",
+        "core.observation",
+        "core.archive",
+        "core.course",
+    ),
     ("core.blade", "core.design", "core.reduction", "core.smc"),
     ("core.surrogate",),
     ("core.builtin",),

@@ -8,17 +8,20 @@
 
 The theory is in the modules: :mod:`~core.blade.properties` (every number), then
 :mod:`~core.blade.geometry`, :mod:`~core.blade.thermal`, :mod:`~core.blade.creep`,
-:mod:`~core.blade.mechanics`, :mod:`~core.blade.integrate`, :mod:`~core.blade.run` and
-:mod:`~core.blade.campaign`.
+:mod:`~core.blade.mechanics`, :mod:`~core.blade.integrate`, :mod:`~core.blade.run`,
+:mod:`~core.blade.history` and :mod:`~core.blade.campaign`.
 """
 
 from core.blade.campaign import Campaign, Failure, run_campaign
 from core.blade.geometry import MESHES, BladeMesh, build_mesh, interpolate
+from core.blade.history import simulate_history
+from core.blade.inputs import BOUNDS, DORMANT
 from core.blade.properties import Properties
-from core.blade.run import BOUNDS, BladeRun, on_mesh, output_times, simulate
+from core.blade.run import BladeRun, on_mesh, output_times, simulate
 
 __all__ = [
     "BOUNDS",
+    "DORMANT",
     "MESHES",
     "BladeMesh",
     "BladeRun",
@@ -31,4 +34,5 @@ __all__ = [
     "output_times",
     "run_campaign",
     "simulate",
+    "simulate_history",
 ]

@@ -19,8 +19,9 @@ from multiprocessing import get_context
 from typing import Any
 
 from core.blade.geometry import MESHES, build_mesh
+from core.blade.inputs import check_inputs
 from core.blade.properties import Properties
-from core.blade.run import BladeRun, check_inputs, check_times, on_mesh, output_times, simulate
+from core.blade.run import BladeRun, check_times, on_mesh, output_times, simulate
 from core.errors import BladetwinError, InputError, ModelError
 
 Sink = Callable[[int, BladeRun], None]

@@ -1,4 +1,4 @@
-"""One finite-element run: four inputs in, fields at every node and instant out.
+"""One finite-element run: inputs in, fields at every node and instant out.
 
     simulate({"tbc_thickness": 1.0, "t1t_rate": 0.9, "creep_transient": 0.0, "creep_steady": 0.0})
 
@@ -25,9 +25,9 @@ before 1000 h (damage: 3 - 7 and 20 %), at the leading edge by 5 - 30 %.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,20 +35,13 @@ from numpy.typing import NDArray
 from core.blade.creep import DAMAGE, EPS_P, EPS_S, STATE, coefficients
 from core.blade.element import Array
 from core.blade.geometry import BladeMesh, build_mesh, interpolate
+from core.blade.inputs import check_inputs, declared
 from core.blade.integrate import Tolerance, Work, advance
 from core.blade.mechanics import Solver, Structure
 from core.blade.projection import Projection
 from core.blade.properties import Properties
 from core.blade.thermal import metal_temperature
-from core.errors import InputError, RangeError
-
-BOUNDS: dict[str, tuple[float, float]] = {
-    "tbc_thickness": (2 / 3, 4 / 3),
-    "t1t_rate": (0.8, 1.0),
-    "creep_transient": (-3.0, 3.0),
-    "creep_steady": (-3.0, 3.0),
-}
-"""Inputs in their order, with the box that the model covers."""
+from core.errors import InputError
 
 FIELDS = ("ceeq", "creep_damage", "mises", "displacement")
 
@@ -98,40 +91,6 @@ class BladeRun:
         return np.asarray(self.displacement - self.displacement[0])
 
 
-def check_inputs(
-    inputs: Mapping[str, float], bounds: Mapping[str, tuple[float, float]] | None = None
-) -> dict[str, float]:
-    """The four inputs in their order, or an error that says which one and why.
-
-    >>> check_inputs({"creep_steady": 1, "tbc_thickness": 1, "t1t_rate": 0.9, "creep_transient": 0})
-    {'tbc_thickness': 1.0, 't1t_rate': 0.9, 'creep_transient': 0.0, 'creep_steady': 1.0}
-    """
-    bounds = bounds or BOUNDS
-    for name in inputs:
-        if name not in BOUNDS:
-            raise InputError(
-                name, inputs[name], "is not an input of the blade", f"give {', '.join(BOUNDS)}"
-            )
-    checked = {}
-    for name in BOUNDS:
-        if name not in inputs:
-            raise InputError(name, None, "is missing", f"give all of {', '.join(BOUNDS)}")
-        try:
-            value = float(inputs[name])
-        except (TypeError, ValueError):
-            raise InputError(name, inputs[name], "is not a number", "give a number") from None
-        low, high = bounds[name]
-        slack = 1e-12 * max(abs(low), abs(high))
-        if not math.isfinite(value):
-            raise RangeError(name, value, "is not finite", f"give {low:.4g} … {high:.4g}")
-        if not low - slack <= value <= high + slack:
-            raise RangeError(
-                name, value, f"lies outside {low:.4g} … {high:.4g}", "give a value inside"
-            )
-        checked[name] = value
-    return checked
-
-
 def check_times(time_h: Array) -> Array:
     """Output instants: at least two, finite, increasing, from 0."""
     times = np.array(time_h, dtype=np.float64)
@@ -159,8 +118,9 @@ def simulate(
 ) -> BladeRun:
     """Simulate one blade.
 
-    inputs      the four of :data:`BOUNDS`; `bounds` widens or narrows the box
-    mesh        a name of :data:`core.blade.geometry.MESHES` or a mesh
+    inputs      the four of :data:`core.blade.inputs.BOUNDS`, and dormant ones that are not at
+                their nominal value; `bounds` widens or narrows boxes by name
+    mesh        a name of :data:`core.blade.geometry.MESHES`, or a mesh of the blade as it is
     properties  material, geometry, cooling; none: the declared ones
     progress    called with the finished fraction of the instants
     time_h      instants; none: :func:`output_times`
@@ -171,16 +131,12 @@ def simulate(
     """
     checked = check_inputs(inputs, bounds)
     times = check_times(output_times() if time_h is None else time_h)
-    properties = properties or Properties()
+    properties = declared(properties or Properties(), checked)
     grid = build_mesh(mesh, properties.geometry) if isinstance(mesh, str) else mesh
     temperature = metal_temperature(grid, checked["tbc_thickness"], checked["t1t_rate"], properties)
     structure = Structure(grid, temperature, properties, solver=solver)
     law = coefficients(properties.creep, checked["creep_transient"], checked["creep_steady"])
-    project = Projection(grid, structure.volume, structure.order)
-    n = len(grid.points)
-    out = {name: np.empty((len(times), n), dtype=dtype) for name in FIELDS[:3]}
-    displacement = np.empty((len(times), n, 3), dtype=dtype)
-    tip_z = np.empty(len(times))
+    out = Recorder(grid, structure, times, dtype)
     u = np.empty(0)
 
     def rates(state: Array) -> tuple[Array, float]:
@@ -196,22 +152,45 @@ def simulate(
         work,
     )
     for i, state in enumerate(states):  # the last rates taken are those of this state: so is u
-        strain = np.stack([state[:, EPS_P] + state[:, EPS_S], state[:, DAMAGE]], axis=1)
-        out["ceeq"][i], out["creep_damage"][i] = project.positive(strain).T
-        out["mises"][i] = von_mises(project.consistent(structure.stress(u, state)))
-        displacement[i] = u.reshape(-1, 3)
-        tip_z[i] = u[3 * grid.named["tip"] + 2]
+        out.record(i, u, structure.stress(u, state), state)
         if progress is not None:
             progress((i + 1) / len(times))
-    return BladeRun(
-        inputs=checked,
-        mesh=grid.name,
-        time_h=times,
-        displacement=displacement,
-        elongation=tip_z - tip_z[0],
-        temperature=temperature.astype(dtype),
-        **out,
-    )
+    return out.run(checked, temperature)
+
+
+class Recorder:
+    """Fields at nodes, instant by instant."""
+
+    def __init__(
+        self, grid: BladeMesh, structure: Structure, times: Array, dtype: type[np.floating[Any]]
+    ) -> None:
+        self._grid, self._times, self._dtype = grid, times, dtype
+        self._project = Projection(grid, structure.volume, structure.order)
+        n = len(grid.points)
+        self._fields = {name: np.empty((len(times), n), dtype=dtype) for name in FIELDS[:3]}
+        self._displacement = np.empty((len(times), n, 3), dtype=dtype)
+        self._tip_z = np.empty(len(times))
+
+    def record(self, i: int, u: Array, stress: Array, state: Array) -> None:
+        """Instant `i`: displacement (3N,), stress (G, 6) and creep state (G, 9)."""
+        strain = np.stack([state[:, EPS_P] + state[:, EPS_S], state[:, DAMAGE]], axis=1)
+        fields = self._fields
+        fields["ceeq"][i], fields["creep_damage"][i] = self._project.positive(strain).T
+        fields["mises"][i] = von_mises(self._project.consistent(stress))
+        self._displacement[i] = u.reshape(-1, 3)
+        self._tip_z[i] = u[3 * self._grid.named["tip"] + 2]
+
+    def run(self, inputs: Mapping[str, float], temperature: Array) -> BladeRun:
+        """What was recorded, as a run."""
+        return BladeRun(
+            inputs=dict(inputs),
+            mesh=self._grid.name,
+            time_h=self._times,
+            displacement=self._displacement,
+            elongation=self._tip_z - self._tip_z[0],
+            temperature=temperature.astype(self._dtype),
+            **self._fields,
+        )
 
 
 def von_mises(stress: Array) -> Array:

@@ -16,8 +16,8 @@ import sys
 from time import process_time
 
 from core.blade import simulate
+from core.blade.inputs import BOUNDS
 from core.blade.integrate import Work
-from core.blade.run import BOUNDS
 
 POINTS = {
     "centre": (1.0, 0.9, 0.0, 0.0),

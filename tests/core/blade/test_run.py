@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from core.blade import BladeMesh, BladeRun, Properties, build_mesh, on_mesh, output_times, simulate
+from core.blade.inputs import BOUNDS, check_inputs
 from core.blade.integrate import Tolerance, Work
-from core.blade.run import BOUNDS, check_inputs, von_mises
+from core.blade.run import von_mises
 from core.errors import InputError, RangeError
 
 INPUTS = tuple(BOUNDS)
