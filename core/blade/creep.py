@@ -4,7 +4,8 @@ q is von Mises' stress in MPa, T the temperature in K, t in hours, and alpha = `
 gamma = `creep_steady` are standard deviates.
 
     log10 t_r = (A - B log10 q) / T - C                       Larson-Miller rupture time
-    r_s0 = C_MG / t_r(q, T),   r_s = r_s0 exp(s_gamma gamma) / (1 - D)^n        secondary rate
+    r_s0 = C_MG / t_r(q, T),   r_s = r_s0 exp(s_gamma gamma) a(D)               secondary rate
+    a(D) = (1 + c D) / (1 - D)^n                                                tertiary creep
     d eps_p/dt = max(P0 (q/100)^p exp(s_alpha alpha) - eps_p, 0) / tau          primary rate
     tau = c_tau / r_s0
     d eps_ij/dt = (3/2) (s_ij / q) (r_s + d eps_p/dt)                           Prandtl-Reuss
@@ -13,7 +14,8 @@ gamma = `creep_steady` are standard deviates.
     q_H = q exp(b (J1 / S_s - 1)),  J1 = sigma_kk,  S_s = sqrt(sigma_ij sigma_ij)    Huddleston
 
 (J1 is the sum and S_s² the sum of squares of the principal stresses.) In uniaxial tension q_H =
-q. n is 0 unless `tertiary_exponent` says otherwise; then the D of the coupling stops at 0.95.
+q. c and n are 0 unless `damage_acceleration` or `tertiary_exponent` says otherwise; D counts in
+a(D) up to 1 and up to 0.95.
 
 The state of a point is (eps_xx, eps_yy, eps_zz, 2eps_yz, 2eps_xz, 2eps_xy, eps_p, eps_s, D): nine
 numbers, with engineering shear strains. Compiled, one point at a time; the loop over the points
@@ -48,6 +50,7 @@ def coefficients(creep: Creep, creep_transient: float, creep_steady: float) -> A
             math.exp(creep.steady_sd * creep_steady),
             creep.huddleston,
             creep.tertiary_exponent,
+            creep.damage_acceleration,
         ]
     )
 
@@ -75,6 +78,8 @@ def _rates(
     secondary = r0 * law[7]
     if law[9] > 0.0:
         secondary *= (1.0 - min(state[8], 0.95)) ** (-law[9])
+    if law[10] > 0.0:
+        secondary *= 1.0 + law[10] * min(state[8], 1.0)
     target = law[4] * (q / 100.0) ** law[5]
     primary = max(target - state[6], 0.0) * r0 / law[6]
     flow = 1.5 * (secondary + primary) / q

@@ -8,7 +8,7 @@ effect goes through the model and is no curve added to its output. What they cha
 declared blade (`core.blade.properties`) is assumed and plausible, like the blade itself.
 
     cooling_flow       coolant film h_c · flow^0.8                (Dittus and Boelter 1930)
-    tertiary           n of r_s / (1 − D)^n
+    tertiary           c of r_s (1 + c D)
     gas_profile_peak   span fraction where the gas is hottest
     wall_loss          wall thickness · (1 − loss)
 """
@@ -46,9 +46,8 @@ def _cooling(p: Properties, flow: float) -> Properties:
     return replace(p, service=replace(p.service, coolant_film=film))
 
 
-def _tertiary(p: Properties, exponent: float) -> Properties:
-    total = p.creep.tertiary_exponent + exponent
-    return replace(p, creep=replace(p.creep, tertiary_exponent=total))
+def _tertiary(p: Properties, acceleration: float) -> Properties:
+    return replace(p, creep=replace(p.creep, damage_acceleration=acceleration))
 
 
 def _profile(p: Properties, peak: float) -> Properties:
@@ -63,7 +62,7 @@ def _wall(p: Properties, loss: float) -> Properties:
 
 DORMANT: dict[str, Dormant] = {
     "cooling_flow": Dormant(0.85, 1.10, 1.0, _cooling),
-    "tertiary": Dormant(0.0, 1.0, 0.0, _tertiary),
+    "tertiary": Dormant(0.0, 4.0, 0.0, _tertiary),
     "gas_profile_peak": Dormant(0.52, 0.72, Properties().service.profile_peak, _profile),
     "wall_loss": Dormant(0.0, 0.10, 0.0, _wall),
 }
@@ -76,7 +75,7 @@ IN_TIME = (*BOUNDS, "cooling_flow", "gas_profile_peak")
 def declared(properties: Properties, inputs: Mapping[str, float]) -> Properties:
     """The blade with the dormant inputs that are given.
 
-    >>> declared(Properties(), {"tertiary": 0.5}).creep.tertiary_exponent
+    >>> declared(Properties(), {"tertiary": 0.5}).creep.damage_acceleration
     0.5
     """
     for name, dormant in DORMANT.items():

@@ -55,6 +55,7 @@ class Creep:
     steady_sd: float = 0.35  # ln per standard deviate of creep_steady; assumed
     huddleston: float = 0.24  # 1 [C]
     tertiary_exponent: float = 0.0  # 1, n in r_s/(1 - D)^n; 0: no damage coupling; assumed
+    damage_acceleration: float = 0.0  # 1, c in r_s (1 + c D); 0: no damage coupling; assumed
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,14 @@ class Properties:
             )
 
 
-_MAY_BE_ZERO = {"tertiary_exponent", "huddleston", "transient_sd", "steady_sd", "stagger_deg"}
+_MAY_BE_ZERO = {
+    "tertiary_exponent",
+    "damage_acceleration",
+    "huddleston",
+    "transient_sd",
+    "steady_sd",
+    "stagger_deg",
+}
 _MAY_BE_ZERO |= {"twist_deg", "camber", "nose", "speed_rpm", "foundation", "poisson_ratio"}
 
 

@@ -41,7 +41,7 @@ def test_pieces_end_where_any_course_has_a_point_and_hold_means() -> None:
 
 @given(
     st.lists(
-        st.tuples(st.floats(0, 1e5), st.floats(-10, 10)),
+        st.tuples(st.integers(0, 100_000), st.floats(-10, 10)),
         min_size=1,
         max_size=6,
         unique_by=lambda point: point[0],
@@ -50,7 +50,7 @@ def test_pieces_end_where_any_course_has_a_point_and_hold_means() -> None:
     st.integers(1, 12),
 )
 def test_pieces_cover_the_time_once_and_keep_the_integral(
-    points: list[tuple[float, float]], until: float, count: int
+    points: list[tuple[int, float]], until: float, count: int
 ) -> None:
     course = Course.of(sorted(points))
     found = pieces({"a": course}, until, count)

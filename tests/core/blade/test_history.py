@@ -64,7 +64,7 @@ def test_more_pieces_of_a_ramp_change_little_and_ever_less() -> None:
     ("name", "value", "longer"),
     [
         ("cooling_flow", 0.9, True),
-        ("tertiary", 1.0, True),
+        ("tertiary", 4.0, True),
         ("gas_profile_peak", 0.55, None),
         ("wall_loss", 0.1, True),
     ],

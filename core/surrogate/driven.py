@@ -1,0 +1,231 @@
+"""A surrogate whose inputs run in time, by amplitudes that are inputs themselves.
+
+    x_j(t) = x_j + a s(t)        or        x_j(t) = x_j (1 + a s(t))
+
+s is a given course that starts from 0, `a` an input like any other: calibrated, it says how strong
+an effect is (coating lost by 50,000 h, gas hotter by so much), and a = 0 is the surrogate as it
+was. What the blade makes of it goes through its creep (`core.surrogate.history`), so elongation,
+deformation, CEEQ and damage change together, as physics has it.
+
+For the calibration the rows are compiled to polynomials like any other (`core.response`),
+
+    y = A exp(B),   B = log E, A = y / E        (elongation, deformation; E the mean CEEQ)
+    y = exp(B)                                  (CEEQ, damage)
+
+with the relative variance of the rule's result as a polynomial, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from core.archive import Input
+from core.course import Course
+from core.errors import InputError
+from core.response import Response, multi_indices
+from core.surrogate.compile import OVERSAMPLING
+from core.surrogate.history import Followed, follow
+from core.surrogate.model import Surrogate
+from core.surrogate.targets import DEFORMATION
+
+Array = NDArray[np.float64]
+PARTS = 8
+TINY = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """One input that runs in time.
+
+    name       the amplitude's name; its range is low … high
+    input      what it moves
+    shape      s(t), 0 at the start
+    how        ``plus`` or ``times``
+    """
+
+    name: str
+    input: str
+    shape: Course
+    low: float
+    high: float
+    how: Literal["plus", "times"] = "plus"
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            raise InputError(self.name, (self.low, self.high), "is no range", "give low < high")
+        if self.shape.at(0.0) != 0.0 and self.shape.points[0][0] <= 0.0:
+            raise InputError(
+                f"shape of {self.name}", self.shape.points, "does not start from 0", "subtract it"
+            )
+
+    def moved(self, x: Array, amplitude: Array, start: float, end: float) -> Array:
+        """The input's mean (n,) between two hours."""
+        part = amplitude * self.shape.mean(start, end)
+        return np.asarray(x + part if self.how == "plus" else x * (1.0 + part))
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A surrogate with inputs that run in time; itself a surrogate (`core.model.Answers`).
+
+    ranges   of the inputs at the start, by name; default: the surrogate's own. What they become
+             must stay inside the surrogate's box.
+    fixed    inputs held at a value, which are no inputs of this surrogate
+
+    Raises InputError for a course that leaves the surrogate's box.
+    """
+
+    base: Surrogate
+    drifts: tuple[Drift, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    fixed: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        known = {i.name: i for i in self.base.inputs}
+        names = [d.name for d in self.drifts]
+        for name in {*self.ranges, *self.fixed, *(d.input for d in self.drifts)} - known.keys():
+            raise InputError("input", name, "is unknown", f"use one of {', '.join(known)}")
+        if len(set(names)) < len(names) or known.keys() & set(names):
+            raise InputError("drifts", names, "need names of their own", "rename one")
+        for name, own in known.items():
+            values = {self.fixed[name]} if name in self.fixed else set(self._range(own))
+            reached = list(values)
+            for drift in self.drifts:
+                if drift.input == name:
+                    s = drift.shape.values
+                    reached = [
+                        x + a * s_k if drift.how == "plus" else x * (1 + a * s_k)
+                        for x in reached
+                        for a in (drift.low, drift.high)
+                        for s_k in (0.0, float(s.min()), float(s.max()))
+                    ]
+            slack = 1e-9 * (own.high - own.low)
+            if min(reached) < own.low - slack or max(reached) > own.high + slack:
+                raise InputError(
+                    f"course of {name}",
+                    (min(reached), max(reached)),
+                    f"leaves the runs, {own.low:g} … {own.high:g}",
+                    "narrow the amplitude or the range, or train on a wider box",
+                )
+
+    def _range(self, own: Input) -> tuple[float, float]:
+        return self.ranges.get(own.name, (own.low, own.high))
+
+    @cached_property
+    def inputs(self) -> tuple[Input, ...]:
+        """Those of the base that are not fixed, then the amplitudes."""
+        free = [i for i in self.base.inputs if i.name not in self.fixed]
+        kept = [Input(i.name, *self._range(i)) for i in free]
+        return (*kept, *(Input(d.name, d.low, d.high) for d in self.drifts))
+
+    @property
+    def horizon_h(self) -> float:
+        return self.base.horizon_h
+
+    @property
+    def node_count(self) -> int:
+        return self.base.node_count
+
+    @property
+    def named(self) -> Mapping[str, int]:
+        return self.base.named
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the surrogate's own and what drives it."""
+        text = repr((self.base.digest, self.drifts, sorted(self.ranges.items())))
+        return sha256((text + repr(sorted(self.fixed.items()))).encode()).hexdigest()
+
+    def _along(self, x: Array, times: Array, what: Followed) -> tuple[Array, Array, Array]:
+        """Mean, sd (n, T, R) and mean CEEQ (n, T) at times for inputs x (n, d)."""
+        if np.any(times <= 0):
+            raise InputError("times", times.tolist(), "are not after the start", "ask later")
+        self.base.check_times(times)
+        last = float(times.max())
+        cuts = {h for d in self.drifts for h in d.shape.cuts(PARTS) if 0 < h < last}
+        edges = np.array(sorted({0.0, *cuts, *times.tolist()}))
+        values = dict(zip((i.name for i in self.inputs), x.T, strict=True))
+        held = np.empty((len(x), len(edges) - 1, len(self.base.inputs)))
+        for p in range(len(edges) - 1):
+            for j, own in enumerate(self.base.inputs):
+                now = values.get(own.name)
+                now = np.full(len(x), self.fixed[own.name]) if now is None else now
+                for d in self.drifts:
+                    if d.input == own.name:
+                        now = d.moved(now, values[d.name], edges[p], edges[p + 1])
+                held[:, p, j] = now
+        mean, sd, ceeq = follow(self.base, edges, held, what)
+        at = np.searchsorted(edges, times) - 1
+        return mean[:, at], sd[:, at], ceeq[:, at]
+
+    def predict(
+        self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None
+    ) -> tuple[Array, Array]:
+        """Mean and sd at inputs x (n, d): (n, T), with nodes (n, T, K) or (n, T, K, 3)."""
+        times = np.atleast_1d(np.asarray(times, float))
+        what, later = Followed.of(self.base, quantity, nodes), times > 0
+        mean, sd = (np.zeros((len(x), len(times), what.curves.forms.shape[2])) for _ in range(2))
+        if later.any():  # at the start nothing has grown
+            mean[:, later], sd[:, later], _ = self._along(x, times[later], what)
+        kind = self.base.quantities[quantity].kind
+        tail = {"scalar": (), "field": (-1,), "vector field": (-1, 3)}[kind]
+        shape = (len(x), len(times), *tail)
+        return mean.reshape(shape), sd.reshape(shape)
+
+    def _design(self, degree: int) -> Array:
+        """Points (n, d) with the density of Chebyshev nodes, as `core.surrogate.compile` has it."""
+        d = len(self.inputs)
+        power = int(np.ceil(np.log2(OVERSAMPLING * len(multi_indices(d, degree)))))
+        sobol = qmc.Sobol(d, scramble=False).random_base2(power)
+        z = -np.cos(np.pi * (sobol + 0.5 / 2**power))
+        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
+        return np.asarray(low + 0.5 * (z + 1.0) * (high - low))
+
+    def _compiled(self, times: Array, what: Followed, degree: int) -> Response:
+        """Rows in the order of (time, row)."""
+        x = self._design(degree)
+        mean, sd, ceeq = self._along(x, times, what)
+        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
+        names = [i.name for i in self.inputs]
+        parts = []
+        for t in range(len(times)):
+            for r in range(mean.shape[2]):
+                y, spread, e = mean[:, t, r], sd[:, t, r], ceeq[:, t]
+                scale = e if what.per_ceeq else y
+                v = np.log((spread / (np.abs(scale) + TINY)) ** 2 + TINY**2)
+                a = (y / e)[:, None] if what.per_ceeq else None
+                b = np.log(scale)[:, None]
+                parts.append(Response.fit(names, low, high, degree, x, a, b, 1.0, 0.0, v))
+        return Response.stack(parts)
+
+    def response(
+        self,
+        quantity: str,
+        times: Sequence[float] | Array,
+        nodes: Sequence[int] | None = None,
+        degree: int = 5,
+    ) -> Response:
+        """`predict` compiled to polynomials; rows in C order of (time, node, xyz)."""
+        what = Followed.of(self.base, quantity, nodes)
+        return self._compiled(np.atleast_1d(np.asarray(times, float)), what, degree)
+
+    def deformation_modes(self, nodes: Sequence[int]) -> Array:
+        return self.base.deformation_modes(nodes)
+
+    def mode_covariance(self, time_h: float) -> Array:
+        return self.base.mode_covariance(time_h)
+
+    def mode_response(self, time_h: float, mixing: Array, degree: int = 5) -> Response:
+        """The Q rows T c(t) E(t) for mixing T (Q, B) of the deformation's modes."""
+        width = self.base.parts[DEFORMATION].factors.space.shape[1]
+        if mixing.ndim != 2 or mixing.shape[1] != width:
+            raise InputError("T", mixing.shape, "does not fit the modes", f"give (Q, {width})")
+        return self._compiled(np.array([time_h]), Followed.mixed(self.base, mixing), degree)

@@ -1,0 +1,146 @@
+"""A surrogate whose inputs run in time by calibrated amplitudes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.builtin import rotor_blade
+from core.course import Course
+from core.errors import InputError
+from core.model import Model
+from core.network import Parameter, rotor_blade_network
+from core.prior import Prior
+from core.surrogate.driven import Drift, Driven
+
+KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
+TIMES = np.array(KEPT["time_h"])[1:]
+TIP, CRITICAL = KEPT["nodes"]
+BLADE = rotor_blade.load()
+RAMP = Course.of([(0.0, 0.0), (5e4, 1.0)])
+RANGES = {"tbc_thickness": (1.0, 4 / 3), "t1t_rate": (0.8, 0.95)}
+LOSS = Course.of([(0.0, 0.0), (5e4, -1.0)])
+EROSION = Drift("erosion", "tbc_thickness", LOSS, 0.0, 1 / 3, "times")
+FOULING = Drift("fouling", "t1t_rate", RAMP, 0.0, 0.05)
+WORN = Driven(BLADE, (EROSION,), RANGES, {})
+RNG = np.random.default_rng(1)
+
+
+def points(model: Driven, n: int) -> np.ndarray:
+    low, high = np.array([(i.low, i.high) for i in model.inputs]).T
+    return low + RNG.random((n, len(low))) * (high - low)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "nodes"),
+    [("elongation", None), ("ceeq", [CRITICAL]), ("deformation", [TIP, CRITICAL])],
+)
+def test_without_amplitude_it_is_the_surrogate(quantity: str, nodes: list[int] | None) -> None:
+    x = points(WORN, 5)
+    x[:, -1] = 0.0
+    times = np.array([0.0, 8e3, 5e4])
+    mean, sd = WORN.predict(x, quantity, times, nodes)
+    whole, spread = BLADE.predict(x[:, :4], quantity, times, nodes)
+    assert mean.shape == whole.shape
+    assert mean == pytest.approx(whole, rel=1e-6, abs=1e-12)
+    assert not mean[:, 0].any()
+    assert np.all(sd[:, 1:] >= spread[:, 1:] * 0.5)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "nodes", "most"),
+    [("elongation", None, 0.004), ("ceeq", [CRITICAL], 0.012), ("deformation", [TIP], 0.01)],
+)
+def test_the_polynomials_are_what_it_predicts(
+    quantity: str, nodes: list[int] | None, most: float
+) -> None:
+    """Over the whole box, error and its size; relative to the value's own size over the box."""
+    times = np.array([8e3, 24e3, 5e4])
+    x = points(WORN, 60)
+    mean, sd = WORN.predict(x, quantity, times, nodes)
+    got, spread = WORN.response(quantity, times, nodes).evaluate(x)
+    mean, sd = mean.reshape(got.shape), sd.reshape(got.shape)
+    off = np.abs(got - mean) / np.sqrt(np.mean(mean**2, axis=1, keepdims=True))
+    assert np.quantile(off, 0.95) < most
+    ratio = spread / sd
+    assert 0.8 < np.median(ratio) < 1.25
+    assert np.all((ratio > 0.3) & (ratio < 3.0))
+
+
+def test_mixtures_of_the_deformation_s_modes_are_its_fields() -> None:
+    modes = WORN.deformation_modes([TIP])[0]
+    x = points(WORN, 20)
+    got, _ = WORN.mode_response(24e3, modes).evaluate(x)
+    whole, _ = WORN.predict(x, "deformation", np.array([24e3]), [TIP])
+    assert got == pytest.approx(whole[:, 0, 0], abs=0.01 * np.abs(whole).max())
+
+
+def test_amplitudes_are_finite_elements_with_that_history() -> None:
+    """Kept runs whose inputs run from hour 0 on, each by its own amplitude."""
+    seen = []
+    for run in KEPT["runs"]:
+        given = run["inputs"]
+        both = {n: v for n, v in given.items() if isinstance(v, list)}
+        if run["kind"] not in ("worn", "fouling", "both"):
+            continue
+        drifts, amplitudes = [], []
+        for name, ((_, start), (_, end)) in both.items():
+            drifts.append(Drift(f"drift {name}", name, RAMP, -0.6, 0.3))
+            amplitudes.append(end - start)
+        box = {n: (v[0][1],) * 2 if n in both else (v, v) for n, v in given.items()}
+        narrow = {n: (a - 1e-6, a + 1e-6) for n, (a, _) in box.items()}
+        drifts = [
+            Drift(d.name, d.input, RAMP, a - 1e-6, a + 1e-6)
+            for d, a in zip(drifts, amplitudes, strict=True)
+        ]
+        model = Driven(BLADE, tuple(drifts), narrow, {})
+        x = np.array([[*(narrow[i.name][0] + 1e-6 for i in BLADE.inputs), *amplitudes]])
+        mean, _ = model.predict(x, "elongation", TIMES)
+        seen.append(np.abs(mean[0] / np.array(run["elongation"])[1:] - 1)[1:].max())
+    assert len(seen) == 6
+    assert max(seen) < 0.025
+
+
+def test_inputs_that_are_held_are_no_inputs() -> None:
+    model = Driven(BLADE, (FOULING,), RANGES, {"creep_transient": 0.5})
+    names = [i.name for i in model.inputs]
+    assert names == ["tbc_thickness", "t1t_rate", "creep_steady", "fouling"]
+    x = points(model, 3)
+    x[:, -1] = 0.0
+    full = np.column_stack([x[:, :2], np.full(3, 0.5), x[:, 2]])
+    mean, _ = model.predict(x, "elongation", TIMES)
+    assert mean == pytest.approx(BLADE.predict(full, "elongation", TIMES)[0], rel=1e-6)
+    assert model.response("elongation", [8e3]).names == tuple(names)
+
+
+def test_it_is_a_surrogate_for_a_network() -> None:
+    network = rotor_blade_network()
+    kept = []
+    for p in network.parameters:
+        low, high = RANGES.get(p.name, (p.prior.low, p.prior.high))
+        kept.append(
+            Parameter(p.name, p.level, Prior(p.prior.kind, low, high, p.prior.mean, p.prior.sd))
+        )
+    kept.append(Parameter("erosion", "shared", Prior("uniform", 0.0, 1 / 3)))
+    model = Model(type(network)("worn", tuple(kept), network.quantities), WORN)
+    assert model.input_names[-1] == "erosion"
+    wider = Driven(BLADE, (EROSION,), RANGES | {"t1t_rate": (0.8, 0.96)}, {})
+    assert wider.digest != WORN.digest
+
+
+def test_a_course_that_leaves_the_runs_is_refused() -> None:
+    with pytest.raises(InputError, match="course of tbc_thickness"):
+        Driven(BLADE, (Drift("erosion", "tbc_thickness", LOSS, 0.0, 0.9, "times"),), {}, {})
+    with pytest.raises(InputError, match="salt"):
+        Driven(BLADE, (Drift("a", "salt", RAMP, 0.0, 0.9),), {}, {})
+    with pytest.raises(InputError, match="names of their own"):
+        Driven(BLADE, (EROSION, EROSION), RANGES, {})
+    with pytest.raises(InputError, match="range"):
+        Drift("a", "t1t_rate", RAMP, 0.1, 0.1)
+    with pytest.raises(InputError, match="does not start from 0"):
+        Drift("a", "t1t_rate", Course.of([(0.0, 1.0), (1.0, 2.0)]), 0.0, 0.1)
+    with pytest.raises(InputError, match="T"):
+        WORN.mode_response(8e3, np.ones((1, 2)))

@@ -1,0 +1,133 @@
+"""The rule for inputs that change in time, against finite elements with the same histories."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.builtin import rotor_blade
+from core.course import Course, pieces
+from core.errors import InputError, RangeError
+from core.surrogate import history
+from core.surrogate.history import Followed
+
+KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
+TIMES = np.array(KEPT["time_h"])
+TIP, CRITICAL = KEPT["nodes"]
+BLADE = rotor_blade.load()
+NAMES = [i.name for i in BLADE.inputs]
+RNG = np.random.default_rng(0)
+X = BLADE.low + RNG.random((6, 4)) * (BLADE.high - BLADE.low)
+ROWS = [("elongation", None), ("deformation", [TIP]), ("ceeq", [TIP, CRITICAL])]
+ROWS += [("creep_damage", [CRITICAL])]
+
+
+def follow(edges: Any, inputs: Any, quantity: str, nodes: list[int] | None = None) -> Any:
+    return history.follow(BLADE, edges, inputs, Followed.of(BLADE, quantity, nodes))[:2]
+
+
+def followed(run: dict[str, Any], quantity: str, nodes: list[int] | None, parts: int = 8) -> Any:
+    """Mean and sd (T, R) at the instants after 0 by the rule."""
+    courses = {name: Course.of(given) for name, given in run["inputs"].items()}
+    ends = {end for piece in pieces(courses, TIMES[-1], parts) for end in piece}
+    edges = np.array(sorted(ends | set(TIMES.tolist())))
+    held = [[courses[n].mean(a, b) for n in NAMES] for a, b in pairwise(edges)]
+    mean, sd = follow(edges, np.array([held]), quantity, nodes)
+    at = np.searchsorted(edges, TIMES[1:]) - 1
+    return mean[0, at], sd[0, at]
+
+
+def errors(quantity: str, nodes: list[int] | None, column: int | None) -> Any:
+    """Relative errors (histories, T) from 8,000 h on, and what the rule says of them."""
+    off, said = [], []
+    for run in KEPT["runs"]:
+        mean, sd = followed(run, quantity, nodes)
+        true = np.array(run[quantity])[1:]
+        true = true if column is None else true[:, column]
+        off.append(mean[1:, 0] / true[1:] - 1)
+        said.append(sd[1:, 0] / true[1:])
+    return np.array(off), np.array(said)
+
+
+@pytest.mark.parametrize(("quantity", "nodes"), ROWS)
+def test_inputs_that_do_not_change_give_the_surrogate_itself(
+    quantity: str, nodes: list[int] | None
+) -> None:
+    edges = np.array([0.0, 700.0, 8e3, 9e3, 5e4])
+    mean, sd = follow(edges, np.repeat(X[:, None], 4, axis=1), quantity, nodes)
+    whole, spread = BLADE.predict(X, quantity, edges[1:], nodes)
+    assert mean == pytest.approx(whole.reshape(mean.shape), rel=1e-6)
+    own = np.hypot(spread.reshape(mean.shape), history.FOLLOWED * np.abs(mean))
+    assert np.all(sd < 1.6 * own)
+    assert np.all(sd > 0.6 * own)
+
+
+def test_a_piece_in_two_is_the_same_piece() -> None:
+    inputs = np.repeat(X[:, None], 2, axis=1)
+    inputs[:, 1, 1] = 0.9
+    once, _ = follow(np.array([0.0, 1e4, 3e4]), inputs, "elongation")
+    twice, _ = follow(np.array([0.0, 1e4, 2e4, 3e4]), inputs[:, [0, 1, 1]], "elongation")
+    assert twice[:, [0, 2]] == pytest.approx(once, rel=1e-9)
+
+
+def test_elongation_follows_the_finite_elements() -> None:
+    """Surrogate and rule together, of what has grown; a constant blade would be up to half off."""
+    off, said = errors("elongation", None, None)
+    assert np.median(np.abs(off)) < 0.006
+    assert np.abs(off).max() < 0.03
+    assert np.mean(np.abs(off) < 2 * said) > 0.8
+
+
+@pytest.mark.parametrize(
+    ("quantity", "nodes", "column"), [("ceeq", [CRITICAL], 1), ("creep_damage", [CRITICAL], 1)]
+)
+def test_strain_and_damage_at_a_node_follow(quantity: str, nodes: list[int], column: int) -> None:
+    off, _ = errors(quantity, nodes, column)
+    assert np.median(np.abs(off)) < 0.015
+    assert np.abs(off).max() < 0.08
+
+
+def test_a_field_follows_within_hundredths_of_a_millimetre() -> None:
+    for run in KEPT["runs"]:
+        mean, _ = followed(run, "deformation", [TIP])
+        true = np.array(run["deformation"])[1:, 0]
+        assert np.abs(mean - true).max() < 0.02 * np.abs(true).max() + 0.005
+
+
+def test_hardening_by_time_is_far_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The negative control: t* = the hour itself, whatever has crept."""
+    right = np.abs(errors("elongation", None, None)[0][:, -1])
+    hours = iter(())
+
+    def by_the_clock(curve: Any, weights: Any, strain: Any) -> Any:
+        return np.full(strain.shape, np.log(max(next(hours), history.EARLIEST_H)))
+
+    wrong = []
+    monkeypatch.setattr(history, "_clock", by_the_clock)
+    for run in KEPT["runs"]:
+        courses = {name: Course.of(given) for name, given in run["inputs"].items()}
+        ends = {end for piece in pieces(courses, TIMES[-1], 8) for end in piece}
+        hours = iter(sorted(ends | set(TIMES.tolist())))
+        mean, _ = followed(run, "elongation", None)
+        wrong.append(abs(mean[-1, 0] / run["elongation"][-1] - 1))
+    assert np.median(wrong) > 5 * np.median(right)
+
+
+def test_what_cannot_be_followed_is_refused() -> None:
+    outside = np.repeat(X[:1, None], 2, axis=1)
+    outside[:, 1, 1] = 1.3
+    with pytest.raises(RangeError, match="t1t_rate"):
+        follow(np.array([0.0, 1e3, 2e3]), outside, "elongation")
+    with pytest.raises(InputError, match="edges"):
+        follow(np.array([0.0, 1e3]), np.repeat(X[:, None], 2, axis=1), "elongation")
+    with pytest.raises(InputError, match="mises"):
+        follow(np.array([0.0, 1e3]), X[:, None], "mises", [TIP])
+    cooled = np.repeat(X[:1, None], 2, axis=1)
+    cooled[0] = [[0.7, 1.0, 0.0, 3.0], [1.3, 0.8, 0.0, -3.0]]
+    with pytest.raises(RangeError, match="longer runs"):
+        follow(np.array([0.0, 4e4, 5e4]), cooled, "elongation")
