@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from core.blade.creep import DAMAGE, EPS_P, EPS_S, coefficients, rates
+from core.blade.integrate import Tolerance, advance
 from core.blade.properties import Creep
 
 LAW = coefficients(Creep(), 0.0, 0.0)
@@ -83,6 +84,24 @@ def test_damage_accelerates_secondary_creep_only_with_a_tertiary_exponent() -> N
     assert rate(PULL, state=worn)[EPS_S] == rate(PULL)[EPS_S]
     coupled = coefficients(replace(Creep(), tertiary_exponent=3.0), 0.0, 0.0)
     assert rate(PULL, coupled, worn)[EPS_S] == pytest.approx(8 * rate(PULL)[EPS_S])
+
+
+@pytest.mark.parametrize("c", [0.0, 1.5, 4.0])
+def test_creep_under_constant_stress_accelerates_with_the_square_of_time(c: float) -> None:
+    """D = t / t_r, so eps_s = r (t + c t² / 2 t_r) up to rupture, then the rate stays."""
+    law = coefficients(replace(Creep(), damage_acceleration=c), 0.0, 0.0)
+    r, t_r = rate(PULL)[EPS_S], 1.0 / rate(PULL)[DAMAGE]
+
+    def rates_of(state: np.ndarray) -> tuple[np.ndarray, float]:
+        out, decay = rates(law, PULL, T, 5e4, state[0])
+        return out[None], decay
+
+    instants = np.array([0.0, 0.25, 0.5, 1.0, 2.0]) * t_r
+    tight = Tolerance(relative=1e-6, absolute=1e-12)
+    found = [s[0, EPS_S] for s in advance(rates_of, np.zeros((1, 9)), instants, tight)]
+    d = instants / t_r
+    exact = r * t_r * np.where(d <= 1, d + c * d**2 / 2, 1 + c / 2 + (1 + c) * (d - 1))
+    assert np.array(found) == pytest.approx(exact, rel=1e-4, abs=1e-15)
 
 
 def test_a_point_without_stress_does_not_creep() -> None:
