@@ -3,6 +3,9 @@
 A course is given by points (hour, value); between them it is linear, beyond them constant, and two
 points at one hour are a step, which counts from that hour on. What follows a course (finite
 elements, the surrogate's rule) goes piece by piece and holds the input at its mean on each.
+
+A `Drift` moves an input by an amplitude a along a shape s, x + a s(t) or x (1 + a s(t)): what is
+not known of the course is one parameter.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,3 +96,46 @@ def pieces(courses: Mapping[str, Course], until: float, count: int) -> list[tupl
     """Intervals of [0, until] on which every course is held at its mean, in order."""
     cuts = {h for course in courses.values() for h in course.cuts(count) if 0 < h < until}
     return list(pairwise([0.0, *sorted(cuts), until]))
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """One input that runs in time.
+
+    name   the amplitude's name; at 0 the input stays
+    input  what it moves
+    shape  s(t), 0 at the start
+    how    ``plus``: x + a s(t), ``times``: x (1 + a s(t))
+    """
+
+    name: str
+    input: str
+    shape: Course
+    how: Literal["plus", "times"] = "plus"
+
+    def __post_init__(self) -> None:
+        if self.how not in ("plus", "times"):
+            raise InputError(f"how of {self.name}", self.how, "is unknown", "use plus or times")
+        if self.shape.points[0][0] <= 0.0 and self.shape.at(0.0) != 0.0:
+            raise InputError(
+                f"shape of {self.name}", self.shape.points, "does not start from 0", "subtract it"
+            )
+
+    def moved(self, x: Array | float, amplitude: Array | float, s: float) -> Array:
+        """The input where the shape is s.
+
+        >>> ramp = Course.of([(0.0, 0.0), (100.0, -1.0)])
+        >>> Drift("wear", "coating", ramp, "times").moved(1.2, 0.5, ramp.mean(0.0, 100.0))
+        array(0.9)
+        """
+        return np.asarray(x + amplitude * s if self.how == "plus" else x * (1.0 + amplitude * s))
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain dictionary, the shape as its points."""
+        points = [list(point) for point in self.shape.points]
+        return {"name": self.name, "input": self.input, "shape": points, "how": self.how}
+
+    @staticmethod
+    def from_json(told: Mapping[str, Any]) -> Drift:
+        """The inverse of `to_json`."""
+        return Drift(**{**told, "shape": Course.of([(h, v) for h, v in told["shape"]])})

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from core.errors import InputError, ModelError
 from core.network import Network, rotor_blade_network
 from core.response import Response
+from core.surrogate import Surrogate
+from core.surrogate.driven import Driven
 
 Array = NDArray[np.float64]
 MOST_LOCAL = 10  # local parameters of a component; the polynomials of its rows grow too large
@@ -150,7 +152,10 @@ class Stacked:
 
 @dataclass(frozen=True)
 class Model:
-    """Network + surrogate. `version` names the pair in every answer (64 bits of its digest)."""
+    """Network + surrogate. `version` names the pair in every answer (64 bits of its digest).
+
+    Where the network has inputs that run in time, make it with `Model.of`.
+    """
 
     network: Network
     surrogate: Answers | Stacked
@@ -158,6 +163,13 @@ class Model:
 
     def __post_init__(self) -> None:
         known = {p.name: p for p in self.network.parameters}
+        answered = {i.name for i in self.surrogate.inputs}
+        for drift in self.network.drifts:
+            if drift.name not in answered:
+                raise ModelError(
+                    f"the surrogate knows no amplitude {drift.name!r}: inputs that run in time "
+                    "need a driven surrogate; use Model.of"
+                )
         for i in self.surrogate.inputs:
             if i.name not in known:
                 raise ModelError(
@@ -173,6 +185,28 @@ class Model:
                 )
         for quantity in self.network.quantities:
             self.few_locals([i.name for i in self.part(quantity.name).inputs], quantity.name)
+
+    @staticmethod
+    def of(network: Network, surrogate: Answers | Stacked) -> Model:
+        """The network on a surrogate that is driven by the network's drifts, if there are any.
+
+        Raises ModelError where the drifts cannot go through this surrogate, InputError where an
+        input would leave its runs.
+        """
+        if isinstance(surrogate, Driven):
+            surrogate = surrogate.base
+        if not network.drifts:
+            return Model(network, surrogate)
+        if not isinstance(surrogate, Surrogate):
+            raise ModelError(
+                f"inputs that run in time ({', '.join(d.name for d in network.drifts)}) need one "
+                "surrogate of simulation runs with mean CEEQ; this model's is none"
+            )
+        inputs = {i.name for i in surrogate.inputs} | {d.name for d in network.drifts}
+        ranges = {
+            p.name: (p.prior.low, p.prior.high) for p in network.parameters if p.name in inputs
+        }
+        return Model(network, Driven(surrogate, network.drifts, ranges, {}))
 
     def part(self, quantity: str) -> Answers:
         """The surrogate that answers for `quantity`."""

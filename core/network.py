@@ -12,7 +12,8 @@ with the joint density (the paper's Eq. 4 and Fig. 6, for B blades and shared s,
 
     p(s, l, D) = p(s) Π_b p(l_b) Π_{i in b} N(y_i | Y_m(t_i; l_b, s), sigma² + sigma_surrogate²)
 
-A quantity may declare what the model gets wrong (`Discrepancy`); its theta are shared, too.
+A quantity may declare what the model gets wrong (`Discrepancy`); its theta are shared, too. An
+input may run in time by an amplitude that is a parameter (`core.course.Drift`).
 
 The declaration is data: it is written to JSON, posted over HTTP and stored with every state.
 """
@@ -27,6 +28,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.course import Drift
 from core.errors import InputError
 from core.prior import Population, Prior
 
@@ -241,6 +243,7 @@ class Quantity:
 class Network:
     """Parameters and quantities; immutable, JSON both ways.
 
+    drifts        inputs that run in time, each by the parameter of its name
     forgetting_h  half-life [h] by which a blade's older readings lose weight, for local parameters
                   that drift: variance · 2^(age / half-life), age counted from its latest reading
     """
@@ -250,6 +253,7 @@ class Network:
     quantities: tuple[Quantity, ...]
     notes: Mapping[str, str] = field(default_factory=dict)
     forgetting_h: float | None = None
+    drifts: tuple[Drift, ...] = ()
 
     def __post_init__(self) -> None:
         if self.forgetting_h is not None and not 0 < self.forgetting_h < math.inf:
@@ -259,6 +263,7 @@ class Network:
         for what, names in {
             "parameters": [p.name for p in self.parameters],
             "quantities": [q.name for q in self.quantities],
+            "drifts": [d.name for d in self.drifts],
         }.items():
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
@@ -275,6 +280,15 @@ class Network:
         for q in self.quantities:
             if q.discrepancy.kind == "paper":
                 self._check_gain(q)
+        for d in self.drifts:
+            own, moved = self.parameter(d.name), self.parameter(d.input)
+            if own.name == moved.name or own.prior.log_scale:
+                raise InputError(
+                    f"drift {d.name}",
+                    (d.input, own.prior.kind),
+                    "cannot be the amplitude",
+                    "give it a parameter of its own, with a uniform or normal prior",
+                )
 
     def _check_gain(self, quantity: Quantity) -> None:
         """1 + theta1 − theta2 psi must stay above LEAST_GAIN everywhere in the priors."""
@@ -327,11 +341,14 @@ class Network:
         """A plain dictionary; a level of 1 and options that are not used are left out."""
         out = {"schema": SCHEMA, **asdict(self)}
         out["quantities"] = [q.to_json() for q in self.quantities]
-        for told, name, unused in [
+        out["drifts"] = [d.to_json() for d in self.drifts]
+        unused_options: list[tuple[dict[str, Any], str, Any]] = [
             *((q, "level", 1) for q in out["quantities"]),
             *((p, "population", None) for p in out["parameters"]),
             (out, "forgetting_h", None),
-        ]:
+            (out, "drifts", []),
+        ]
+        for told, name, unused in unused_options:
             if told[name] == unused:
                 del told[name]
         return out
@@ -351,6 +368,7 @@ class Network:
                 name=body.pop("name"),
                 parameters=tuple(_parameter(p) for p in body.pop("parameters")),
                 quantities=tuple(Quantity.from_json(q) for q in body.pop("quantities")),
+                drifts=tuple(Drift.from_json(d) for d in body.pop("drifts", ())),
                 **body,
             )
         except (TypeError, KeyError) as error:

@@ -81,7 +81,7 @@ class CoreScience:
             if card.digest == model.digest:
                 return model
             if card.digest not in self._varied:
-                self._varied[card.digest] = Model(card.network, model.surrogate)
+                self._varied[card.digest] = Model.of(card.network, model.surrogate)
                 while len(self._varied) > MOST_VARIED:
                     self._varied.popitem(last=False)
             self._varied.move_to_end(card.digest)
@@ -92,7 +92,7 @@ class CoreScience:
             return card
         model = self._model(card)
         network = vary(card.network, card.horizon_h, asked)
-        varied = Model(network, model.surrogate)
+        varied = Model.of(network, model.surrogate)
         for quantity in network.quantities:
             with named(f"network.quantities.{quantity.name}.discrepancy"):
                 parameters(varied, quantity)

@@ -21,14 +21,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from core.archive import Input
-from core.course import Course
+from core.course import Drift
 from core.errors import InputError
 from core.response import Response, multi_indices
 from core.surrogate.compile import OVERSAMPLING
@@ -41,43 +40,12 @@ PARTS = 8
 TINY = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
-class Drift:
-    """One input that runs in time.
-
-    name       the amplitude's name; its range is low … high
-    input      what it moves
-    shape      s(t), 0 at the start
-    how        ``plus`` or ``times``
-    """
-
-    name: str
-    input: str
-    shape: Course
-    low: float
-    high: float
-    how: Literal["plus", "times"] = "plus"
-
-    def __post_init__(self) -> None:
-        if not self.low < self.high:
-            raise InputError(self.name, (self.low, self.high), "is no range", "give low < high")
-        if self.shape.at(0.0) != 0.0 and self.shape.points[0][0] <= 0.0:
-            raise InputError(
-                f"shape of {self.name}", self.shape.points, "does not start from 0", "subtract it"
-            )
-
-    def moved(self, x: Array, amplitude: Array, start: float, end: float) -> Array:
-        """The input's mean (n,) between two hours."""
-        part = amplitude * self.shape.mean(start, end)
-        return np.asarray(x + part if self.how == "plus" else x * (1.0 + part))
-
-
 @dataclass(frozen=True)
 class Driven:
     """A surrogate with inputs that run in time; itself a surrogate (`core.model.Answers`).
 
-    ranges   of the inputs at the start, by name; default: the surrogate's own. What they become
-             must stay inside the surrogate's box.
+    ranges   of each amplitude, and of inputs at the start (default: the surrogate's own), by name;
+             what they become must stay inside the surrogate's box
     fixed    inputs held at a value, which are no inputs of this surrogate
 
     Raises InputError for a course that leaves the surrogate's box.
@@ -91,30 +59,39 @@ class Driven:
     def __post_init__(self) -> None:
         known = {i.name: i for i in self.base.inputs}
         names = [d.name for d in self.drifts]
-        for name in {*self.ranges, *self.fixed, *(d.input for d in self.drifts)} - known.keys():
+        moved = {d.input for d in self.drifts}
+        for name in {*self.ranges, *self.fixed, *moved} - known.keys() - set(names):
             raise InputError("input", name, "is unknown", f"use one of {', '.join(known)}")
         if len(set(names)) < len(names) or known.keys() & set(names):
             raise InputError("drifts", names, "need names of their own", "rename one")
-        for name, own in known.items():
-            values = {self.fixed[name]} if name in self.fixed else set(self._range(own))
-            reached = list(values)
-            for drift in self.drifts:
-                if drift.input == name:
-                    s = drift.shape.values
-                    reached = [
-                        x + a * s_k if drift.how == "plus" else x * (1 + a * s_k)
-                        for x in reached
-                        for a in (drift.low, drift.high)
-                        for s_k in (0.0, float(s.min()), float(s.max()))
-                    ]
-            slack = 1e-9 * (own.high - own.low)
-            if min(reached) < own.low - slack or max(reached) > own.high + slack:
-                raise InputError(
-                    f"course of {name}",
-                    (min(reached), max(reached)),
-                    f"leaves the runs, {own.low:g} … {own.high:g}",
-                    "narrow the amplitude or the range, or train on a wider box",
-                )
+        for name in names:
+            low, high = self.ranges.get(name, (0.0, 0.0))
+            if not low < high:
+                raise InputError(name, (low, high), "is no range", "give low < high")
+        for own in known.values():
+            self._check_reach(own)
+
+    def _check_reach(self, own: Input) -> None:
+        """Refuse what an input may become outside of the runs."""
+        fixed = self.fixed.get(own.name)
+        reached = list(self._range(own)) if fixed is None else [fixed]
+        for d in self.drifts:
+            if d.input == own.name:
+                s = d.shape.values
+                reached = [
+                    float(d.moved(x, a, at))
+                    for x in reached
+                    for a in self.ranges[d.name]
+                    for at in (0.0, s.min(), s.max())
+                ]
+        slack = 1e-9 * (own.high - own.low)
+        if min(reached) < own.low - slack or max(reached) > own.high + slack:
+            raise InputError(
+                f"course of {own.name}",
+                (min(reached), max(reached)),
+                f"leaves the runs, {own.low:g} … {own.high:g}",
+                "narrow the amplitude or the range, or train on a wider box",
+            )
 
     def _range(self, own: Input) -> tuple[float, float]:
         return self.ranges.get(own.name, (own.low, own.high))
@@ -124,7 +101,7 @@ class Driven:
         """Those of the base that are not fixed, then the amplitudes."""
         free = [i for i in self.base.inputs if i.name not in self.fixed]
         kept = [Input(i.name, *self._range(i)) for i in free]
-        return (*kept, *(Input(d.name, d.low, d.high) for d in self.drifts))
+        return (*kept, *(Input(d.name, *self.ranges[d.name]) for d in self.drifts))
 
     @property
     def horizon_h(self) -> float:
@@ -141,8 +118,9 @@ class Driven:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the surrogate's own and what drives it."""
-        text = repr((self.base.digest, self.drifts, sorted(self.ranges.items())))
-        return sha256((text + repr(sorted(self.fixed.items()))).encode()).hexdigest()
+        boxes = [(i.name, float(i.low), float(i.high)) for i in self.inputs]
+        text = repr((self.base.digest, self.drifts, boxes, sorted(self.fixed.items())))
+        return sha256(text.encode()).hexdigest()
 
     def _along(self, x: Array, times: Array, what: Followed) -> tuple[Array, Array, Array]:
         """Mean, sd (n, T, R) and mean CEEQ (n, T) at times for inputs x (n, d)."""
@@ -160,7 +138,8 @@ class Driven:
                 now = np.full(len(x), self.fixed[own.name]) if now is None else now
                 for d in self.drifts:
                     if d.input == own.name:
-                        now = d.moved(now, values[d.name], edges[p], edges[p + 1])
+                        s = d.shape.mean(edges[p], edges[p + 1])
+                        now = d.moved(now, values[d.name], s)
                 held[:, p, j] = now
         mean, sd, ceeq = follow(self.base, edges, held, what)
         at = np.searchsorted(edges, times) - 1

@@ -19,19 +19,18 @@ import pytest
 from core.builtin import rotor_blade
 from core.calibration.online import RotorSpec, update
 from core.calibration.state import blade_posterior, shared_posterior
-from core.course import Course
+from core.course import Course, Drift
 from core.model import Model
 from core.network import Parameter, rotor_blade_network
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
-from core.surrogate.driven import Drift, Driven
 
 KEPT = json.loads((Path(__file__).with_name("results") / "erosion" / "truth.json").read_text())
 TIMES, LOST = np.array(KEPT["time_h"]), KEPT["lost_by_50000_h"]
 LAST_H, NOISE = 24e3, 0.003
 COATING, MOST = Prior("uniform", 1.0, 4 / 3), 1 / 3
-WEAR = Drift("wear", "tbc_thickness", Course.of([(0.0, 0.0), (5e4, -1.0)]), 0.0, MOST, "times")
+WEAR = Drift("wear", "tbc_thickness", Course.of([(0.0, 0.0), (5e4, -1.0)]), "times")
 
 
 @cache
@@ -40,9 +39,8 @@ def model(level: str) -> Model:
     own = rotor_blade_network()
     known = [replace(p, prior=COATING) if p.name == "tbc_thickness" else p for p in own.parameters]
     wear = Parameter("wear", level, Prior("uniform", 0.0, MOST), nominal=0.0)  # type: ignore[arg-type]
-    network = replace(own, name=f"wear {level}", parameters=(*known, wear))
-    ranges = {"tbc_thickness": (COATING.low, COATING.high)}
-    return Model(network, Driven(rotor_blade.load(), (WEAR,), ranges, {}))
+    network = replace(own, name=f"wear {level}", parameters=(*known, wear), drifts=(WEAR,))
+    return Model.of(network, rotor_blade.load())
 
 
 @dataclass(frozen=True)

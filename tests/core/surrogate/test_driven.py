@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from core.builtin import rotor_blade
-from core.course import Course
-from core.errors import InputError
+from core.course import Course, Drift
+from core.errors import InputError, ModelError
 from core.model import Model
-from core.network import Parameter, rotor_blade_network
+from core.network import Network, Parameter, rotor_blade_network
 from core.prior import Prior
-from core.surrogate.driven import Drift, Driven
+from core.surrogate.driven import Driven
+from core.validation.formula import FormulaInput, FormulaModel
 
 KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
 TIMES = np.array(KEPT["time_h"])[1:]
@@ -22,9 +25,10 @@ TIP, CRITICAL = KEPT["nodes"]
 BLADE = rotor_blade.load()
 RAMP = Course.of([(0.0, 0.0), (5e4, 1.0)])
 RANGES = {"tbc_thickness": (1.0, 4 / 3), "t1t_rate": (0.8, 0.95)}
+RANGES |= {"erosion": (0.0, 1 / 3)}
 LOSS = Course.of([(0.0, 0.0), (5e4, -1.0)])
-EROSION = Drift("erosion", "tbc_thickness", LOSS, 0.0, 1 / 3, "times")
-FOULING = Drift("fouling", "t1t_rate", RAMP, 0.0, 0.05)
+EROSION = Drift("erosion", "tbc_thickness", LOSS, "times")
+FOULING = Drift("fouling", "t1t_rate", RAMP)
 WORN = Driven(BLADE, (EROSION,), RANGES, {})
 RNG = np.random.default_rng(1)
 
@@ -86,18 +90,13 @@ def test_amplitudes_are_finite_elements_with_that_history() -> None:
         both = {n: v for n, v in given.items() if isinstance(v, list)}
         if run["kind"] not in ("worn", "fouling", "both"):
             continue
-        drifts, amplitudes = [], []
-        for name, ((_, start), (_, end)) in both.items():
-            drifts.append(Drift(f"drift {name}", name, RAMP, -0.6, 0.3))
-            amplitudes.append(end - start)
-        box = {n: (v[0][1],) * 2 if n in both else (v, v) for n, v in given.items()}
-        narrow = {n: (a - 1e-6, a + 1e-6) for n, (a, _) in box.items()}
-        drifts = [
-            Drift(d.name, d.input, RAMP, a - 1e-6, a + 1e-6)
-            for d, a in zip(drifts, amplitudes, strict=True)
-        ]
-        model = Driven(BLADE, tuple(drifts), narrow, {})
-        x = np.array([[*(narrow[i.name][0] + 1e-6 for i in BLADE.inputs), *amplitudes]])
+        drifts = tuple(Drift(f"drift {name}", name, RAMP) for name in both)
+        amplitudes = [end - start for (_, start), (_, end) in both.values()]
+        box = {n: v[0][1] if n in both else v for n, v in given.items()}
+        box |= {d.name: a for d, a in zip(drifts, amplitudes, strict=True)}
+        narrow = {n: (v - 1e-6, v + 1e-6) for n, v in box.items()}
+        model = Driven(BLADE, drifts, narrow, {})
+        x = np.array([[box[i.name] for i in model.inputs]])
         mean, _ = model.predict(x, "elongation", TIMES)
         seen.append(np.abs(mean[0] / np.array(run["elongation"])[1:] - 1)[1:].max())
     assert len(seen) == 6
@@ -105,7 +104,8 @@ def test_amplitudes_are_finite_elements_with_that_history() -> None:
 
 
 def test_inputs_that_are_held_are_no_inputs() -> None:
-    model = Driven(BLADE, (FOULING,), RANGES, {"creep_transient": 0.5})
+    ranges = {"t1t_rate": (0.8, 0.95), "fouling": (0.0, 0.05)}
+    model = Driven(BLADE, (FOULING,), ranges, {"creep_transient": 0.5})
     names = [i.name for i in model.inputs]
     assert names == ["tbc_thickness", "t1t_rate", "creep_steady", "fouling"]
     x = points(model, 3)
@@ -116,31 +116,55 @@ def test_inputs_that_are_held_are_no_inputs() -> None:
     assert model.response("elongation", [8e3]).names == tuple(names)
 
 
-def test_it_is_a_surrogate_for_a_network() -> None:
-    network = rotor_blade_network()
-    kept = []
-    for p in network.parameters:
+def with_erosion(**changed: Any) -> Network:
+    """The blade's network with coatings that wear."""
+    own, kept = rotor_blade_network(), []
+    for p in own.parameters:
         low, high = RANGES.get(p.name, (p.prior.low, p.prior.high))
-        kept.append(
-            Parameter(p.name, p.level, Prior(p.prior.kind, low, high, p.prior.mean, p.prior.sd))
-        )
-    kept.append(Parameter("erosion", "shared", Prior("uniform", 0.0, 1 / 3)))
-    model = Model(type(network)("worn", tuple(kept), network.quantities), WORN)
+        kept.append(replace(p, prior=replace(p.prior, low=low, high=high)))
+    erosion = Parameter("erosion", "shared", Prior("uniform", 0.0, 1 / 3))
+    told = {"name": "worn", "parameters": (*kept, erosion), "drifts": (EROSION,), **changed}
+    return replace(own, **told)
+
+
+def test_a_network_declares_it() -> None:
+    network = with_erosion()
+    assert Network.from_json(json.loads(json.dumps(network.to_json()))) == network
+    assert "drifts" not in rotor_blade_network().to_json()
+    model = Model.of(network, BLADE)
     assert model.input_names[-1] == "erosion"
-    wider = Driven(BLADE, (EROSION,), RANGES | {"t1t_rate": (0.8, 0.96)}, {})
-    assert wider.digest != WORN.digest
+    assert isinstance(model.surrogate, Driven)
+    assert model.surrogate.digest == WORN.digest
+    again = Model.of(with_erosion(drifts=(replace(EROSION, how="plus"),)), model.surrogate)
+    assert isinstance(again.surrogate, Driven)
+    assert again.surrogate.base is BLADE
+    assert again.digest != model.digest
+
+
+def test_a_network_whose_drifts_nobody_answers_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"Model\.of"):
+        Model(with_erosion(), BLADE)
+    formula = FormulaModel((FormulaInput("tbc_thickness", 0.0, 2.0),), {}, "f")
+    with pytest.raises(ModelError, match="erosion"):
+        Model.of(with_erosion(), formula)
+    with pytest.raises(InputError, match="amplitude"):
+        with_erosion(drifts=(Drift("t1t_rate", "t1t_rate", RAMP),))
+    with pytest.raises(InputError, match="does not exist"):
+        with_erosion(drifts=(Drift("salt", "t1t_rate", RAMP),))
+    with pytest.raises(InputError, match="twice"):
+        with_erosion(drifts=(EROSION, EROSION))
 
 
 def test_a_course_that_leaves_the_runs_is_refused() -> None:
     with pytest.raises(InputError, match="course of tbc_thickness"):
-        Driven(BLADE, (Drift("erosion", "tbc_thickness", LOSS, 0.0, 0.9, "times"),), {}, {})
+        Driven(BLADE, (EROSION,), {"erosion": (0.0, 0.9)}, {})
     with pytest.raises(InputError, match="salt"):
-        Driven(BLADE, (Drift("a", "salt", RAMP, 0.0, 0.9),), {}, {})
+        Driven(BLADE, (Drift("a", "salt", RAMP),), {"a": (0.0, 0.9)}, {})
     with pytest.raises(InputError, match="names of their own"):
         Driven(BLADE, (EROSION, EROSION), RANGES, {})
     with pytest.raises(InputError, match="range"):
-        Drift("a", "t1t_rate", RAMP, 0.1, 0.1)
+        Driven(BLADE, (Drift("a", "t1t_rate", RAMP),), {}, {})
     with pytest.raises(InputError, match="does not start from 0"):
-        Drift("a", "t1t_rate", Course.of([(0.0, 1.0), (1.0, 2.0)]), 0.0, 0.1)
+        Drift("a", "t1t_rate", Course.of([(0.0, 1.0), (1.0, 2.0)]))
     with pytest.raises(InputError, match="T"):
         WORN.mode_response(8e3, np.ones((1, 2)))
