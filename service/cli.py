@@ -131,7 +131,7 @@ def demo(
 
 @models.command("build")
 def build(
-    name: Annotated[str, typer.Argument(help="The built-in model: rotor-blade.")],
+    name: Annotated[str, typer.Argument(help="rotor-blade or rotor-blade-wide.")],
     out: Annotated[Path, typer.Option(help="Folder of the model.")] = Path("bladetwin-data"),
     mesh: Annotated[str, typer.Option(help="Mesh: default, coarse or fine.")] = "default",
     seed: Annotated[int | None, typer.Option(help="Seed of the design.")] = None,
@@ -139,10 +139,12 @@ def build(
     as_json: Json = False,
 ) -> None:
     """Compute the finite-element runs and train the model again; resumes where it stopped."""
-    if name != "rotor-blade":
-        raise typer.BadParameter(f"{name!r} is no built-in model; use rotor-blade")
     from core.builtin import rotor_blade
 
+    plan = rotor_blade.PLANS.get(name)
+    if plan is None:
+        known = " or ".join(rotor_blade.PLANS)
+        raise typer.BadParameter(f"{name!r} is no built-in model; use {known}")
     chosen = rotor_blade.SEED if seed is None else seed
     shown: dict[str, Any] = {}
     with ExitStack() as bars:
@@ -153,7 +155,13 @@ def build(
             shown[name](done)
 
         surrogate = rotor_blade.build(
-            out, mesh=mesh, seed=chosen, workers=workers, progress=progress, commit=commit()
+            out,
+            mesh=mesh,
+            seed=chosen,
+            workers=workers,
+            progress=progress,
+            commit=commit(),
+            plan=plan,
         )
     facts = {"model": name, "digest": surrogate.digest, "folder": str(out)}
     say(facts, f"{name}: digest {surrogate.digest[:12]}… in {out}", as_json=as_json)

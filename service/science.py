@@ -52,7 +52,7 @@ class CoreScience:
     """The science of this release, on the shipped model.
 
     folder   holds a rebuilt model, used instead of the shipped one
-    model    any network and surrogate, e.g. a formula (core.validation.formula), used instead
+    model    any network and surrogate, e.g. a formula (core.surrogate.formula), used instead
     """
 
     builtins = (NAME,)

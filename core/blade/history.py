@@ -71,31 +71,32 @@ def simulate_history(
     courses = courses_of(inputs, bounds)
     times = check_times(output_times() if time_h is None else time_h)
     base = properties or Properties()
-    grid = build_mesh(mesh, declared(base, _at(courses, 0.0)).geometry)
+    start = {name: float(course.at(0.0)) for name, course in courses.items()}
+    grid = build_mesh(mesh, declared(base, start).geometry)
 
-    def structure_of(now: Mapping[str, float]) -> tuple[Structure, Array]:
+    def blade(now: Mapping[str, float]) -> tuple[Structure, Array, Array]:
+        """Structure, creep law and temperature of the blade under these inputs."""
         own = declared(base, now)
         temperature = metal_temperature(grid, now["tbc_thickness"], now["t1t_rate"], own)
         law = coefficients(own.creep, now["creep_transient"], now["creep_steady"])
-        return Structure(grid, temperature, own, solver=solver), law
+        return Structure(grid, temperature, own, solver=solver), law, temperature
 
-    start = _at(courses, 0.0)
-    cold, _ = structure_of(start)
+    cold, law, temperature = blade(start)
     out = Recorder(grid, cold, times, dtype)
-    state = np.zeros((cold.points, STATE))
-    done = 0
+    state, structure, held, done = np.zeros((cold.points, STATE)), cold, start, 0
     for begin, end in pieces(courses, float(times[-1]), parts):
         now = {name: course.mean(begin, end) for name, course in courses.items()}
-        structure, law = (cold, _law(base, now)) if now == start else structure_of(now)
+        if now != held:
+            structure, law, _ = blade(now)
+            held = now
 
         def rates(y: Array, s: Structure = structure, law: Array = law) -> tuple[Array, float]:
             return s.rates(s.displacement(y), y, law)
 
         inside = times[(times > begin) & (times < end)]
         instants = np.concatenate([[begin], inside, [end]])
-        for hour, reached in zip(
-            instants, advance(rates, state, instants, tolerance or Tolerance()), strict=True
-        ):
+        states = advance(rates, state, instants, tolerance or Tolerance())
+        for hour, reached in zip(instants, states, strict=True):
             state = reached
             if done < len(times) and hour == times[done]:
                 stress = structure.stress(structure.displacement(state), state)
@@ -103,16 +104,4 @@ def simulate_history(
                 done += 1
                 if progress is not None:
                     progress(done / len(times))
-    temperature = metal_temperature(
-        grid, start["tbc_thickness"], start["t1t_rate"], declared(base, start)
-    )
     return out.run(start, temperature)
-
-
-def _at(courses: Mapping[str, Course], hour: float) -> dict[str, float]:
-    return {name: float(course.at(hour)) for name, course in courses.items()}
-
-
-def _law(base: Properties, now: Mapping[str, float]) -> Array:
-    own = declared(base, now)
-    return coefficients(own.creep, now["creep_transient"], now["creep_steady"])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from core.model import Model
 from core.network import Network, Parameter, Quantity
 from core.prior import Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 Array = NDArray[np.float64]
 

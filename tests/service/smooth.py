@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from core.model import Model
 from core.network import rotor_blade_network
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 from service.science import CoreScience
 
 TRUE = np.array([[1.1, 0.87, 0.4, -0.5]])

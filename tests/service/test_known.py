@@ -10,7 +10,7 @@ import pytest
 from core.model import Model
 from core.network import Network, Parameter, Quantity
 from core.prior import Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 from service.bootstrap import make_worker
 from service.client import Client
 from service.science import CoreScience

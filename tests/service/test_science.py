@@ -11,7 +11,7 @@ from core.errors import ModelError
 from core.model import Model
 from core.network import rotor_blade_network
 from core.observation import Inspection
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 from service.bootstrap import make_worker
 from service.handlers import reads
 from service.handlers.inspections import Item, post_inspections

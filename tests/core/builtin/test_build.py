@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import core.builtin.rotor_blade as built
 from core.archive import Archive
-from core.blade import BOUNDS, build_mesh, output_times
+from core.blade import BOUNDS, DORMANT, build_mesh, output_times
 from core.errors import ModelError
 from core.surrogate import load
 
@@ -141,3 +141,23 @@ def test_the_code_digest_changes_with_the_code(
     first = built.blade_digest()
     (tmp_path / "__init__.py").write_text("a = 2\n")
     assert built.blade_digest() != first
+
+
+def test_runs_of_the_wide_plan_go_through_the_finite_elements(tmp_path: Path) -> None:
+    """Two of its runs, on the coarse mesh: dormant inputs, wider boxes, 150,000 h."""
+    plan = built.WIDE
+    points = built.design(plan=plan)
+    assert points.shape == (plan.training + plan.test, 8)
+    low, high = np.array(list(plan.bounds.values())).T
+    assert np.all((points > low) & (points < high))
+    cool = points[np.argsort(points[:, 1])[:2]]  # a cool blade is soon done
+    archive = built.open_archive(tmp_path, "coarse", plan=plan)
+    built.simulate(archive, cool, plan=plan)
+    assert archive.done() == (0, 1)
+    assert [i.name for i in archive.declaration.inputs] == [*BOUNDS, *DORMANT]
+    assert archive.inputs([0, 1]) == pytest.approx(cool)
+    assert archive.declaration.time_h[-1] == 150_000.0
+    assert "rotor-blade-wide" in archive.declaration.command
+    elongation = archive.stack("elongation", [0, 1])
+    assert elongation.shape[1] == len(plan.time_h)
+    assert np.all(np.diff(elongation[:, 20:], axis=1) > 0)

@@ -8,7 +8,7 @@ from core.model import Model
 from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 LOCAL = (("tbc", 2 / 3, 4 / 3), ("alpha", -3.0, 3.0), ("gamma", -3.0, 3.0))
 

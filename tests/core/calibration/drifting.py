@@ -10,7 +10,7 @@ from core.model import Model
 from core.network import Discrepancy, Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 S = Prior("normal", 1.4, 2.6, 2.0, 0.2)
 LOCAL_SD = 0.1

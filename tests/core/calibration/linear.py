@@ -12,7 +12,7 @@ from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior
 from core.response import Response, multi_indices
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 SHARED = 0.8
 

@@ -16,7 +16,7 @@ from core.model import Model, rotor_blade
 from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 SPEC = RotorSpec("r", tuple(f"b{i}" for i in range(6)), particles=1200, seed=4)
 

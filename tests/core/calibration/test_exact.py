@@ -12,7 +12,7 @@ from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 SLOPES = (1.3, -0.7, 0.4)
 

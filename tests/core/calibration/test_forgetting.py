@@ -14,7 +14,7 @@ from core.model import Model
 from core.network import Network, Parameter, Quantity, rotor_blade_network
 from core.observation import Inspection
 from core.prior import Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 SIGMA, HALF_LIFE = 0.2, 8e3
 TIMES = np.arange(1, 9) * 4e3

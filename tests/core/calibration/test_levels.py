@@ -18,7 +18,7 @@ from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 NOISE = Prior("log_uniform", 0.01, 1.0)
 PRIORS = {

@@ -15,7 +15,7 @@ from core.model import Model
 from core.network import Network, Parameter, Quantity, rotor_blade_network
 from core.observation import Inspection
 from core.prior import Population, Prior
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 SIGMA = 0.2
 MEAN, SD = Prior.gaussian(1.0, 0.5), Prior("log_uniform", 0.1, 1.5)

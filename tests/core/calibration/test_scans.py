@@ -17,7 +17,7 @@ from core.network import Discrepancy, Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior
 from core.response import Response
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 NODES, MODES, HORIZON = 20, 4, 2.0
 KINDS = {

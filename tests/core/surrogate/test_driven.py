@@ -17,7 +17,7 @@ from core.model import Model
 from core.network import Network, Parameter, rotor_blade_network
 from core.prior import Prior
 from core.surrogate.driven import Driven
-from core.validation.formula import FormulaInput, FormulaModel
+from core.surrogate.formula import FormulaInput, FormulaModel
 
 KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
 TIMES = np.array(KEPT["time_h"])[1:]

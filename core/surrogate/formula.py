@@ -1,7 +1,7 @@
 """A model given by a formula, in place of a surrogate of simulation runs.
 
-For checks against exact answers, and for users' own tests: everything that needs a surrogate
-(calibration, prediction, the service) runs on it unchanged.
+A creep law in closed form, say; checks against exact answers; users' own tests. Everything that
+needs a surrogate (calibration, prediction, the service) runs on it unchanged.
 """
 
 from __future__ import annotations
