@@ -78,7 +78,7 @@ ASTRAY = 0.05  # share of effective nodes below which a placement is given up fo
 
 def node_count(dim: int) -> int:
     """Shared nodes for `dim` shared parameters."""
-    return 64 if dim <= 2 else 256
+    return 64 if dim <= 2 else 128 if dim <= 4 else 256
 
 
 def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Proposal:
