@@ -371,7 +371,7 @@ class Network:
                 drifts=tuple(Drift.from_json(d) for d in body.pop("drifts", ())),
                 **body,
             )
-        except (TypeError, KeyError) as error:
+        except (TypeError, KeyError, ValueError) as error:
             raise InputError(
                 "network", str(error), "does not fit the schema", "see Network"
             ) from error

@@ -31,6 +31,17 @@ ONE = np.zeros(1, dtype=np.int64)
 TINY_H = 1e-30  # stands for t = 0 in a logarithm
 
 
+def chebyshev_points(d: int, degree: int) -> Array:
+    """Points (S, d) in [-1, 1] to fit polynomials of a degree at, `OVERSAMPLING` of their terms.
+
+    >>> chebyshev_points(2, 3).shape
+    (128, 2)
+    """
+    power = int(np.ceil(np.log2(OVERSAMPLING * len(multi_indices(d, degree)))))
+    sobol = qmc.Sobol(d, scramble=False).random_base2(power)
+    return np.asarray(-np.cos(np.pi * (sobol + 0.5 / 2**power)))
+
+
 @dataclass(frozen=True, slots=True)
 class Compiler:
     """polynomials (J, M) of all coefficients, log_v (M,), and what other fits at the points need.
@@ -50,11 +61,7 @@ class Compiler:
     @classmethod
     def of(cls, process: SharedGP, degree: int) -> Compiler:
         """Fit the polynomials."""
-        d = process.z.shape[1]
-        terms = len(multi_indices(d, degree))
-        power = int(np.ceil(np.log2(OVERSAMPLING * terms)))
-        sobol = qmc.Sobol(d, scramble=False).random_base2(power)
-        points = -np.cos(np.pi * (sobol + 0.5 / 2**power))
+        points = chebyshev_points(process.z.shape[1], degree)
         basis = monomials(points, degree)
         # normal equations on an orthonormalised basis: monomials alone are ill-conditioned
         _, r = np.linalg.qr(basis)

@@ -24,13 +24,12 @@ from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from core.archive import Input
 from core.course import Drift
 from core.errors import InputError
-from core.response import Response, multi_indices
-from core.surrogate.compile import OVERSAMPLING
+from core.response import Response, monomials
+from core.surrogate.compile import chebyshev_points
 from core.surrogate.history import Followed, follow
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import DEFORMATION
@@ -159,31 +158,20 @@ class Driven:
         shape = (len(x), len(times), *tail)
         return mean.reshape(shape), sd.reshape(shape)
 
-    def _design(self, degree: int) -> Array:
-        """Points (n, d) with the density of Chebyshev nodes, as `core.surrogate.compile` has it."""
-        d = len(self.inputs)
-        power = int(np.ceil(np.log2(OVERSAMPLING * len(multi_indices(d, degree)))))
-        sobol = qmc.Sobol(d, scramble=False).random_base2(power)
-        z = -np.cos(np.pi * (sobol + 0.5 / 2**power))
-        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
-        return np.asarray(low + 0.5 * (z + 1.0) * (high - low))
-
     def _compiled(self, times: Array, what: Followed, degree: int) -> Response:
         """Rows in the order of (time, row)."""
-        x = self._design(degree)
-        mean, sd, ceeq = self._along(x, times, what)
         low, high = np.array([(i.low, i.high) for i in self.inputs]).T
-        names = [i.name for i in self.inputs]
-        parts = []
-        for t in range(len(times)):
-            for r in range(mean.shape[2]):
-                y, spread, e = mean[:, t, r], sd[:, t, r], ceeq[:, t]
-                scale = e if what.per_ceeq else y
-                v = np.log((spread / (np.abs(scale) + TINY)) ** 2 + TINY**2)
-                a = (y / e)[:, None] if what.per_ceeq else None
-                b = np.log(scale)[:, None]
-                parts.append(Response.fit(names, low, high, degree, x, a, b, 1.0, 0.0, v))
-        return Response.stack(parts)
+        z = chebyshev_points(len(low), degree)
+        mean, sd, ceeq = self._along(low + 0.5 * (z + 1.0) * (high - low), times, what)
+        y, spread = mean.reshape(len(z), -1), sd.reshape(len(z), -1)
+        scale = np.repeat(ceeq, mean.shape[2], axis=1) if what.per_ceeq else y
+        a = y / scale
+        v = np.log((spread / (np.abs(scale) + TINY)) ** 2 + TINY**2)
+        fitted = np.linalg.lstsq(monomials(z, degree), np.hstack([a, np.log(scale), v]))[0]
+        p_a, p_b, p_v = np.split(np.ascontiguousarray(fitted.T), 3)
+        ones = np.ones(y.shape[1])
+        names = tuple(i.name for i in self.inputs)
+        return Response(names, low, high, degree, p_a, p_b, ones, 0.0 * ones, p_v)
 
     def response(
         self,

@@ -38,9 +38,7 @@ def test_a_step_leaves_the_past_alone_and_no_growth_by_heat_counts() -> None:
     assert grown > 2 * (before.elongation[4] - before.elongation[3])
 
 
-def test_damage_adds_up_over_pieces() -> None:
-    """Robinson's rule where it is exact: the law's deviates move strain, never the rupture time of
-    a point whose stress stays; over the whole blade damage stays between the constant runs'."""
+def test_a_ramp_ends_between_the_runs_at_its_ends() -> None:
     low, high = (simulate({**POINT, "t1t_rate": r}, "coarse", time_h=TIMES) for r in (0.9, 1.0))
     ramp = simulate_history(
         {**POINT, "t1t_rate": [(0.0, 0.9), (16000.0, 1.0)]}, "coarse", time_h=TIMES

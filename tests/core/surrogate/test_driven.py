@@ -153,6 +153,11 @@ def test_a_network_whose_drifts_nobody_answers_is_refused() -> None:
         with_erosion(drifts=(Drift("salt", "t1t_rate", RAMP),))
     with pytest.raises(InputError, match="twice"):
         with_erosion(drifts=(EROSION, EROSION))
+    for wrong in ([1.0, 2.0], [[1.0]], [["early", 0.0]], None):
+        told = with_erosion().to_json()
+        told["drifts"][0]["shape"] = wrong
+        with pytest.raises(InputError, match="network"):
+            Network.from_json(told)
 
 
 def test_a_course_that_leaves_the_runs_is_refused() -> None:
