@@ -76,6 +76,7 @@ class ScanRows:
     """A scan as rows: response (Q rows), y (Q,), extra variance (Q,) [unit²], remainder.
 
     discrepancy   of each row
+    mixing        the rows as mixtures of the deformation's spatial modes, (Q, B)
     """
 
     response: Response
@@ -83,6 +84,7 @@ class ScanRows:
     extra: Array
     dense: Dense
     discrepancy: tuple[Affine, ...]
+    mixing: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +179,7 @@ def scan_rows(
         )
         for row in weight @ moved
     )
-    return ScanRows(mixed, weight @ y, extra, dense, rows)
+    return ScanRows(mixed, weight @ y, extra, dense, rows, weight @ r)
 
 
 def _split(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -49,6 +49,8 @@ class BladeRows:
     populations  (row, name of the shared mean, low, high) of each local parameter with a population
     discount  per row: what its variance is multiplied by, (R,); 1 without forgetting
     effective number of readings that forgetting leaves
+    readings  in the order of their rows; of: which of them each row is of, −1 for a prior's
+    mixings   of a scan's rows, by the scan's place in `readings` (`scans.ScanRows`)
     """
 
     response: Response
@@ -62,6 +64,9 @@ class BladeRows:
     populations: tuple[tuple[int, str, float, float], ...]
     discount: Array
     effective: float
+    readings: tuple[Inspection, ...] = ()
+    of: tuple[int, ...] = ()
+    mixings: Mapping[int, Array] = field(default_factory=dict)
 
     @property
     def shared(self) -> frozenset[str]:
@@ -263,7 +268,10 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         half_life = model.network.forgetting_h
         return 0.0 if half_life is None else (latest - reading.time_h) / half_life
 
-    for reading in sorted(readings, key=lambda i: (i.time_h, i.id)):
+    in_order = tuple(sorted(readings, key=lambda i: (i.time_h, i.id)))
+    of: list[int] = []
+    mixings: dict[int, Array] = {}
+    for place, reading in enumerate(in_order):
         quantity = model.network.quantity(reading.quantity)
         name = reading.sigma if reading.sigma is not None else quantity.sigma_of(reading.instrument)
         if quantity.kind == "vector":
@@ -273,6 +281,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
             extra.append(scan.extra)
             relative += [0.0] * len(response)
             wrong += scan.discrepancy
+            mixings[place] = scan.mixing
         else:
             nodes = _node_of(model, reading)
             times = np.array([reading.time_h])
@@ -292,6 +301,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         parts.append(response if names is None else response.over(*names))
         y.append(values)
         sigma += [name] * len(response)
+        of += [place] * len(response)
         discount += [2.0 ** age(reading)] * len(response)
     populations = []
     for row, parameter, sd in _gaussian_prior_rows(model, parts[0]):
@@ -319,6 +329,9 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         tuple(populations),
         weight,
         sum(0.5 ** age(reading) for reading in readings),
+        in_order,
+        (*of, *([-1] * (len(sigma) - len(of)))),
+        mixings,
     )
 
 

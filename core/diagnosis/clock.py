@@ -1,0 +1,64 @@
+"""Which hour of the rotor a reading was taken at.
+
+A blade counts its own operating hours; a replaced blade starts from zero while the rotor goes on.
+The rotor's hour of a reading is the blade's plus an offset: the rotor's hours when the blade's
+were zero. Where the blade's record does not say, campaigns tell: all readings of one campaign were
+taken at one hour of the rotor, which is that of its oldest blade.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from statistics import median
+
+from core.diagnosis.grammar import Facts, Readers
+from core.observation import Inspection
+
+STEPS = 6  # hours at most at which a step is tried
+SAME = 0.02  # share of the longest history within which readings are one inspection
+
+
+def with_offsets(
+    blades: Mapping[str, Facts], readings: Sequence[Inspection], told: Mapping[str, float]
+) -> dict[str, Facts]:
+    """The blades with their offsets: those `told` (h), others from the campaigns, else 0.
+
+    >>> a = Inspection("1", "old", "elongation", 9000.0, [0.1], campaign="c")
+    >>> b = Inspection("2", "new", "elongation", 1000.0, [0.1], campaign="c")
+    >>> found = with_offsets({"old": Facts(), "new": Facts()}, [a, b], {})
+    >>> found["old"].offset_h, found["new"].offset_h
+    (0.0, 8000.0)
+    """
+    hour: dict[str, float] = {}
+    for r in readings:
+        if r.campaign is not None:
+            at = r.time_h + told.get(r.blade, 0.0)
+            hour[r.campaign] = max(hour.get(r.campaign, 0.0), at)
+    behind: dict[str, list[float]] = {}
+    for r in readings:
+        if r.campaign is not None:
+            behind.setdefault(r.blade, []).append(hour[r.campaign] - r.time_h)
+    return {
+        name: replace(own, offset_h=told.get(name, median(behind.get(name, [0.0]))))
+        for name, own in blades.items()
+    }
+
+
+def readers(readings: Sequence[Inspection], blades: Mapping[str, Facts]) -> Readers:
+    """Instruments, campaigns and where between inspections a step may be."""
+    hours = sorted({r.time_h + blades[r.blade].offset_h for r in readings})
+    apart = SAME * hours[-1] if hours else 0.0
+    visits: list[float] = []
+    for hour in hours:
+        if not visits or hour - visits[-1] > apart:
+            visits.append(hour)
+    between = [0.5 * (a + b) for a, b in zip([0.0, *visits], visits, strict=False)]
+    if len(between) > STEPS:
+        share = (len(between) - 1) / (STEPS - 1)
+        between = [between[round(k * share)] for k in range(STEPS)]
+    return Readers(
+        tuple(sorted({r.instrument for r in readings if r.instrument is not None})),
+        tuple(sorted({r.campaign for r in readings if r.campaign is not None})),
+        tuple(between),
+    )

@@ -1,0 +1,301 @@
+"""What a model may lack, as a grammar: target × shape in time × whom × which clock.
+
+    target   an input of the simulation, calibrated or dormant (a coating that wears: its creep
+             follows), or a reading (a scanner with an offset)
+    shape    constant | early | linear | late | step at an unknown hour
+    whom     all blades | one lot | one coating lot | one blade | one instrument | one campaign
+    clock    the blade's own hours, or the rotor's: what happens to the machine happens to old and
+             new blades on one day
+
+A `Family` is a physical effect with a name and a sentence; it spans several cells of the grammar,
+for how wear runs in time is not what it is called. `cells` lists those that a rotor's readings
+could tell of: no lot where none was given, no instrument where there is one only. Families are
+data: a network may bring its own (`Family.from_json`).
+
+The size of an effect is the standard deviation that is expected of it a priori if it is there;
+`sign` says in which direction physics lets it go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from core.course import Course
+from core.errors import InputError
+
+Shape = Literal["constant", "early", "linear", "late", "step"]
+Whom = Literal["all", "lot", "coating_lot", "blade", "instrument", "campaign"]
+Clock = Literal["blade", "rotor"]
+How = Literal["plus", "times"]
+SHAPES = ("constant", "early", "linear", "late", "step")
+WHOM = ("all", "lot", "coating_lot", "blade", "instrument", "campaign")
+REFERENCE_H = 50_000.0  # what grows has its size by then
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """An effect with a name.
+
+    name      as engineers say it
+    sentence  what happens, for the report
+    target    ``input`` or ``reading``
+    of        the input's name; of a reading: the quantity
+    how       ``plus`` or ``times``
+    size      expected size, of what `how` says; for a reading with ``plus``, None: three times
+              the noise
+    sign      −1, 1, or 0: either
+    kind      physics, operation, material or sensor
+    """
+
+    name: str
+    sentence: str
+    target: Literal["input", "reading"]
+    of: str
+    how: How
+    size: float | None
+    sign: int
+    shapes: tuple[Shape, ...]
+    whom: tuple[Whom, ...]
+    clock: Clock
+    kind: Literal["physics", "operation", "material", "sensor"]
+
+    def __post_init__(self) -> None:
+        for what, given, known in (
+            ("shapes", self.shapes, SHAPES),
+            ("whom", self.whom, WHOM),
+            ("how", (self.how,), ("plus", "times")),
+            ("target", (self.target,), ("input", "reading")),
+            ("clock", (self.clock,), ("blade", "rotor")),
+            ("sign", (self.sign,), (-1, 0, 1)),
+            ("kind", (self.kind,), ("physics", "operation", "material", "sensor")),
+        ):
+            wrong = [g for g in given if g not in known]
+            if wrong or not given:
+                raise InputError(
+                    f"{what} of the effect {self.name!r}", wrong, "is unknown", f"use {[*known]}"
+                )
+        if self.size is None and (self.target, self.how) != ("reading", "plus"):
+            raise InputError(f"size of the effect {self.name!r}", None, "is missing", "give it")
+        if self.size is not None and not self.size > 0:
+            raise InputError(
+                f"size of the effect {self.name!r}", self.size, "is not positive", "give one > 0"
+            )
+        seen_by_hand = {"instrument", "campaign"} & set(self.whom)
+        if self.target == "input" and seen_by_hand:
+            raise InputError(
+                f"whom of the effect {self.name!r}",
+                sorted(seen_by_hand),
+                "concerns readings, not an input",
+                "use all, lot, coating_lot or blade",
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain dictionary."""
+        told = asdict(self)
+        return {**told, "shapes": list(self.shapes), "whom": list(self.whom)}
+
+    @staticmethod
+    def from_json(told: Mapping[str, Any]) -> Family:
+        """The inverse of `to_json`. Raises InputError for what is no family."""
+        try:
+            return Family(**{**told, "shapes": tuple(told["shapes"]), "whom": tuple(told["whom"])})
+        except (TypeError, KeyError) as error:
+            raise InputError("effect", str(error), "is no effect", "see Family") from error
+
+
+GROWING: tuple[Shape, ...] = ("early", "linear", "late")
+FAMILIES = (
+    Family(
+        "coating wear",
+        "the thermal barrier coating loses thickness while the blade runs",
+        "input", "tbc_thickness", "times", 0.25, -1, GROWING,
+        ("all", "coating_lot"), "blade", "physics",
+    ),
+    Family(
+        "coating spallation",
+        "part of the coating is lost at once",
+        "input", "tbc_thickness", "times", 0.25, -1, ("step",),
+        ("blade", "coating_lot"), "blade", "physics",
+    ),
+    Family(
+        "fouling",
+        "the gas gets hotter, or cooler, while the machine runs",
+        "input", "t1t_rate", "plus", 0.04, 0, GROWING, ("all",), "rotor", "operation",
+    ),
+    Family(
+        "firing temperature step",
+        "the gas temperature was changed on a day",
+        "input", "t1t_rate", "plus", 0.02, 0, ("step",), ("all",), "rotor", "operation",
+    ),
+    Family(
+        "cooling flow",
+        "coolant flow is not what was declared",
+        "input", "cooling_flow", "plus", 0.05, 0, ("constant",),
+        ("blade", "lot"), "blade", "physics",
+    ),
+    Family(
+        "cooling blockage",
+        "cooling passages clog at once",
+        "input", "cooling_flow", "plus", 0.05, -1, ("step",), ("blade", "lot"), "blade", "physics",
+    ),
+    Family(
+        "cooling decline",
+        "cooling passages clog while the blades run",
+        "input", "cooling_flow", "plus", 0.08, -1, GROWING, ("all", "lot"), "blade", "physics",
+    ),
+    Family(
+        "accelerating creep",
+        "creep grows with its damage (tertiary creep)",
+        "input", "tertiary", "plus", 1.5, 1, ("constant",), ("all", "lot"), "blade", "material",
+    ),
+    Family(
+        "gas profile shift",
+        "the gas is hottest at another height of the blade",
+        "input", "gas_profile_peak", "plus", 0.04, 0, ("constant", "step"), ("all",), "rotor",
+        "operation",
+    ),
+    Family(
+        "wall loss",
+        "the wall is thinner than declared",
+        "input", "wall_loss", "plus", 0.04, 1, ("constant",), ("all", "lot"), "blade", "physics",
+    ),
+    Family(
+        "creep strength of a lot",
+        "a casting lot creeps faster or slower than the others",
+        "input", "creep_steady", "plus", 1.0, 0, ("constant",), ("lot",), "blade", "material",
+    ),
+    Family(
+        "root settling",
+        "every reading of a blade is longer by the same length, from the first one on",
+        "reading", "elongation", "plus", None, 0, ("constant",), ("all", "blade"), "blade",
+        "physics",
+    ),
+    Family(
+        "tip rub",
+        "length is lost at the tip at once",
+        "reading", "elongation", "plus", None, -1, ("step",), ("all", "blade"), "rotor", "physics",
+    ),
+    Family(
+        "instrument offset",
+        "an instrument reads too much or too little, always by the same",
+        "reading", "elongation", "plus", None, 0, ("constant",), ("instrument",), "rotor",
+        "sensor",
+    ),
+    Family(
+        "instrument gain",
+        "an instrument reads too much or too little, in proportion",
+        "reading", "elongation", "times", 0.1, 0, ("constant",), ("instrument",), "rotor",
+        "sensor",
+    ),
+    Family(
+        "instrument drift",
+        "an instrument's offset grows in time",
+        "reading", "elongation", "plus", None, 0, ("linear",), ("instrument",), "rotor", "sensor",
+    ),
+    Family(
+        "campaign offset",
+        "an instrument was set to zero anew for one campaign",
+        "reading", "elongation", "plus", None, 0, ("constant",), ("campaign",), "rotor", "sensor",
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One effect that could be there.
+
+    value    of whom: the lot's, blade's, instrument's or campaign's name; None: all
+    step_h   hour of a step
+    """
+
+    family: Family
+    shape: Shape
+    whom: Whom
+    value: str | None = None
+    step_h: float | None = None
+
+    @property
+    def name(self) -> str:
+        """What it is called: family and whom, however it runs in time.
+
+        >>> Cell(FAMILIES[0], "linear", "coating_lot", "C2").name
+        'coating wear (coating lot C2)'
+        """
+        who = {"all": "", "coating_lot": "coating lot "}.get(self.whom, f"{self.whom} ")
+        return self.family.name if self.value is None else f"{self.family.name} ({who}{self.value})"
+
+    @property
+    def course(self) -> Course:
+        """Its shape s(t) over the clock's hours, of the order of 1."""
+        if self.shape == "constant":
+            return Course.of([(-1e9, 0.0), (-1e9, 1.0)])
+        if self.shape == "step":
+            hour = self.step_h or 0.0
+            return Course.of([(hour, 0.0), (hour, 1.0)])
+        share = [k / 10 for k in range(11)]
+        power = {"early": 0.5, "linear": 1.0, "late": 2.0}[self.shape]
+        ends = [(REFERENCE_H * s, s**power) for s in share]
+        slope = power / REFERENCE_H
+        return Course.of([*ends, (4 * REFERENCE_H, 1.0 + 3 * REFERENCE_H * slope)])
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a blade is besides its readings.
+
+    offset_h  the rotor's hours when this blade's were zero
+    """
+
+    lot: str | None = None
+    coating_lot: str | None = None
+    offset_h: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Readers:
+    """Instruments and campaigns of a rotor's readings, and hours between its inspections.
+
+    between_h  of the rotor's hours, one for each interval between inspections: where a step may be
+    """
+
+    instruments: tuple[str, ...]
+    campaigns: tuple[str, ...]
+    between_h: tuple[float, ...]
+
+
+def cells(
+    families: Iterable[Family],
+    inputs: Sequence[str],
+    quantities: Sequence[str],
+    blades: Mapping[str, Facts],
+    readers: Readers,
+) -> list[Cell]:
+    """The cells that these readings could tell of.
+
+    inputs  that the simulation has; a family of another input is left out
+    """
+    lots = sorted({f.lot for f in blades.values() if f.lot is not None})
+    coats = sorted({f.coating_lot for f in blades.values() if f.coating_lot is not None})
+    values: dict[str, Sequence[str | None]] = {
+        "all": [None],
+        "lot": lots if len(lots) > 1 else [],
+        "coating_lot": coats if len(coats) > 1 else [],
+        "blade": sorted(blades) if len(blades) > 1 else [],
+        "instrument": readers.instruments if len(readers.instruments) > 1 else [],
+        "campaign": readers.campaigns if len(readers.campaigns) > 1 else [],
+    }
+    found = []
+    for family in families:
+        if family.of not in (inputs if family.target == "input" else quantities):
+            continue
+        for whom in family.whom:
+            for shape in family.shapes:
+                steps = readers.between_h if shape == "step" else (None,)
+                found += [
+                    Cell(family, shape, whom, value, hour)
+                    for value in values[whom]
+                    for hour in steps
+                ]
+    return found

@@ -1,0 +1,231 @@
+"""Which effects would explain the residuals: every cell of the grammar, and pairs of them.
+
+With score U and information I of all cells at their expected sizes (`core.diagnosis.scores`) and
+standard-normal amplitudes, the log Bayes factor of a set of cells S against the model as it is is
+
+    log BF = ½ U_Sᵀ (1 + I_SS)⁻¹ U_S − ½ log |1 + I_SS|
+
+to second order in the effects. It weighs fit against the room that an effect takes, so that a
+cell which the parameters imitate (I = 0) gains nothing.
+
+Blades are the replicates. A common effect must be common: where the blades' contributions to U
+scatter by more than the noise allows (material that creeps in bursts, readings with heavy tails),
+phi = Σ (c_b − a I_b)² / Σ I_b > 1 discounts U and I alike (a quasi-likelihood). For cells of one
+blade, phi comes from the other blades.
+
+What no cell names can still be there: `free` sets of columns, such as a misfit of its own for each
+visit, count by the log BF of the whole set. They raise the alarm, and never name a cause.
+
+The null distribution is made from the residuals themselves: whitened blade vectors are dealt to
+other blades with equal rows, with random signs. That keeps what is within a blade, its tails and
+its memory, and destroys what blades have in common. The largest family's log BF over all cells is
+compared with that of the dealt sets: family-wise, over everything tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.diagnosis.grammar import Cell
+from core.diagnosis.scores import Scores
+from core.rng import stream
+from core.smc.particles import log_sum_exp
+
+Array = NDArray[np.float64]
+LEAST_BLADES = 8  # from which phi is a cell's own
+SAME = 0.999  # cosine of efficient signatures above which cells are one
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Cells against a rotor's residuals.
+
+    free    sets of columns that have no name, by what they are: their places among the columns
+    g (B, n, C) signatures, those of `free` behind the cells'; u, phi (C,); information (C, C);
+    c, own (B, C): the blades' shares of score and information
+    """
+
+    cells: tuple[Cell, ...]
+    free: Mapping[str, tuple[int, ...]]
+    seen: Scores
+    g: Array
+    efficient: Array
+    u: Array
+    information: Array
+    c: Array
+    own: Array
+    phi: Array
+
+    @staticmethod
+    def of(
+        cells: Sequence[Cell], seen: Scores, g: Array, free: Mapping[str, Array] | None = None
+    ) -> Scan:
+        """All cells at once, signatures (B, n, C), and free sets of columns (B, n, K)."""
+        places: dict[str, tuple[int, ...]] = {}
+        for name, columns in (free or {}).items():
+            places[name] = tuple(range(g.shape[2], g.shape[2] + columns.shape[2]))
+            g = np.concatenate([g, columns], axis=2)
+        return Scan._of(tuple(cells), places, seen, g)
+
+    @staticmethod
+    def _of(
+        cells: tuple[Cell, ...], free: Mapping[str, tuple[int, ...]], seen: Scores, g: Array
+    ) -> Scan:
+        efficient = seen.efficient(g)
+        weighted = np.einsum("bij,bjc->bic", seen.information, efficient)
+        own = np.einsum("bic,bic->bc", efficient, weighted)
+        c = np.einsum("bic,bi->bc", efficient, seen.q)
+        information = seen.cross(g)
+        concerned = np.any(g != 0, axis=1)  # (B, C)
+        alone = _alone(cells, g.shape[2])
+        u = np.einsum("bic,bi->c", g, seen.q)
+        phi = overdispersion(c, own, u, np.diag(information), concerned, alone)
+        return Scan(cells, free, seen, g, efficient, u, information, c, own, phi)
+
+    @cached_property
+    def _scaled(self) -> tuple[Array, Array]:
+        root = np.sqrt(self.phi)
+        return self.u / self.phi, self.information / np.outer(root, root)
+
+    def gain(self, *which: int) -> float:
+        """log BF of a set of cells together; −inf where one goes against its sign."""
+        u, information = self._scaled
+        s = list(which)
+        a = information[np.ix_(s, s)] + np.eye(len(s))
+        amplitude = np.linalg.solve(a, u[s])
+        if np.any((self._signs[s] > 0) & (amplitude < 0)):
+            return -np.inf
+        return float(0.5 * u[s] @ amplitude - 0.5 * np.linalg.slogdet(a)[1])
+
+    def amplitudes(self, *which: int) -> tuple[Array, Array]:
+        """Mean (k,) and covariance (k, k) of a set's amplitudes, in expected sizes."""
+        u, information = self._scaled
+        s = list(which)
+        covariance = np.linalg.inv(information[np.ix_(s, s)] + np.eye(len(s)))
+        return np.asarray(covariance @ u[s]), np.asarray(covariance)
+
+    @cached_property
+    def gains(self) -> Array:
+        """log BF of every single cell, (C,)."""
+        return _gains(self.u, np.diag(self.information), self.phi, self._signs)
+
+    @cached_property
+    def _signs(self) -> NDArray[np.int64]:
+        signs = np.zeros(self.g.shape[2], dtype=np.int64)
+        signs[: len(self.cells)] = [abs(cell.family.sign) for cell in self.cells]
+        return signs
+
+    @cached_property
+    def z(self) -> Array:
+        """Amplitude over its standard deviation without a prior, (C,)."""
+        information = np.diag(self.information)
+        return np.asarray(self.u / np.sqrt(np.maximum(information * self.phi, 1e-300)))
+
+    @cached_property
+    def families(self) -> dict[str, list[int]]:
+        """Cells by family and whom ("coating wear, all", "campaign offset, campaign")."""
+        found: dict[str, list[int]] = {}
+        for i, cell in enumerate(self.cells):
+            found.setdefault(f"{cell.family.name}, {cell.whom}", []).append(i)
+        return found
+
+    def by_family(self, gains: Array, u: Array, phi: Array) -> Array:
+        """log of the mean Bayes factor of each family's cells, then log BF of each free set."""
+        found = [_log_mean(gains[members]) for members in self.families.values()]
+        for s in map(list, self.free.values()):
+            root = np.sqrt(phi[s])
+            a = self.information[np.ix_(s, s)] / np.outer(root, root) + np.eye(len(s))
+            own = u[s] / phi[s]
+            found.append(0.5 * own @ np.linalg.solve(a, own) - 0.5 * np.linalg.slogdet(a)[1])
+        return np.array(found)
+
+    @property
+    def found(self) -> dict[str, float]:
+        """`by_family` of the readings, by name."""
+        values = self.by_family(self.gains, self.u, self.phi)
+        return dict(zip((*self.families, *self.free), values.tolist(), strict=True))
+
+    def null(self, count: int, seed: int) -> Array:
+        """The largest family's log mean Bayes factor in `count` dealt sets, (count,)."""
+        rng = stream(seed, "dealt")
+        root, back = _roots(self.seen)
+        white = np.einsum("bij,bj->bi", back, self.seen.q)
+        rows = self.seen.real.sum(axis=1)
+        weighted = np.einsum("bij,bic->bjc", root, self.efficient)  # rootᵀ g⊥
+        alone = _alone(self.cells, self.g.shape[2])
+        concerned = np.any(self.g != 0, axis=1)
+        information = np.diag(self.information)
+        out = np.empty(count)
+        for k in range(count):
+            order = np.arange(len(rows))
+            for n in np.unique(rows):
+                own = np.flatnonzero(rows == n)
+                order[own] = rng.choice(own, len(own))
+            dealt = white[order] * rng.choice([-1.0, 1.0], len(rows))[:, None]
+            c = np.einsum("bjc,bj->bc", weighted, dealt)
+            u = c.sum(axis=0)
+            phi = overdispersion(c, self.own, u, information, concerned, alone)
+            gains = _gains(u, information, phi, self._signs)
+            out[k] = self.by_family(gains, u, phi).max()
+        return out
+
+    def including(self, *which: int) -> Scan:
+        """The scan of what is left once these cells' effects are in the model."""
+        mean, _ = self.amplitudes(*which)
+        taken = self.seen.including(self.g[:, :, list(which)], mean)
+        return Scan._of(self.cells, self.free, taken, self.g)
+
+
+def _alone(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
+    """Columns that concern one blade."""
+    out = np.zeros(columns, bool)
+    out[: len(cells)] = [cell.whom == "blade" for cell in cells]
+    return out
+
+
+def overdispersion(
+    c: Array,
+    own: Array,
+    u: Array,
+    information: Array,
+    concerned: NDArray[np.bool_],
+    alone: NDArray[np.bool_],
+) -> Array:
+    """phi ≥ 1 of each cell, (C,), from the blades' contributions c and information own (B, C)."""
+    a = u / np.maximum(information, 1e-300)
+    seen = concerned & (own > 1e-12)
+    count = seen.sum(axis=0)
+    excess = np.where(seen, (c - a * own) ** 2, 0.0).sum(axis=0)
+    total = np.where(seen, own, 0.0).sum(axis=0)
+    freedom = np.maximum(count - 1, 1) / np.maximum(count, 1)
+    phi = np.maximum(1.0, excess / np.maximum(total * freedom, 1e-300))
+    many = count >= LEAST_BLADES
+    typical = float(np.median(phi[many & ~alone])) if np.any(many & ~alone) else 1.0
+    return np.where(many, phi, np.maximum(typical, 1.0))
+
+
+def _gains(u: Array, information: Array, phi: Array, signs: NDArray[np.int64]) -> Array:
+    scaled: Array = np.asarray(information / phi)
+    gains: Array = 0.5 * (u / phi) ** 2 / (1 + scaled) - 0.5 * np.log1p(scaled)
+    return np.asarray(np.where((signs > 0) & (u < 0), -0.5 * np.log1p(scaled), gains))
+
+
+def _log_mean(gains: Array) -> float:
+    return float(log_sum_exp(gains) - np.log(len(gains)))
+
+
+def _roots(seen: Scores) -> tuple[Array, Array]:
+    """Q^½ and Q^−½ (B, n, n); zero beyond a blade's rows and where Q is not positive."""
+    value, vector = np.linalg.eigh(seen.information)
+    top = np.maximum(value.max(axis=1, keepdims=True), 1e-300)
+    root = np.where(value > 1e-8 * top, np.sqrt(np.maximum(value, 0.0)), 0.0)
+    back = np.where(root > 0, 1.0 / np.where(root > 0, root, 1.0), 0.0)
+    return (
+        np.einsum("bik,bk,bjk->bij", vector, root, vector),
+        np.einsum("bik,bk,bjk->bij", vector, back, vector),
+    )

@@ -1,0 +1,255 @@
+"""How a cell of the grammar would move the readings, if it were there.
+
+An input that runs in time acts through the creep's memory (`core.surrogate.history`), so that
+elongation, deformation and CEEQ move together as physics has it; a sensor moves its readings only.
+A signature is the change that an effect of its expected size makes of each row, at each blade's
+mean inputs; whom it concerns is a mask over blades or readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.course import Course
+from core.diagnosis.grammar import Cell, Facts
+from core.diagnosis.scores import Scores
+from core.errors import InputError
+from core.model import Answers, Model, Stacked
+from core.observation import Inspection
+from core.surrogate import Surrogate
+from core.surrogate.driven import Driven
+from core.surrogate.history import Followed, follow
+
+Array = NDArray[np.float64]
+PARTS = 6  # of a ramp
+NOISES = 3.0  # size of an offset, in noises
+BINS = 6  # of hours, for what has no name
+PROPORTION = 0.1  # its size, of the answer
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """What answers for effects: a surrogate, and values of the inputs that the network lacks."""
+
+    answers: Answers
+    rest: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class _Course:
+    """What an input does, for all blades: `how`, size with its sign, shape, and its clock."""
+
+    input: str
+    how: str
+    size: float
+    course: Course
+    rotor: bool
+
+    def moved(self, x: Array, s: Array) -> Array:
+        return x + self.size * s if self.how == "plus" else x * (1.0 + self.size * s)
+
+
+def directed(cell: Cell) -> float:
+    """The expected size with its sign (0 counts as up)."""
+    return (cell.family.size or 1.0) * (cell.family.sign or 1)
+
+
+def concerns(cell: Cell, blade: str, facts: Facts, reading: Inspection) -> bool:
+    """Whether the cell's effect is on this reading of this blade."""
+    own = {
+        "all": None,
+        "lot": facts.lot,
+        "coating_lot": facts.coating_lot,
+        "blade": blade,
+        "instrument": reading.instrument,
+        "campaign": reading.campaign,
+    }[cell.whom]
+    return own == cell.value
+
+
+def masks(cells: Sequence[Cell], seen: Scores, facts: Mapping[str, Facts]) -> Array:
+    """Which rows each cell concerns, (B, n, C), 0 or 1; of a sensor's, those of its quantity."""
+    out = np.zeros((*seen.place.shape, len(cells)))
+    for b, i in np.argwhere(seen.real):
+        blade, reading = seen.blades[b], seen.reading(b, i)
+        for c, cell in enumerate(cells):
+            if cell.family.target == "reading" and reading.quantity != cell.family.of:
+                continue
+            out[b, i, c] = concerns(cell, blade, facts[blade], reading)
+    return out
+
+
+def signatures(
+    model: Model,
+    seen: Scores,
+    cells: Sequence[Cell],
+    facts: Mapping[str, Facts],
+    noise: Mapping[str, float],
+    physics: Physics | None = None,
+) -> Array:
+    """Change of each row [unit] by each cell at its expected size, (B, n, C).
+
+    noise    standard deviation of a reading, by quantity
+    physics  a surrogate with more inputs than the model's own, for the change alone
+    """
+    if isinstance(model.surrogate, Stacked):
+        raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
+    physics = physics or Physics(model.surrogate, {})
+    out = masks(cells, seen, facts)
+    found: dict[_Course, Array] = {}
+    for c, cell in enumerate(cells):
+        family = cell.family
+        if family.target == "reading":
+            out[:, :, c] *= _reading(cell, seen, facts, noise)
+            continue
+        key = _Course(family.of, family.how, directed(cell), cell.course, family.clock == "rotor")
+        if key not in found:
+            found[key] = _change(physics, seen, facts, key)
+        out[:, :, c] *= found[key]
+    return out
+
+
+def _reading(
+    cell: Cell, seen: Scores, facts: Mapping[str, Facts], noise: Mapping[str, float]
+) -> Array:
+    """(B, n) of a sensor's cell."""
+    size = cell.family.size if cell.family.size is not None else NOISES * noise[cell.family.of]
+    size *= cell.family.sign or 1
+    out = np.zeros(seen.place.shape)
+    for b, i in np.argwhere(seen.real):
+        hour = seen.reading(b, i).time_h
+        if cell.family.clock == "rotor":
+            hour += facts[seen.blades[b]].offset_h
+        s = float(cell.course.at(hour))
+        out[b, i] = size * s * (seen.answer[b, i] if cell.family.how == "times" else 1.0)
+    return out
+
+
+def _change(physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: _Course) -> Array:
+    """(B, n): the rows with the effect less those without, for every blade."""
+    out = np.zeros(seen.place.shape)
+    groups: dict[object, list[tuple[int, int]]] = {}
+    for b, i in np.argwhere(seen.real):
+        reading, rows = seen.reading(b, i), seen.rows[b]
+        if seen.place[b, i] in rows.mixings:
+            key: object = ("scan", int(b), int(seen.place[b, i]))
+        else:
+            key = (reading.quantity, None if reading.nodes is None else tuple(reading.nodes))
+        groups.setdefault(key, []).append((int(b), int(i)))
+    for members in groups.values():
+        b0, i0 = members[0]
+        reading, rows = seen.reading(b0, i0), seen.rows[b0]
+        place = int(seen.place[b0, i0])
+        if place in rows.mixings:
+            hours = np.array([reading.time_h])
+            moved = _follow(physics, seen, facts, effect, [b0], hours, rows.mixings[place], None)
+            for b, i in members:
+                out[b, i] = moved[0, 0, i - i0]
+            continue
+        blades = sorted({b for b, _ in members})
+        hours = np.unique([seen.reading(b, i).time_h for b, i in members])
+        moved = _follow(physics, seen, facts, effect, blades, hours, None, reading)
+        for b, i in members:
+            at = int(np.searchsorted(hours, seen.reading(b, i).time_h))
+            out[b, i] = moved[blades.index(b), at, 0]
+    return out
+
+
+def _follow(
+    physics: Physics,
+    seen: Scores,
+    facts: Mapping[str, Facts],
+    effect: _Course,
+    blades: Sequence[int],
+    hours: Array,
+    mixing: Array | None,
+    reading: Inspection | None,
+) -> Array:
+    """Change of the rows (n, T, R) of these blades at hours (T,)."""
+    answers = physics.answers
+    base, drifts = (answers.base, answers.drifts) if isinstance(answers, Driven) else (answers, ())
+    names = [i.name for i in base.inputs]
+    x = np.array([[seen.x[b].get(n, physics.rest.get(n, np.nan)) for n in names] for b in blades])
+    if np.isnan(x).any():
+        unknown = [n for n, column in zip(names, x.T, strict=True) if np.isnan(column).any()]
+        raise InputError("inputs", unknown, "have no value", "give them as nominal ones")
+    if not isinstance(base, Surrogate):
+        return _at_once(base, x, names.index(effect.input), effect, hours, reading)
+    offset = np.array([facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades])
+    last = float(hours.max())
+    cuts = {h - o for h in effect.course.cuts(PARTS) for o in set(offset.tolist())}
+    cuts |= {h for d in drifts for h in d.shape.cuts(PARTS)}
+    edges = np.array(sorted({0.0, *(h for h in cuts if 0 < h < last), *hours[hours > 0].tolist()}))
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    held = np.repeat(x[:, None], len(middle), axis=1)
+    for d in drifts:
+        j, a = names.index(d.input), np.array([seen.x[b][d.name] for b in blades])
+        for p, hour in enumerate(middle):
+            held[:, p, j] = d.moved(held[:, p, j], a, float(d.shape.at(hour)))
+    changed = held.copy()
+    j = names.index(effect.input)
+    for o in set(offset.tolist()):
+        s, own = effect.course.at(middle + o), offset == o
+        changed[own, :, j] = effect.moved(held[own, :, j], s)
+    low, high = np.array([(i.low, i.high) for i in base.inputs]).T
+    what = (
+        Followed.mixed(base, mixing)
+        if mixing is not None
+        else Followed.of(base, *_asked(base, reading))
+    )
+    at = np.searchsorted(edges, hours) - 1
+    out = np.zeros((len(blades), len(hours), what.curves.forms.shape[2]))
+    after = hours > 0
+    for sign, inputs in ((1.0, changed), (-1.0, held)):
+        mean, _, _ = follow(base, edges, np.clip(inputs, low, high), what)
+        out[:, after] += sign * mean[:, at[after]]
+    return out
+
+
+def _asked(base: Answers, reading: Inspection | None) -> tuple[str, list[int] | None]:
+    assert reading is not None
+    if reading.nodes is not None:
+        return reading.quantity, [int(n) for n in reading.nodes]
+    field = reading.quantity == "ceeq"
+    return reading.quantity, [base.named["critical"]] if field else None
+
+
+def _at_once(
+    base: Answers, x: Array, j: int, effect: _Course, hours: Array, reading: Inspection | None
+) -> Array:
+    """The same for a model without a memory: constant effects only, as the others mean nothing."""
+    assert reading is not None
+    changed = x.copy()
+    s = np.ones(len(x)) if float(effect.course.at(0.0)) == 1.0 else np.zeros(len(x))
+    changed[:, j] = effect.moved(x[:, j], s)
+    quantity, nodes = _asked(base, reading)
+    after, _ = base.predict(changed, quantity, hours, nodes)
+    before, _ = base.predict(x, quantity, hours, nodes)
+    return np.asarray((after - before).reshape(len(x), len(hours), -1))
+
+
+def unnamed(seen: Scores, facts: Mapping[str, Facts], bins: int = BINS) -> dict[str, Array]:
+    """Sets of columns for what has no name: a misfit in proportion, of its own for each bin.
+
+    Bins of the rotor's hours (what happened on a day) and of the blades' own (what comes with
+    age), the same number of readings in each; (B, n, K) by name. Sets of one column are left out.
+    """
+    at = np.argwhere(seen.real)
+    scalar = [(b, i) for b, i in at if seen.place[b, i] not in seen.rows[b].mixings]
+    own = np.array([seen.reading(b, i).time_h for b, i in scalar])
+    rotor = own + [facts[seen.blades[b]].offset_h for b, _ in scalar]
+    found = {}
+    for name, hours in (("by the rotor's hours", rotor), ("by age", own)):
+        visits = np.unique(hours)
+        edges = visits if len(visits) <= bins else np.quantile(hours, np.linspace(0, 1, bins + 1))
+        place = np.clip(np.searchsorted(edges, hours, side="right") - 1, 0, bins - 1)
+        columns = np.zeros((*seen.place.shape, int(place.max(initial=0)) + 1))
+        for (b, i), k in zip(scalar, place, strict=True):
+            columns[b, i, k] = PROPORTION * seen.answer[b, i]
+        if columns.shape[2] > 1:
+            found[name] = columns
+    return found
