@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -158,8 +158,33 @@ def parameters(model: Model, quantity: Quantity) -> dict[str, Prior]:
     return {}
 
 
-def affine(model: Model, quantity: Quantity, time_h: float, component: int | None = None) -> Affine:
-    """The discrepancy of a quantity at a time; for a vector, of one component."""
+def affine(
+    model: Model,
+    quantity: Quantity,
+    time_h: float,
+    component: int | None = None,
+    reader: tuple[str | None, str | None] | None = None,
+) -> Affine:
+    """The discrepancy of a quantity at a time; for a vector, of one component.
+
+    reader  instrument and campaign of a reading, whose biases join; None: the blade itself, with
+            those that last
+    """
+    own = _declared(model, quantity, time_h, component)
+    for bias in model.network.biases:
+        asleep = model.network.parameter(bias.name).level == "dormant"
+        if asleep or bias.quantity != quantity.name or (reader is None and not bias.lasting):
+            continue
+        s = bias.share(time_h, *(reader or (None, None)))
+        term = ((s, (bias.name,)),) if s else ()
+        if bias.how == "plus":
+            own = replace(own, offset=own.offset + term)
+        else:
+            own = replace(own, gain=own.gain + term)
+    return own
+
+
+def _declared(model: Model, quantity: Quantity, time_h: float, component: int | None) -> Affine:
     declared = quantity.discrepancy
     if declared.kind == "none":
         return NONE

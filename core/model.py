@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from core.course import ITSELF, Drift
 from core.errors import InputError, ModelError
 from core.network import Network, rotor_blade_network
 from core.response import Response
@@ -150,6 +151,11 @@ class Stacked:
         )
 
 
+def _of_all(drift: Drift) -> bool:
+    """Whether it runs alike in every blade."""
+    return drift.blades is None and (not drift.since or drift.since == ((ITSELF, 0.0),))
+
+
 @dataclass(frozen=True)
 class Model:
     """Network + surrogate. `version` names the pair in every answer (64 bits of its digest).
@@ -160,12 +166,14 @@ class Model:
     network: Network
     surrogate: Answers | Stacked
     _rows: dict[object, Response] = field(default_factory=dict, repr=False, compare=False)
+    _blades: dict[object, Model] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         known = {p.name: p for p in self.network.parameters}
         answered = {i.name for i in self.surrogate.inputs}
         for drift in self.network.drifts:
-            if drift.name not in answered:
+            asleep = known[drift.name].level == "dormant"
+            if drift.name not in answered and _of_all(drift) and not asleep:
                 raise ModelError(
                     f"the surrogate knows no amplitude {drift.name!r}: inputs that run in time "
                     "need a driven surrogate; use Model.of"
@@ -195,18 +203,33 @@ class Model:
         """
         if isinstance(surrogate, Driven):
             surrogate = surrogate.base
-        if not network.drifts:
+        asleep = {p.name: p.nominal for p in network.of_level("dormant") if p.nominal is not None}
+        if isinstance(surrogate, Surrogate):
+            inputs = {i.name for i in surrogate.inputs}
+            fixed = {name: value for name, value in asleep.items() if name in inputs}
+        if not network.drifts and not (isinstance(surrogate, Surrogate) and fixed):
             return Model(network, surrogate)
         if not isinstance(surrogate, Surrogate):
             raise ModelError(
                 f"inputs that run in time ({', '.join(d.name for d in network.drifts)}) need one "
                 "surrogate of simulation runs with mean CEEQ; this model's is none"
             )
-        inputs = {i.name for i in surrogate.inputs} | {d.name for d in network.drifts}
-        ranges = {
-            p.name: (p.prior.low, p.prior.high) for p in network.parameters if p.name in inputs
-        }
-        return Model(network, Driven(surrogate, network.drifts, ranges, {}))
+        drifts = tuple(d for d in network.drifts if _of_all(d) and d.name not in asleep)
+        free = (inputs - fixed.keys()) | {d.name for d in drifts}
+        ranges = {p.name: (p.prior.low, p.prior.high) for p in network.parameters if p.name in free}
+        return Model(network, Driven(surrogate, drifts, ranges, fixed))
+
+    def for_blade(self, blade: str) -> Model:
+        """The model as one blade has it; itself where no effect is of some blades only."""
+        network = self.network.for_blade(blade)
+        if network is self.network:
+            return self
+        key = (network.drifts, network.biases)
+        if key not in self._blades:
+            plain = isinstance(self.surrogate, Stacked) or not self.network.drifts
+            made = Model(network, self.surrogate) if plain else Model.of(network, self.surrogate)
+            self._blades[key] = made
+        return self._blades[key]
 
     def part(self, quantity: str) -> Answers:
         """The surrogate that answers for `quantity`."""

@@ -13,7 +13,8 @@ with the joint density (the paper's Eq. 4 and Fig. 6, for B blades and shared s,
     p(s, l, D) = p(s) Π_b p(l_b) Π_{i in b} N(y_i | Y_m(t_i; l_b, s), sigma² + sigma_surrogate²)
 
 A quantity may declare what the model gets wrong (`Discrepancy`); its theta are shared, too. An
-input may run in time by an amplitude that is a parameter (`core.course.Drift`).
+input may run in time by an amplitude that is a parameter (`core.course.Drift`), readings may be
+off by one (`Bias`), for all blades or for some.
 
 The declaration is data: it is written to JSON, posted over HTTP and stored with every state.
 """
@@ -22,22 +23,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.course import Drift
+from core.course import Bias, Drift
 from core.errors import InputError
 from core.prior import Population, Prior
+from core.quantity import LEAST_GAIN, WIDTH, Discrepancy, Kind, Quantity
+
+__all__ = [
+    "LEAST_GAIN", "WIDTH", "Discrepancy", "Kind", "Level", "Network", "Parameter", "Quantity",
+    "rotor_blade_network",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 Level = Literal["local", "shared", "known", "dormant"]
-Kind = Literal["none", "constant", "paper", "gp"]
 SCHEMA = 1
-WIDTH = 4.0  # theta's normal priors are cut at as many standard deviations
-LEAST_GAIN = 0.1  # what multiplies the model stays above this
 RESERVED = ("sigma_obs.", "theta.", "theta1.", "theta2.")
 
 
@@ -92,158 +96,11 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Discrepancy:
-    """What the model gets wrong of a quantity, delta = y_true − Y_m (`core.discrepancy`: theory).
-
-    kind      ``none``      delta = 0
-              ``constant``  delta = c, one for each component of a vector
-              ``paper``     delta ~ N(Y_m (theta1 − theta2 psi), sigma²)
-              ``gp``        delta = Y_m f(t), f a Gaussian process over operating hours
-    sd        prior standard deviation of c [unit], of theta1 and theta2 [1], of f [1]; the means
-              are 0
-    prior     of c or of theta1 and theta2, in place of a normal one with `sd`
-    psi       the shared parameter of ``paper``; default: the network's first one
-    sigma     sigma_delta [unit], fixed; ``paper``: 1e-5 (Sec. 4), else 0
-    length_h  correlation length of f [h]
-    """
-
-    kind: Kind = "none"
-    sd: float | None = None
-    prior: Prior | None = None
-    psi: str | None = None
-    sigma: float | None = None
-    length_h: float | None = None
-
-    def __post_init__(self) -> None:
-        takes = {
-            "none": (),
-            "constant": ("sd", "prior", "sigma"),
-            "paper": ("sd", "prior", "psi", "sigma"),
-            "gp": ("sd", "sigma", "length_h"),
-        }
-        if self.kind not in takes:
-            raise InputError(
-                "discrepancy kind", self.kind, "is not known", f"use one of {[*takes]}"
-            )
-        for name in ("sd", "prior", "psi", "sigma", "length_h"):
-            if getattr(self, name) is not None and name not in takes[self.kind]:
-                raise InputError(
-                    f"discrepancy {name}",
-                    getattr(self, name),
-                    f"means nothing to the kind {self.kind}",
-                    f"it takes {[*takes[self.kind]]}",
-                )
-        if self.kind in ("paper", "gp") and self.sd is None and self.prior is None:
-            object.__setattr__(self, "sd", 0.05)
-        if self.kind != "none" and self.sigma is None:
-            object.__setattr__(self, "sigma", 1e-5 if self.kind == "paper" else 0.0)
-        if self.kind in ("constant", "paper") and (self.sd is None) == (self.prior is None):
-            raise InputError("discrepancy sd", self.sd, "is not one prior", "give sd or prior")
-        if self.prior is not None and self.prior.log_scale:
-            raise InputError(
-                "discrepancy prior", "log_uniform", "has no sign", "use uniform or normal"
-            )
-        if self.kind == "gp" and self.length_h is None:
-            raise InputError("discrepancy length_h", None, "is missing", "give f's length in hours")
-        for name in ("sd", "length_h", "sigma"):
-            value = getattr(self, name)
-            if value is None or (math.isfinite(value) and value > 0):
-                continue
-            if name != "sigma" or value != 0:
-                raise InputError(f"discrepancy {name}", value, "is not positive", "give one > 0")
-
-    @property
-    def theta(self) -> Prior:
-        """Prior of c, or of theta1 and of theta2."""
-        return self.prior or Prior.gaussian(0.0, self.sd or 1.0, WIDTH)
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Discrepancy:
-        prior = data.get("prior")
-        return Discrepancy(**{**data, "prior": prior and Prior(**prior)})
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """Something that is measured.
-
-    name, unit   as inspections give them
-    kind         ``scalar`` (one value), ``field`` (a value at a node) or ``vector`` (x, y, z at
-                 many nodes)
-    sigma_obs    prior of the noise's standard deviation, shared by the rotor
-    low, high    plausible range of a reading; outside it is refused as a likely unit mistake
-    node         node used when a reading of a field names none
-    numerical    relative standard error of the simulation itself (mesh, time steps, compiled
-                 polynomials): counted as the surrogate's, in likelihood and prediction
-    level        of the network that measures it, from 1: the posterior of a level is the prior of
-                 the next (`core.calibration.levels`)
-    discrepancy  what the model gets wrong
-    by_instrument  a noise of its own for each instrument that readings name
-    """
-
-    name: str
-    unit: str
-    kind: Literal["scalar", "field", "vector"]
-    sigma_obs: Prior
-    low: float
-    high: float
-    node: str | None = None
-    numerical: float = 0.0
-    level: int = 1
-    discrepancy: Discrepancy = field(default_factory=Discrepancy)
-    by_instrument: bool = False
-
-    def __post_init__(self) -> None:
-        if "@" in self.name or "." in self.name:
-            raise InputError("quantity", self.name, "holds a . or @", "choose another name")
-
-    @property
-    def sigma_name(self) -> str:
-        return f"sigma_obs.{self.name}"
-
-    def sigma_of(self, instrument: str | None) -> str:
-        """Name of the shared noise of a reading by this instrument.
-
-        >>> noise = Prior("log_uniform", 1e-3, 0.2)
-        >>> q = Quantity("elongation", "mm", "scalar", noise, -5, 50, by_instrument=True)
-        >>> q.sigma_of("gauge-2"), q.sigma_of(None)
-        ('sigma_obs.elongation@gauge-2', 'sigma_obs.elongation')
-        """
-        if not self.by_instrument or instrument is None:
-            return self.sigma_name
-        return f"{self.sigma_name}@{instrument}"
-
-    def check_instrument(self, instrument: str | None) -> None:
-        """Refuse an instrument where readings have one noise for all."""
-        if instrument is not None and not self.by_instrument:
-            raise InputError(
-                "instrument",
-                instrument,
-                f"has no noise of its own: {self.name} has one for all",
-                "leave it out, or declare the quantity by_instrument",
-            )
-
-    def to_json(self) -> dict[str, Any]:
-        """A plain dictionary; a discrepancy and instruments only where declared."""
-        out = asdict(self)
-        told = {name: v for name, v in out.pop("discrepancy").items() if v is not None}
-        if self.discrepancy.kind != "none":
-            out["discrepancy"] = told
-        if not self.by_instrument:
-            del out["by_instrument"]
-        return out
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Quantity:
-        told = {"discrepancy": Discrepancy.from_json(data.get("discrepancy", {}))}
-        return Quantity(**{**data, "sigma_obs": Prior(**data["sigma_obs"]), **told})
-
-
-@dataclass(frozen=True, slots=True)
 class Network:
     """Parameters and quantities; immutable, JSON both ways.
 
     drifts        inputs that run in time, each by the parameter of its name
+    biases        what readings have beside what the blades do, each by the parameter of its name
     forgetting_h  half-life [h] by which a blade's older readings lose weight, for local parameters
                   that drift: variance · 2^(age / half-life), age counted from its latest reading
     """
@@ -254,6 +111,7 @@ class Network:
     notes: Mapping[str, str] = field(default_factory=dict)
     forgetting_h: float | None = None
     drifts: tuple[Drift, ...] = ()
+    biases: tuple[Bias, ...] = ()
 
     def __post_init__(self) -> None:
         if self.forgetting_h is not None and not 0 < self.forgetting_h < math.inf:
@@ -263,7 +121,7 @@ class Network:
         for what, names in {
             "parameters": [p.name for p in self.parameters],
             "quantities": [q.name for q in self.quantities],
-            "drifts": [d.name for d in self.drifts],
+            "effects": [d.name for d in self.drifts] + [b.name for b in self.biases],
         }.items():
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
@@ -281,14 +139,42 @@ class Network:
             if q.discrepancy.kind == "paper":
                 self._check_gain(q)
         for d in self.drifts:
-            own, moved = self.parameter(d.name), self.parameter(d.input)
-            if own.name == moved.name or own.prior.log_scale:
+            self._check_amplitude(d.name, d.input)
+            self.parameter(d.input)
+        for one in self.biases:
+            self._check_amplitude(one.name, one.quantity)
+            if self.quantity(one.quantity).kind == "vector":
                 raise InputError(
-                    f"drift {d.name}",
-                    (d.input, own.prior.kind),
-                    "cannot be the amplitude",
-                    "give it a parameter of its own, with a uniform or normal prior",
+                    f"bias {one.name}", one.quantity, "is read at many nodes", "use a scalar one"
                 )
+            prior, s = self.parameter(one.name).prior, one.shape.values
+            least = 1 + min(float(a * v) for a in (prior.low, prior.high) for v in s)
+            if one.how == "times" and least < LEAST_GAIN:
+                raise InputError(
+                    f"bias {one.name}",
+                    (prior.low, prior.high),
+                    f"lets its gain fall to {least:.3g}, below {LEAST_GAIN}",
+                    "narrow the amplitude",
+                )
+
+    def _check_amplitude(self, name: str, moved: str) -> None:
+        """An amplitude is a parameter of its own, shared or dormant, on a plain scale."""
+        own = self.parameter(name)
+        if name == moved or own.prior.log_scale or own.level not in ("shared", "dormant"):
+            raise InputError(
+                f"effect {name}",
+                (moved, own.level, own.prior.kind),
+                "cannot be the amplitude",
+                "give it a parameter of its own, shared, with a uniform or normal prior",
+            )
+
+    def for_blade(self, blade: str) -> Network:
+        """The network as one blade has it: effects that concern it, by its own hours."""
+        drifts = tuple(d for one in self.drifts if (d := one.of_blade(blade)) is not None)
+        biases = tuple(b for one in self.biases if (b := one.of_blade(blade)) is not None)
+        if (drifts, biases) == (self.drifts, self.biases):
+            return self
+        return replace(self, drifts=drifts, biases=biases)
 
     def _check_gain(self, quantity: Quantity) -> None:
         """1 + theta1 − theta2 psi must stay above LEAST_GAIN everywhere in the priors."""
@@ -342,11 +228,13 @@ class Network:
         out = {"schema": SCHEMA, **asdict(self)}
         out["quantities"] = [q.to_json() for q in self.quantities]
         out["drifts"] = [d.to_json() for d in self.drifts]
+        out["biases"] = [one.to_json() for one in self.biases]
         unused_options: list[tuple[dict[str, Any], str, Any]] = [
             *((q, "level", 1) for q in out["quantities"]),
             *((p, "population", None) for p in out["parameters"]),
             (out, "forgetting_h", None),
             (out, "drifts", []),
+            (out, "biases", []),
         ]
         for told, name, unused in unused_options:
             if told[name] == unused:
@@ -369,6 +257,7 @@ class Network:
                 parameters=tuple(_parameter(p) for p in body.pop("parameters")),
                 quantities=tuple(Quantity.from_json(q) for q in body.pop("quantities")),
                 drifts=tuple(Drift.from_json(d) for d in body.pop("drifts", ())),
+                biases=tuple(Bias.from_json(d) for d in body.pop("biases", ())),
                 **body,
             )
         except (TypeError, KeyError, ValueError) as error:

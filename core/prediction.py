@@ -112,7 +112,12 @@ def noise_of(
 
 
 def corrected(
-    model: Model, posterior: Posterior, quantity: Quantity, time: Array, component: int | None
+    model: Model,
+    posterior: Posterior,
+    quantity: Quantity,
+    time: Array,
+    component: int | None,
+    reader: tuple[str | None, str | None] | None = None,
 ) -> tuple[Array, Array, Array, Array]:
     """Gain and offset of each particle (N, T), sigma_delta (T,) [unit] and r (T,) [1]."""
     n = len(posterior.particles.log_w)
@@ -128,7 +133,7 @@ def corrected(
     gain, offset = np.ones((n, time.size)), np.zeros((n, time.size))
     sigma, left = np.zeros(time.size), np.zeros(time.size)
     for i, t in enumerate(time):
-        one = affine(model, quantity, float(t), component)
+        one = affine(model, quantity, float(t), component, reader)
         gain[:, i] += total(one.gain, value)
         offset[:, i] += total(one.offset, value)
         sigma[i], left[i] = one.sigma, one.left
@@ -204,6 +209,7 @@ def predict(
     noise: bool = True,
     instrument: str | None = None,
     known: Mapping[str, float] | None = None,
+    reader: tuple[str | None, str | None] | None = None,
 ) -> Prediction:
     """Predict `quantity` at `times` [h] from a blade's posterior.
 
@@ -211,6 +217,8 @@ def predict(
     component   for 3-D deformation: 0, 1, 2 for x, y, z
     noise       False: the blade itself, without one more reading's noise
     instrument  of that reading (default: `instrument_of`); a new one has its prior's noise
+    reader      (instrument, campaign): what their reading says, with their biases; None: the
+                blade itself
     Raises RangeError for times or nodes outside the model, InputError for a bad probability and
     for an instrument where readings have one noise for all.
     """
@@ -244,7 +252,7 @@ def predict(
         mean, sd = mean[:, :, 0], sd[:, :, 0]
     elif declared.kind == "vector":
         mean, sd = mean[:, :, 0, component], sd[:, :, 0, component]
-    gain, offset, sigma_delta, left = corrected(model, thin, declared, time, component)
+    gain, offset, sigma_delta, left = corrected(model, thin, declared, time, component, reader)
     sd = gain * np.hypot(sd, declared.numerical * mean)
     corrected_mean = gain * mean + offset
     own = sigma_delta**2 + (left * gain * mean) ** 2  # of the discrepancy, by particle

@@ -173,6 +173,12 @@ class Response:
         a, b, log_v = spread(same.a), spread(same.b), spread(same.log_v)
         return Response(tuple(names), low, high, self.degree, a, b, self.ka, self.kb, log_v)
 
+    def rows(self, which: NDArray[np.int64]) -> Response:
+        """Some of the rows."""
+        parts = (self.a, self.b, self.ka, self.kb, self.log_v)
+        a, b, ka, kb, log_v = (one[which] for one in parts)
+        return Response(self.names, self.low, self.high, self.degree, a, b, ka, kb, log_v)
+
     @staticmethod
     def stack(parts: Sequence[Response]) -> Response:
         """The rows of several responses over the same inputs and of one degree as one."""

@@ -160,7 +160,7 @@ class CoreScience:
         instrument: str | None,
         known: Mapping[str, float] | None,
     ) -> Bands:
-        model = self._model(card)
+        model = self._model(card).for_blade(blade)
         posterior = blade_posterior(meta, get, blade)
         components = [0, 1, 2] if card.outputs[quantity].kind == "vector" else [None]
         parts = [

@@ -14,6 +14,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.errors", "core.rng", "core.compiled", "core.digest"),
     (
         "core.network",
+        "core.quantity",
         "core.prior",
         "core.response",
         "core.observation",

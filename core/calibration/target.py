@@ -252,6 +252,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     """The rows of one blade; None where it has no reading."""
     if not readings:
         return None
+    model = model.for_blade(readings[0].blade)
     names = _inputs(model, readings)
     parts: list[Response] = []
     y: list[Array] = []
@@ -294,7 +295,8 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
                 ),
             )
             values = reading.values
-            one = affine(model, quantity, reading.time_h)
+            reader = (reading.instrument, reading.campaign)
+            one = affine(model, quantity, reading.time_h, None, reader)
             extra.append(np.array([one.sigma**2]))
             relative.append(math.hypot(quantity.numerical, one.left))
             wrong.append(one)

@@ -204,9 +204,9 @@ def overdispersion(
     total = np.where(seen, own, 0.0).sum(axis=0)
     freedom = np.maximum(count - 1, 1) / np.maximum(count, 1)
     phi = np.maximum(1.0, excess / np.maximum(total * freedom, 1e-300))
-    many = count >= LEAST_BLADES
+    many = np.asarray(count >= LEAST_BLADES)
     typical = float(np.median(phi[many & ~alone])) if np.any(many & ~alone) else 1.0
-    return np.where(many, phi, np.maximum(typical, 1.0))
+    return np.asarray(np.where(many, phi, np.maximum(typical, 1.0)))
 
 
 def _gains(u: Array, information: Array, phi: Array, signs: NDArray[np.int64]) -> Array:

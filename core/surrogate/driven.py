@@ -18,7 +18,7 @@ with the relative variance of the rule's result as a polynomial, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 
@@ -30,12 +30,14 @@ from core.course import Drift
 from core.errors import InputError
 from core.response import Response, monomials
 from core.surrogate.compile import chebyshev_points
-from core.surrogate.history import Followed, follow
+from core.surrogate.history import FOLLOWED, Followed, follow
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
 PARTS = 8
+MANY = 200  # inputs from which polynomials answer
+KEPT = 512  # of them
 TINY = 1e-12
 
 
@@ -54,6 +56,9 @@ class Driven:
     drifts: tuple[Drift, ...]
     ranges: Mapping[str, tuple[float, float]]
     fixed: Mapping[str, float]
+    _answers: dict[tuple[str, float, tuple[int, ...] | None], Response] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         known = {i.name: i for i in self.base.inputs}
@@ -140,7 +145,8 @@ class Driven:
                         s = d.shape.mean(edges[p], edges[p + 1])
                         now = d.moved(now, values[d.name], s)
                 held[:, p, j] = now
-        mean, sd, ceeq = follow(self.base, edges, held, what)
+        rule = FOLLOWED if self.drifts else 0.0
+        mean, sd, ceeq = follow(self.base, edges, held, what, rule)
         at = np.searchsorted(edges, times) - 1
         return mean[:, at], sd[:, at], ceeq[:, at]
 
@@ -149,14 +155,42 @@ class Driven:
     ) -> tuple[Array, Array]:
         """Mean and sd at inputs x (n, d): (n, T), with nodes (n, T, K) or (n, T, K, 3)."""
         times = np.atleast_1d(np.asarray(times, float))
+        if len(x) >= MANY:
+            return self._compiled_answers(x, quantity, times, nodes)
         what, later = Followed.of(self.base, quantity, nodes), times > 0
         mean, sd = (np.zeros((len(x), len(times), what.curves.forms.shape[2])) for _ in range(2))
         if later.any():  # at the start nothing has grown
             mean[:, later], sd[:, later], _ = self._along(x, times[later], what)
+        return self._shaped(mean, quantity), self._shaped(sd, quantity)
+
+    def _shaped(self, rows: Array, quantity: str) -> Array:
+        """(n, T, R) → (n, T), with nodes (n, T, K) or (n, T, K, 3)."""
         kind = self.base.quantities[quantity].kind
         tail = {"scalar": (), "field": (-1,), "vector field": (-1, 3)}[kind]
-        shape = (len(x), len(times), *tail)
-        return mean.reshape(shape), sd.reshape(shape)
+        return rows.reshape((*rows.shape[:2], *tail))
+
+    def _compiled_answers(
+        self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None
+    ) -> tuple[Array, Array]:
+        """`predict` by polynomials, compiled once for each time; 0 at the start."""
+        which = None if nodes is None else tuple(nodes)
+        keys = [(quantity, float(t), which) for t in times]
+        new = sorted({t for (_, t, _), key in zip(keys, keys, strict=True)
+                      if t > 0 and key not in self._answers})  # fmt: skip
+        if new:
+            self.base.check_times(new)
+            if len(self._answers) > KEPT:
+                self._answers.clear()
+            made = self.response(quantity, new, nodes)
+            for t, rows in zip(new, np.split(np.arange(len(made)), len(new)), strict=True):
+                self._answers[quantity, t, which] = made.rows(rows)
+        found = [self._answers[key].evaluate(x) if key[1] > 0 else None for key in keys]
+        width = next((one[0].shape[1] for one in found if one is not None), 1)
+        nothing = np.zeros((len(x), width))
+        mean, sd = (
+            np.stack([nothing if one is None else one[k] for one in found], axis=1) for k in (0, 1)
+        )
+        return self._shaped(mean, quantity), self._shaped(sd, quantity)
 
     def _compiled(self, times: Array, what: Followed, degree: int) -> Response:
         """Rows in the order of (time, row)."""

@@ -156,12 +156,13 @@ def _clock(curve: Curves, weights: Array, strain: Array) -> Array:
 
 
 def follow(
-    surrogate: Surrogate, edges: Array, inputs: Array, what: Followed
+    surrogate: Surrogate, edges: Array, inputs: Array, what: Followed, rule: float = FOLLOWED
 ) -> tuple[Array, Array, Array]:
     """Mean and sd of rows at the ends of pieces (n, P, R), and mean CEEQ there (n, P).
 
     edges   hours (P + 1,), from 0
     inputs  (n, P, d), held over each piece
+    rule    the rule's own error, relative to what has grown; 0 where inputs are constant
 
     Raises RangeError for inputs outside the surrogate's box, and for a memory that they reach only
     long after the horizon.
@@ -197,4 +198,4 @@ def follow(
         total = total + change
         doubt = doubt + np.abs(k) * np.sqrt(v)[:, None]
         mean[:, p], sd[:, p], path[:, p] = total, doubt, mean_ceeq
-    return mean, np.hypot(sd, FOLLOWED * np.abs(mean)), path[:, :, 0]
+    return mean, np.hypot(sd, rule * np.abs(mean)), path[:, :, 0]

@@ -1,0 +1,166 @@
+"""An effect in the model: a cell of the grammar as a drift or a bias with a calibrated amplitude.
+
+The amplitude is a shared parameter with a normal prior of the expected size, cut at zero where
+physics gives it a sign, and where the input would leave the simulation's runs. Shapes run on until
+`UNTIL` times the hour at which they reach their size, and stay from then on: nothing is known of
+wear beyond.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from core.course import Bias, Course, Drift
+from core.diagnosis.grammar import REFERENCE_H, Cell, Facts
+from core.diagnosis.signature import NOISES
+from core.errors import InputError
+from core.model import Model
+from core.network import Network, Parameter
+from core.prior import Prior
+from core.surrogate import Surrogate
+from core.surrogate.driven import Driven
+
+UNTIL = 1.2
+WIDTH = 4.0  # amplitudes reach so many times the expected size
+LEAST_ROOM = 0.2  # of the expected size, or the runs cannot hold the effect
+
+
+def with_effects(
+    model: Model,
+    cells: Sequence[Cell],
+    facts: Mapping[str, Facts],
+    noise: Mapping[str, float],
+) -> Model:
+    """The model with these effects as calibrated parameters.
+
+    Raises InputError where the simulation's runs have no room for one.
+    """
+    network = model.network
+    for cell in cells:
+        network = _with(network, model, cell, facts, noise)
+    return Model.of(network, model.surrogate)
+
+
+def parameter_name(cell: Cell) -> str:
+    """The amplitude's name in the network.
+
+    >>> from core.diagnosis.grammar import FAMILIES
+    >>> parameter_name(Cell(FAMILIES[0], "linear", "coating_lot", "C2"))
+    'coating wear (coating lot C2)'
+    """
+    return cell.name.replace("@", " at ").replace(".", " ")
+
+
+def _with(
+    network: Network,
+    model: Model,
+    cell: Cell,
+    facts: Mapping[str, Facts],
+    noise: Mapping[str, float],
+) -> Network:
+    family, name = cell.family, parameter_name(cell)
+    sign = family.sign or 1
+    course = _bounded(cell, sign)
+    blades = _blades(cell, facts)
+    since: tuple[tuple[str, float], ...] = ()
+    if family.clock == "rotor" and any(f.offset_h for f in facts.values()):
+        since = tuple(sorted((b, f.offset_h) for b, f in facts.items()))
+    size = family.size if family.size is not None else NOISES * noise[family.of]
+    low, high = (0.0 if family.sign else -WIDTH * size), WIDTH * size
+    if family.target == "reading":
+        bias = Bias(
+            name, family.of, course, family.how,
+            instrument=cell.value if cell.whom == "instrument" else None,
+            campaign=cell.value if cell.whom == "campaign" else None,
+            blades=blades, since=since, lasting=family.kind != "sensor",
+        )  # fmt: skip
+        if family.how == "times":
+            low, high = max(low, -0.8), min(high, 4.0)
+        changes: dict[str, Any] = {"biases": (*network.biases, bias)}
+    else:
+        drift = Drift(name, family.of, course, family.how, blades, since)
+        low, high = _room(model, drift, low, high, size)
+        changes = {"drifts": (*network.drifts, drift)}
+    amplitude = Parameter(
+        name, "shared", Prior("normal", low, high, 0.0, size), nominal=0.0, symbol="a"
+    )
+    return replace(network, parameters=(*network.parameters, amplitude), **changes)
+
+
+def _bounded(cell: Cell, sign: int) -> Course:
+    """sign · s(t), constant after `UNTIL` times the reference."""
+    if cell.shape == "constant":
+        return Course.of(float(sign))
+    if cell.shape == "step":
+        hour = cell.step_h or 0.0
+        return Course.of([(hour, 0.0), (hour, float(sign))])
+    points = [(h, v) for h, v in cell.course.points if h <= REFERENCE_H]
+    end = UNTIL * REFERENCE_H
+    points.append((end, float(cell.course.at(end))))
+    return Course.of([(h, sign * v) for h, v in points])
+
+
+def _blades(cell: Cell, facts: Mapping[str, Facts]) -> tuple[str, ...] | None:
+    if cell.whom == "blade":
+        return (cell.value or "",)
+    if cell.whom == "lot":
+        return tuple(sorted(b for b, f in facts.items() if f.lot == cell.value))
+    if cell.whom == "coating_lot":
+        return tuple(sorted(b for b, f in facts.items() if f.coating_lot == cell.value))
+    return None
+
+
+def _room(model: Model, drift: Drift, low: float, high: float, size: float) -> tuple[float, float]:
+    """The amplitudes that keep the input inside the runs, over its prior."""
+    base = model.surrogate.base if isinstance(model.surrogate, Driven) else model.surrogate
+    if not isinstance(base, Surrogate):
+        raise InputError(
+            f"effect {drift.name}", drift.input, "needs simulation runs", "train a surrogate"
+        )
+    box = {i.name: i for i in base.inputs}
+    if drift.input not in box:
+        raise InputError(
+            f"effect {drift.name}", drift.input, "is no input of the runs", f"one of {[*box]}"
+        )
+    parameter = model.network.parameter(drift.input)
+    own, asleep = box[drift.input], parameter.level == "dormant"
+    at = [parameter.nominal] if asleep else [parameter.prior.low, parameter.prior.high]
+    s = drift.shape.values
+    for x in at:
+        assert x is not None
+        for v in (float(s.min()), float(s.max())):
+            slope = v if drift.how == "plus" else x * v
+            if slope:
+                ends = sorted(((own.low - x) / slope, (own.high - x) / slope))
+                low, high = max(low, ends[0]), min(high, ends[1])
+    if high - max(low, 0.0) < LEAST_ROOM * size:
+        raise InputError(
+            f"effect {drift.name}",
+            (round(low, 4), round(high, 4)),
+            f"finds no room in the runs of {drift.input}, {own.low:g} … {own.high:g}",
+            "use a model of wider runs (rotor-blade-wide)",
+        )
+    return low, high
+
+
+def amplitude_of(cell: Cell) -> str:
+    """What an amplitude of 1 means, in words."""
+    family = cell.family
+    what = {"plus": "added to", "times": "of"}[family.how]
+    direction = "lost " if family.sign < 0 else ""
+    when = f" by {REFERENCE_H:,.0f} h" if cell.shape in ("early", "linear", "late") else ""
+    return f"{direction}{what} {family.of}{when}"
+
+
+def typical_noise(model: Model, shared: Mapping[str, float]) -> dict[str, float]:
+    """Noise of each quantity: as found, or the middle of its prior."""
+    found = {}
+    for q in model.network.quantities:
+        middle = float(np.sqrt(q.sigma_obs.low * q.sigma_obs.high))
+        own = [v for n, v in shared.items() if n.split("@")[0] == q.sigma_name]
+        found[q.name] = float(np.mean(own)) if own else middle
+    return found

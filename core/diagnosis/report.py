@@ -1,0 +1,154 @@
+"""Before and after: both models, calibrated on the same readings, on readings that neither used.
+
+Held out is the latest reading of every second blade (in the order of names, of those with two
+readings or more): later times, on blades whose lots, instruments and campaigns the other blades
+still speak of. Each model predicts the *reading*, with the bias of whoever took it; the score is
+the log density of a normal with the prediction's mean and sd [nat per reading].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.online import Workspace, update
+from core.calibration.state import RotorSpec, RotorState, blade_posterior
+from core.model import Model
+from core.observation import Inspection
+from core.prediction import predict
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """How a model predicts readings that it did not use.
+
+    bias, rmse, width [unit] (width: of the 95 % band, mean); log_score per reading; z (n,)
+    """
+
+    count: int
+    rmse: float
+    bias: float
+    log_score: float
+    within_68: float
+    within_95: float
+    width: float
+    z: tuple[float, ...]
+
+    @staticmethod
+    def of(mean: Array, sd: Array, bands: Array, y: Array) -> Scored:
+        """From predictions (n,), their bounds (4, n) at 2.5, 16, 84 and 97.5 %, and readings."""
+        z = (y - mean) / sd
+        low95, low68, high68, high95 = bands
+        return Scored(
+            len(y),
+            float(np.sqrt(np.mean((y - mean) ** 2))),
+            float(np.mean(mean - y)),
+            float(np.mean(-0.5 * z**2 - np.log(sd * np.sqrt(2 * np.pi)))),
+            float(np.mean((y >= low68) & (y <= high68))),
+            float(np.mean((y >= low95) & (y <= high95))),
+            float(np.mean(high95 - low95)),
+            tuple(z.tolist()),
+        )
+
+
+@dataclass(frozen=True)
+class BeforeAfter:
+    """Both models on the readings `held`, and the fleet's mean forecast [unit].
+
+    forecast  of each model: mean over blades at `horizon_h` and its sd
+    """
+
+    quantity: str
+    held: tuple[str, ...]
+    before: Scored
+    after: Scored
+    horizon_h: float
+    forecast: tuple[tuple[float, float], tuple[float, float]]
+
+
+def held_out(readings: Sequence[Inspection], quantity: str) -> tuple[Inspection, ...]:
+    """The latest reading of every second blade that has two or more of the quantity."""
+    by_blade: dict[str, list[Inspection]] = {}
+    for r in readings:
+        if r.quantity == quantity:
+            by_blade.setdefault(r.blade, []).append(r)
+    several = [b for b in sorted(by_blade) if len(by_blade[b]) > 1]
+    return tuple(max(by_blade[b], key=lambda r: (r.time_h, r.id)) for b in several[1::2])
+
+
+def before_after(
+    models: tuple[Model, Model],
+    spec: RotorSpec,
+    readings: Sequence[Inspection],
+    horizon_h: float,
+    quantity: str = "elongation",
+    say: Callable[[str], None] = lambda what: None,
+    workspace: Workspace | None = None,
+) -> BeforeAfter:
+    """Calibrate both models without the held-out readings, and predict these."""
+    held = held_out(readings, quantity)
+    gone = {r.id for r in held}
+    kept = [r for r in readings if r.id not in gone]
+    work = workspace or Workspace()
+    scored, forecast = [], []
+    for model, which in zip(models, ("before", "after"), strict=True):
+        say(f"{which}, without {len(held)} readings")
+        state = update(model, spec, kept, workspace=work)
+        scored.append(score(model, state, held, spec.known))
+        forecast.append(fleet(model, state, spec, quantity, horizon_h))
+    return BeforeAfter(
+        quantity,
+        tuple(r.id for r in held),
+        scored[0],
+        scored[1],
+        horizon_h,
+        (forecast[0], forecast[1]),
+    )
+
+
+def score(
+    model: Model,
+    state: RotorState,
+    held: Sequence[Inspection],
+    known: Mapping[str, Mapping[str, float]] | None = None,
+) -> Scored:
+    """Readings that the state does not know, predicted."""
+    mean, sd, bands = [], [], []
+    for r in held:
+        posterior = blade_posterior(state.meta, state.arrays.__getitem__, r.blade)
+        got = predict(
+            model.for_blade(r.blade),
+            posterior,
+            r.quantity,
+            [r.time_h],
+            None if r.nodes is None else int(r.nodes[0]),
+            instrument=r.instrument if model.network.quantity(r.quantity).by_instrument else None,
+            known=(known or {}).get(r.blade),
+            reader=(r.instrument, r.campaign),
+        )
+        mean.append(got.mean[0])
+        sd.append(got.sd["total"][0])
+        bands.append([got.quantiles[p][0] for p in (0.025, 0.16, 0.84, 0.975)])
+    y = np.array([float(r.values[0]) for r in held])
+    return Scored.of(np.array(mean), np.array(sd), np.array(bands).T, y)
+
+
+def fleet(
+    model: Model, state: RotorState, spec: RotorSpec, quantity: str, hours: float
+) -> tuple[float, float]:
+    """Mean over the blades at an hour, and the root mean square of their sds, without noise."""
+    found = []
+    for blade in spec.blades:
+        posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
+        known = (spec.known or {}).get(blade)
+        got = predict(
+            model.for_blade(blade), posterior, quantity, [hours], noise=False, known=known
+        )
+        found.append((got.mean[0], got.sd["total"][0]))
+    mean, sd = np.array(found).T
+    return float(np.mean(mean)), float(np.sqrt(np.mean(sd**2)))
