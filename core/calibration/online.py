@@ -42,6 +42,7 @@ from core.calibration.target import (
     assemble,
     locals_of,
     nominal,
+    prepare,
     shared_space,
 )
 from core.errors import InputError
@@ -110,6 +111,7 @@ def update(
                 "blade", reading.blade, f"is no blade of rotor {rotor.id}", "install it first"
             )
         by_blade.setdefault(reading.blade, []).append(reading)
+    prepare(model, inspections)
     rows = {b: work.rows_of(model, by_blade[b]) for b in sorted(by_blade)}
     space = shared_space(model, rows.values(), prior)
     known = rotor.known or {}

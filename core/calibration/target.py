@@ -28,6 +28,7 @@ from core.network import Parameter
 from core.observation import Inspection, digest_of
 from core.prior import Prior
 from core.response import Response, multi_indices
+from core.surrogate.driven import Driven
 
 Array = NDArray[np.float64]
 DEGREE = 5
@@ -185,6 +186,25 @@ def _rows(model: Model, key: tuple[object, ...], make: object) -> Response:
             model._rows.clear()
         model._rows[key] = _boxed(model, make())  # type: ignore[operator]
     return model._rows[key]
+
+
+def prepare(model: Model, readings: Iterable[Inspection]) -> None:
+    """Compile the rows of all readings of inputs that run in time at once: they share pieces."""
+    asked: dict[tuple[int, str, tuple[int, ...] | None], tuple[Model, set[float]]] = {}
+    for reading in readings:
+        own = model.for_blade(reading.blade)
+        quantity = model.network.quantity(reading.quantity)
+        if isinstance(own.surrogate, Driven) and quantity.kind != "vector" and reading.time_h > 0:
+            nodes = _node_of(own, reading)
+            key = (id(own), reading.quantity, None if nodes is None else tuple(nodes))
+            asked.setdefault(key, (own, set()))[1].add(reading.time_h)
+    for (_, what, at), (own, hours) in asked.items():
+        missing = sorted(h for h in hours if (what, h, at) not in own._rows)
+        if len(missing) > 1:
+            made = own.part(what).response(what, np.array(missing), at, degree=DEGREE)
+            for k, hour in enumerate(missing):
+                one = made.rows(np.array([k]))
+                _rows(own, (what, hour, at), lambda one=one: one)
 
 
 def _node_of(model: Model, reading: Inspection) -> list[int] | None:

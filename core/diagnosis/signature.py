@@ -180,11 +180,13 @@ def _follow(
     if not isinstance(base, Surrogate):
         return _at_once(base, x, names.index(effect.input), effect, hours, reading)
     offset = np.array([facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades])
-    last = float(hours.max())
     cuts = {h - o for h in effect.course.cuts(PARTS) for o in set(offset.tolist())}
     cuts |= {h for d in drifts for h in d.shape.cuts(PARTS)}
-    edges = np.array(sorted({0.0, *(h for h in cuts if 0 < h < last), *hours[hours > 0].tolist()}))
-    middle = 0.5 * (edges[1:] + edges[:-1])
+    edges = np.array([0.0, *sorted(h for h in cuts if 0 < h < hours.max())])
+    marks = hours[hours > 0]
+    starts = edges[np.searchsorted(edges, marks) - 1]
+    ends = np.r_[edges[1:], marks]
+    middle = 0.5 * (np.r_[edges[:-1], starts] + ends)  # of the pieces, then of those to the marks
     held = np.repeat(x[:, None], len(middle), axis=1)
     for d in drifts:
         j, a = names.index(d.input), np.array([seen.x[b][d.name] for b in blades])
@@ -201,12 +203,12 @@ def _follow(
         if mixing is not None
         else Followed.of(base, *_asked(base, reading))
     )
-    at = np.searchsorted(edges, hours) - 1
     out = np.zeros((len(blades), len(hours), what.curves.forms.shape[2]))
-    after = hours > 0
     for sign, inputs in ((1.0, changed), (-1.0, held)):
-        mean, _, _ = follow(base, edges, np.clip(inputs, low, high), what)
-        out[:, after] += sign * mean[:, at[after]]
+        inside = np.clip(inputs, low, high)
+        pieces, last = inside[:, : len(edges) - 1], inside[:, len(edges) - 1 :]
+        mean, _, _ = follow(base, edges, pieces, marks, last, what)
+        out[:, hours > 0] += sign * mean
     return out
 
 

@@ -10,6 +10,7 @@ of the box. A row then costs one small product, D P. Points, not randomness: not
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,24 @@ def chebyshev_points(d: int, degree: int) -> Array:
     return np.asarray(-np.cos(np.pi * (sobol + 0.5 / 2**power)))
 
 
+@lru_cache(maxsize=8)
+def fitting(d: int, degree: int) -> tuple[Array, Array]:
+    """Points (S, d) and the factor (M, S) from values there to a polynomial's coefficients.
+
+    >>> points, factor = fitting(1, 2)
+    >>> np.abs(factor @ points[:, 0] ** 2).round(9).tolist()
+    [0.0, 0.0, 1.0]
+    """
+    points = chebyshev_points(d, degree)
+    basis = monomials(points, degree)
+    # normal equations on an orthonormalised basis: monomials alone are ill-conditioned
+    _, r = np.linalg.qr(basis)
+    whitened = np.linalg.solve(r.T, basis.T)
+    factor = np.linalg.solve(r, cho_solve(cho_factor(whitened @ whitened.T), whitened))
+    points.flags.writeable = factor.flags.writeable = False
+    return points, factor
+
+
 @dataclass(frozen=True, slots=True)
 class Compiler:
     """polynomials (J, M) of all coefficients, log_v (M,), and what other fits at the points need.
@@ -61,12 +80,7 @@ class Compiler:
     @classmethod
     def of(cls, process: SharedGP, degree: int) -> Compiler:
         """Fit the polynomials."""
-        points = chebyshev_points(process.z.shape[1], degree)
-        basis = monomials(points, degree)
-        # normal equations on an orthonormalised basis: monomials alone are ill-conditioned
-        _, r = np.linalg.qr(basis)
-        whitened = np.linalg.solve(r.T, basis.T)
-        factor = np.linalg.solve(r, cho_solve(cho_factor(whitened @ whitened.T), whitened))
+        points, factor = fitting(process.z.shape[1], degree)
         (samples,), v = process.mean_and_variance(points)
         return cls(degree, points, samples, factor, (factor @ samples).T.copy(), factor @ np.log(v))
 

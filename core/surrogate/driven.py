@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,8 @@ from numpy.typing import NDArray
 from core.archive import Input
 from core.course import Drift
 from core.errors import InputError
-from core.response import Response, monomials
-from core.surrogate.compile import chebyshev_points
+from core.response import Response
+from core.surrogate.compile import fitting
 from core.surrogate.history import FOLLOWED, Followed, follow
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import DEFORMATION
@@ -131,24 +132,28 @@ class Driven:
         if np.any(times <= 0):
             raise InputError("times", times.tolist(), "are not after the start", "ask later")
         self.base.check_times(times)
-        last = float(times.max())
-        cuts = {h for d in self.drifts for h in d.shape.cuts(PARTS) if 0 < h < last}
-        edges = np.array(sorted({0.0, *cuts, *times.tolist()}))
+        cuts = {h for d in self.drifts for h in d.shape.cuts(PARTS) if h > 0}
+        edges = np.array([0.0, *sorted(cuts)])
+        edges = edges[edges < times.max()]
+        starts = edges[np.searchsorted(edges, times) - 1]
+        held = self._held(x, list(pairwise(edges)))
+        at_times = self._held(x, list(zip(starts, times, strict=True)))
+        rule = FOLLOWED if self.drifts else 0.0
+        return follow(self.base, edges, held, times, at_times, what, rule)
+
+    def _held(self, x: Array, pieces: Sequence[tuple[float, float]]) -> Array:
+        """The base's inputs (n, P, d) over pieces of time: the mean of each."""
         values = dict(zip((i.name for i in self.inputs), x.T, strict=True))
-        held = np.empty((len(x), len(edges) - 1, len(self.base.inputs)))
-        for p in range(len(edges) - 1):
+        held = np.empty((len(x), len(pieces), len(self.base.inputs)))
+        for p, (start, end) in enumerate(pieces):
             for j, own in enumerate(self.base.inputs):
                 now = values.get(own.name)
                 now = np.full(len(x), self.fixed[own.name]) if now is None else now
                 for d in self.drifts:
                     if d.input == own.name:
-                        s = d.shape.mean(edges[p], edges[p + 1])
-                        now = d.moved(now, values[d.name], s)
+                        now = d.moved(now, values[d.name], d.shape.mean(start, end))
                 held[:, p, j] = now
-        rule = FOLLOWED if self.drifts else 0.0
-        mean, sd, ceeq = follow(self.base, edges, held, what, rule)
-        at = np.searchsorted(edges, times) - 1
-        return mean[:, at], sd[:, at], ceeq[:, at]
+        return held
 
     def predict(
         self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None
@@ -195,13 +200,23 @@ class Driven:
     def _compiled(self, times: Array, what: Followed, degree: int) -> Response:
         """Rows in the order of (time, row)."""
         low, high = np.array([(i.low, i.high) for i in self.inputs]).T
-        z = chebyshev_points(len(low), degree)
+        z, factor = fitting(len(low), degree)
         mean, sd, ceeq = self._along(low + 0.5 * (z + 1.0) * (high - low), times, what)
-        y, spread = mean.reshape(len(z), -1), sd.reshape(len(z), -1)
-        scale = np.repeat(ceeq, mean.shape[2], axis=1) if what.per_ceeq else y
-        a = y / scale
-        v = np.log((spread / (np.abs(scale) + TINY)) ** 2 + TINY**2)
-        fitted = np.linalg.lstsq(monomials(z, degree), np.hstack([a, np.log(scale), v]))[0]
+        # time by time: rows are the same to the last bit whatever else is asked for with them
+        parts = [
+            self._fitted(mean[:, t], sd[:, t], ceeq[:, t, None], what.per_ceeq, factor, degree)
+            for t in range(len(times))
+        ]
+        return Response.stack(parts)
+
+    def _fitted(
+        self, y: Array, sd: Array, ceeq: Array, per_ceeq: bool, factor: Array, degree: int
+    ) -> Response:
+        """Rows (S, R) at one time as polynomials."""
+        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
+        scale = np.repeat(ceeq, y.shape[1], axis=1) if per_ceeq else y
+        v = np.log((sd / (np.abs(scale) + TINY)) ** 2 + TINY**2)
+        fitted = factor @ np.hstack([y / scale, np.log(scale), v])
         p_a, p_b, p_v = np.split(np.ascontiguousarray(fitted.T), 3)
         ones = np.ones(y.shape[1])
         names = tuple(i.name for i in self.inputs)

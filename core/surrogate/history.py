@@ -155,47 +155,86 @@ def _clock(curve: Curves, weights: Array, strain: Array) -> Array:
     return np.asarray(np.where(strain > 0, 0.5 * (low + high), np.log(EARLIEST_H)))
 
 
-def follow(
-    surrogate: Surrogate, edges: Array, inputs: Array, what: Followed, rule: float = FOLLOWED
-) -> tuple[Array, Array, Array]:
-    """Mean and sd of rows at the ends of pieces (n, P, R), and mean CEEQ there (n, P).
+@dataclass(frozen=True)
+class _Memory:
+    """What has grown: mean CEEQ (n, 1); strain, totals and their doubt (n, R)."""
 
-    edges   hours (P + 1,), from 0
-    inputs  (n, P, d), held over each piece
-    rule    the rule's own error, relative to what has grown; 0 where inputs are constant
+    mean_ceeq: Array
+    strain: Array
+    total: Array
+    doubt: Array
+
+
+def follow(
+    surrogate: Surrogate,
+    edges: Array,
+    inputs: Array,
+    marks: Array,
+    at_marks: Array,
+    what: Followed,
+    rule: float = FOLLOWED,
+) -> tuple[Array, Array, Array]:
+    """Mean and sd of rows at hours `marks`, (n, M, R), and mean CEEQ there (n, M).
+
+    edges     hours (P + 1,), from 0, between which inputs are held
+    inputs    (n, P, d), held over each piece
+    at_marks  (n, M, d), held from the last edge before each mark to the mark; what is found at one
+              mark depends on no other
+    rule      the rule's own error, relative to what has grown; 0 where inputs are constant
 
     Raises RangeError for inputs outside the surrogate's box, and for a memory that they reach only
     long after the horizon.
     """
-    if edges[0] != 0 or np.any(np.diff(edges) <= 0) or inputs.shape[1] != len(edges) - 1:
+    fits = inputs.shape[1] == len(edges) - 1 and at_marks.shape[1] == len(marks)
+    if edges[0] != 0 or np.any(np.diff(edges) <= 0) or not fits or np.any(marks <= 0):
         raise InputError("edges", edges.tolist(), "do not fit the inputs", "one piece per interval")
     part, one = surrogate.parts[MEAN_CEEQ], np.zeros(1, dtype=np.int64)
-    memory, own = Curves.of(part, part.factors.space.astype(float)), what.curves
     time = part.factors.time_h
     k_memory = Scales(np.log(time), part.scale(time, one, surrogate.v_typical))
-    n, count, many = len(inputs), len(edges) - 1, own.forms.shape[2]
-    mean_ceeq, strain = np.zeros((n, 1)), np.zeros((n, many))
-    total, doubt = np.zeros((n, many)), np.zeros((n, many))
-    mean, sd, path = (np.empty((n, count, width)) for width in (many, many, 1))
-    for p, hours in enumerate(np.diff(edges)):
-        z = surrogate.scaled(inputs[:, p])
-        (c_memory, c_own), v = surrogate.process.mean_and_variance(z, [memory.columns, own.columns])
+    walk = _Walk(surrogate, Curves.of(part, part.factors.space.astype(float)), k_memory, what)
+    n, many = len(inputs), what.curves.forms.shape[2]
+    now = _Memory(np.zeros((n, 1)), *(np.zeros((n, many)) for _ in range(3)))
+    mean, sd, path = (np.empty((n, len(marks), width)) for width in (many, many, 1))
+    last = np.searchsorted(edges, marks, side="left") - 1  # the edge strictly before
+    for p in range(int(last.max(initial=-1)) + 1):
+        for m in np.flatnonzero(last == p):
+            seen = walk.on(now, at_marks[:, m], float(marks[m] - edges[p]))
+            mean[:, m], sd[:, m], path[:, m] = seen.total, seen.doubt, seen.mean_ceeq
+        if p < last.max() and p < len(edges) - 1:
+            now = walk.on(now, inputs[:, p], float(edges[p + 1] - edges[p]))
+    return mean, np.hypot(sd, rule * np.abs(mean)), path[:, :, 0]
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """The rule, step by step."""
+
+    surrogate: Surrogate
+    memory: Curves
+    k_memory: Scales
+    what: Followed
+
+    def on(self, now: _Memory, x: Array, hours: float) -> _Memory:
+        """After some hours under inputs x (n, d)."""
+        what, own, memory = self.what, self.what.curves, self.memory
+        z = self.surrogate.scaled(x)
+        (c_memory, c_own), v = self.surrogate.process.mean_and_variance(
+            z, [memory.columns, own.columns]
+        )
         e, y = memory.weights(c_memory), own.weights(c_own)
-        begun, before = mean_ceeq, _clock(memory, e, mean_ceeq)
+        begun, before = now.mean_ceeq, _clock(memory, e, now.mean_ceeq)
         after = np.log(np.exp(before) + hours)
-        mean_ceeq = np.exp(after + memory(e, after))
+        mean_ceeq, strain = np.exp(after + memory(e, after)), now.strain
         if what.per_ceeq:
             g0, g1 = own(y, before), own(y, after)
             change = g1 * mean_ceeq - g0 * begun
-            k = np.hypot(what.scales(after), g1 * k_memory(after)) * (mean_ceeq - begun)
+            k = np.hypot(what.scales(after), g1 * self.k_memory(after)) * (mean_ceeq - begun)
         else:
             if what.own_clock:
                 before = _clock(own, y, strain)
                 after = np.log(np.exp(before) + hours)
             y0, y1 = (np.exp(at + own(y, at)) for at in (before, after))
-            change = y1 - (y0 if p else 0.0)
+            change = y1 - np.where(begun > 0, y0, 0.0)
             k, strain = what.scales(after) * np.abs(change), y1
-        total = total + change
-        doubt = doubt + np.abs(k) * np.sqrt(v)[:, None]
-        mean[:, p], sd[:, p], path[:, p] = total, doubt, mean_ceeq
-    return mean, np.hypot(sd, rule * np.abs(mean)), path[:, :, 0]
+        doubt = now.doubt + np.abs(k) * np.sqrt(v)[:, None]
+        return _Memory(mean_ceeq, strain, now.total + change, doubt)

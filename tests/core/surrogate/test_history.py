@@ -28,7 +28,8 @@ ROWS += [("creep_damage", [CRITICAL])]
 
 
 def follow(edges: Any, inputs: Any, quantity: str, nodes: list[int] | None = None) -> Any:
-    return history.follow(BLADE, edges, inputs, Followed.of(BLADE, quantity, nodes))[:2]
+    rows = Followed.of(BLADE, quantity, nodes)
+    return history.follow(BLADE, edges, inputs, edges[1:], inputs, rows)[:2]
 
 
 def followed(run: dict[str, Any], quantity: str, nodes: list[int] | None, parts: int = 8) -> Any:
@@ -75,6 +76,18 @@ def test_a_piece_in_two_is_the_same_piece() -> None:
     assert twice[:, [0, 2]] == pytest.approx(once, rel=1e-9)
 
 
+def test_what_is_found_at_one_hour_depends_on_no_other() -> None:
+    edges, marks = np.array([0.0, 1e4, 2e4]), np.array([5e3, 1e4, 1.5e4, 3e4])
+    inputs, rows = np.repeat(X[:, None], 2, axis=1), Followed.of(BLADE, "elongation", None)
+    inputs[:, 1, 1] = 0.9
+    last = np.repeat(X[:, None], 4, axis=1)
+    last[:, 2:, 1] = 0.9
+    together = history.follow(BLADE, edges, inputs, marks, last, rows)[0]
+    for m in range(4):
+        alone = history.follow(BLADE, edges, inputs, marks[[m]], last[:, [m]], rows)[0]
+        assert np.array_equal(alone[:, 0], together[:, m])
+
+
 def test_elongation_follows_the_finite_elements() -> None:
     """Surrogate and rule together, of what has grown; a constant blade would be up to half off."""
     off, said = errors("elongation", None, None)
@@ -112,7 +125,8 @@ def test_hardening_by_time_is_far_worse(monkeypatch: pytest.MonkeyPatch) -> None
     for run in KEPT["runs"]:
         courses = {name: Course.of(given) for name, given in run["inputs"].items()}
         ends = {end for piece in pieces(courses, TIMES[-1], 8) for end in piece}
-        hours = iter(sorted(ends | set(TIMES.tolist())))
+        # asked once on the way to a mark, once on the way to the next edge
+        hours = iter(np.repeat(sorted(ends | set(TIMES.tolist())), 2))
         mean, _ = followed(run, "elongation", None)
         wrong.append(abs(mean[-1, 0] / run["elongation"][-1] - 1))
     assert np.median(wrong) > 5 * np.median(right)
