@@ -18,7 +18,8 @@ visit, count by the log BF of the whole set. They raise the alarm, and never nam
 
 The null distribution is made from the residuals themselves: whitened blade vectors are dealt to
 other blades with equal rows, with random signs. That keeps what is within a blade, its tails and
-its memory, and destroys what blades have in common. The largest family's log BF over all cells is
+its memory, and destroys what blades have in common; where the shared parameters lie in their
+priors is drawn anew as well. The largest family's log BF over all cells is
 compared with that of the dealt sets: family-wise, over everything tried.
 """
 
@@ -38,7 +39,6 @@ from core.smc.particles import log_sum_exp
 
 Array = NDArray[np.float64]
 LEAST_BLADES = 8  # from which phi is a cell's own
-SAME = 0.999  # cosine of efficient signatures above which cells are one
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,14 @@ class Scan:
         efficient = seen.efficient(g)
         weighted = np.einsum("bij,bjc->bic", seen.information, efficient)
         own = np.einsum("bic,bic->bc", efficient, weighted)
-        c = np.einsum("bic,bi->bc", efficient, seen.q)
+        grows = np.ones(g.shape[2], bool)
+        grows[: len(cells)] = [cell.grows for cell in cells]
+        pull = seen.pull(g, grows)
+        c = np.einsum("bic,bi->bc", efficient, seen.q) + pull
         information = seen.cross(g)
         concerned = np.any(g != 0, axis=1)  # (B, C)
         alone = _alone(cells, g.shape[2])
-        u = np.einsum("bic,bi->c", g, seen.q)
+        u = np.einsum("bic,bi->c", g, seen.q) + pull.sum(axis=0)
         phi = overdispersion(c, own, u, np.diag(information), concerned, alone)
         return Scan(cells, free, seen, g, efficient, u, information, c, own, phi)
 
@@ -160,6 +163,9 @@ class Scan:
         alone = _alone(self.cells, self.g.shape[2])
         concerned = np.any(self.g != 0, axis=1)
         information = np.diag(self.information)
+        shared = self.seen.by_chance(rng, count) @ np.einsum(
+            "bnk,bnc->kc", self.seen.deviation, self.g
+        )
         out = np.empty(count)
         for k in range(count):
             order = np.arange(len(rows))
@@ -168,7 +174,7 @@ class Scan:
                 order[own] = rng.choice(own, len(own))
             dealt = white[order] * rng.choice([-1.0, 1.0], len(rows))[:, None]
             c = np.einsum("bjc,bj->bc", weighted, dealt)
-            u = c.sum(axis=0)
+            u = c.sum(axis=0) + shared[k]
             phi = overdispersion(c, self.own, u, information, concerned, alone)
             gains = _gains(u, information, phi, self._signs)
             out[k] = self.by_family(gains, u, phi).max()

@@ -5,7 +5,13 @@ posterior mean of the derivative of the log likelihood,
 
     U = d/da = Σ_b gᵀ q_b,      q_b = E[ V⁻¹ (y − f) ]    over the particles of blade b,
 
-V being the variance of noise and surrogate: exact however skew the posterior is. How much of a
+V being the variance of noise and surrogate: exact however skew the posterior is. Where g grows with
+the blade's answer, g = kappa f, the mean of the product is not that of the means,
+
+    U = Σ_b gᵀ q_b + Σ_i kappa_i h_bi,      h_bi = Cov[f_i, (y_i − f_i) / V_i] < 0,
+
+without which a gain would be found in every clean rotor, as residuals lean to where priors pull
+the fit. How much of a
 shift the parameters would imitate is told by the sensitivities J (local) and S (shared), the
 regression of f on the inputs over the same particles, and by the priors' covariances P and P_s:
 
@@ -17,7 +23,8 @@ where parameters imitate 99 % of an effect that is a difference of two large num
 Monte-Carlo error. An information of zero means that the parameters imitate it altogether.
 
 A signature less what shared parameters imitate of it, g⊥ = g − Z (Dᵀ g) with Z_b = S_b A^−½, makes
-the blades' contributions c_b = g⊥ᵀ q_b to U independent.
+the blades' contributions c_b = g⊥ᵀ q_b to U independent; their sum is U but for the pull of the
+shared priors on the readings, (Dᵀ g)ᵀ Zᵀ q.
 
 Arrays are padded to the blade with most rows: (B, n, …); what is beyond a blade's rows is zero.
 """
@@ -51,7 +58,7 @@ class Scores:
     place    reading of each row within its blade's `rows.readings`, −1 beyond, (B, n)
     q        (B, n); information Q (B, n, n)
     slope    S, (B, n, S), and the prior variances of what it is by, (S,)
-    answer   E[f], (B, n); spread: sd of noise and surrogate, (B, n)
+    answer   E[f], (B, n); spread: sd of noise and surrogate, (B, n); lean: h, (B, n)
     x        mean inputs of the surrogate, one mapping a blade
     """
 
@@ -64,27 +71,62 @@ class Scores:
     prior: Array
     answer: Array
     spread: Array
+    lean: Array
     x: tuple[Mapping[str, float], ...]
 
     @property
     def real(self) -> NDArray[np.bool_]:
         return self.place >= 0
 
+    @cached_property
+    def hours(self) -> Array:
+        """Blades' hours of the rows, (B, n); 0 beyond."""
+        out = np.zeros(self.place.shape)
+        for b, i in np.argwhere(self.real):
+            out[b, i] = self.reading(b, i).time_h
+        return out
+
     def reading(self, b: int, i: int) -> Inspection:
         """The reading of a row."""
         return self.rows[b].readings[int(self.place[b, i])]
 
     @cached_property
+    def _curvature(self) -> Array:
+        """A (S, S)."""
+        a = np.einsum("bis,bij,bjt->st", self.slope, self.information, self.slope)
+        return np.asarray(np.diag(1.0 / self.prior) + a)
+
+    @cached_property
     def imitated(self) -> Array:
         """Z = S A^−½, (B, n, S)."""
-        a = np.einsum("bis,bij,bjt->st", self.slope, self.information, self.slope)
-        value, vector = np.linalg.eigh(np.diag(1.0 / self.prior) + a)
+        value, vector = np.linalg.eigh(self._curvature)
         return np.asarray(self.slope @ (vector / np.sqrt(value)))
+
+    def by_chance(self, rng: np.random.Generator, count: int) -> Array:
+        """Zᵀ q (count, S) as it would be by chance: where in their priors the shared ones lie.
+
+        Its covariance is A^−½ (P⁻¹ − P⁻¹ A⁻¹ P⁻¹) A^−½.
+        """
+        value, vector = np.linalg.eigh(self._curvature)
+        inverse = np.diag(1.0 / self.prior)
+        middle = inverse - inverse @ (vector / value) @ vector.T @ inverse
+        turn = (vector / np.sqrt(value)).T
+        lengths, axes = np.linalg.eigh(turn @ middle @ turn.T)
+        root = axes * np.sqrt(np.maximum(lengths, 0.0))
+        return np.asarray(rng.standard_normal((count, len(value))) @ root.T)
 
     @cached_property
     def deviation(self) -> Array:
         """D = Q Z, (B, n, S)."""
         return np.asarray(self.information @ self.imitated)
+
+    def pull(self, g: Array, grows: NDArray[np.bool_]) -> Array:
+        """What `lean` adds to the score of each blade, (B, C).
+
+        grows  whether a column goes with the answer, (C,)
+        """
+        answer = np.where(self.answer == 0, np.inf, self.answer)
+        return np.asarray(np.einsum("bic,bi->bc", g, self.lean / answer) * grows)
 
     def efficient(self, g: Array) -> Array:
         """g⊥ (B, n, C) of signatures g (B, n, C)."""
@@ -136,18 +178,19 @@ def scores(
         _blade(model, state, b, r, (known or {}).get(b)) for b, r in zip(blades, rows, strict=True)
     ]
     shape = (len(made), max(len(one.q) for one in made))
-    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(3)]
+    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(4)]
     information = np.zeros((*shape, shape[1]))
     priors = shared_priors_of(model, state)
     slope = np.zeros((*shape, len(priors)))
     for b, one in enumerate(made):
         n = len(one.q)
         place[b, :n] = rows[b].of[:n]
-        for array, own in zip(filled, (one.q, one.answer, np.sqrt(one.variance)), strict=True):
-            array[b, :n] = own
+        own = (one.q, one.answer, np.sqrt(one.variance), one.lean)
+        for array, value in zip(filled, own, strict=True):
+            array[b, :n] = value
         information[b, :n, :n] = one.information
         slope[b, :n] = one.shared
-    q, answer, spread = filled
+    q, answer, spread, lean = filled
     return Scores(
         blades,
         rows,
@@ -158,6 +201,7 @@ def scores(
         np.array(priors),
         answer,
         spread,
+        lean,
         tuple(one.x for one in made),
     )
 
@@ -179,13 +223,14 @@ def variance(prior: Prior) -> float:
 
 @dataclass(frozen=True)
 class _Blade:
-    """q (n,), Q (n, n), S (n, s), E[f] (n,), V (n,), mean inputs."""
+    """q (n,), Q (n, n), S (n, s), E[f] (n,), V (n,), h (n,), mean inputs."""
 
     q: Array
     information: Array
     shared: Array
     answer: Array
     variance: Array
+    lean: Array
     x: Mapping[str, float]
 
 
@@ -226,12 +271,14 @@ def _blade(
     j = slope[:, : len(own)]
     typical = 1.0 / (w @ (1.0 / v))
     c = np.diag(typical) + (j * own) @ j.T
+    r = (rows.y[:count] - f) / v
     return _Blade(
-        w @ ((rows.y[:count] - f) / v),
+        w @ r,
         np.linalg.inv(c),
         slope[:, len(own) :],
         answer,
         typical,
+        w @ ((f - answer) * r),
         dict(zip(names, (w @ x).tolist(), strict=True)),
     )
 

@@ -119,14 +119,11 @@ def _reading(
     """(B, n) of a sensor's cell."""
     size = cell.family.size if cell.family.size is not None else NOISES * noise[cell.family.of]
     size *= cell.family.sign or 1
-    out = np.zeros(seen.place.shape)
-    for b, i in np.argwhere(seen.real):
-        hour = seen.reading(b, i).time_h
-        if cell.family.clock == "rotor":
-            hour += facts[seen.blades[b]].offset_h
-        s = float(cell.course.at(hour))
-        out[b, i] = size * s * (seen.answer[b, i] if cell.family.how == "times" else 1.0)
-    return out
+    hours = seen.hours
+    if cell.family.clock == "rotor":
+        hours = hours + np.array([[facts[b].offset_h] for b in seen.blades])
+    s = np.where(seen.real, cell.course.at(hours), 0.0)
+    return np.asarray(size * s * (seen.answer if cell.family.how == "times" else 1.0))
 
 
 def _change(physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: _Course) -> Array:

@@ -226,9 +226,7 @@ def holds(scan: Scan, together: tuple[int, ...], cell: int) -> list[Held]:
     g, seen = scan.g[:, :, cell], scan.seen
     concerned = (g != 0) & seen.real
     blades = np.flatnonzero(concerned.any(axis=1))
-    hours = np.full(concerned.shape, np.nan)
-    for b, i in np.argwhere(concerned):
-        hours[b, i] = seen.reading(b, i).time_h
+    hours = seen.hours
     odd = np.isin(np.arange(len(g)), blades[1::2])[:, None]
     late = hours > np.median(hours[concerned])
     parts = (("in two halves of the blades", odd), ("early and late", late))
@@ -242,7 +240,8 @@ def holds(scan: Scan, together: tuple[int, ...], cell: int) -> list[Held]:
 def _held(scan: Scan, cell: int, by: str, halves: Array) -> Held:
     """The amplitudes of two halves of a signature (B, n, 2), each free."""
     phi = float(scan.phi[cell])
-    u = np.einsum("bik,bi->k", halves, scan.seen.q) / phi
+    pull = scan.seen.pull(halves, np.full(2, scan.cells[cell].grows)).sum(axis=0)
+    u = (np.einsum("bik,bi->k", halves, scan.seen.q) + pull) / phi
     information = scan.seen.cross(halves) / phi + np.eye(2) / WIDE**2
     covariance = np.linalg.inv(information)
     mean, off = covariance @ u, np.array([1.0, -1.0])

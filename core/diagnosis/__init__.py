@@ -1,0 +1,30 @@
+"""Closing the loop: residual → missing effect → better model.
+
+scores      what the calibrated particles say of a shift in the readings
+grammar     what a model may lack: families of effects, and the cells that readings can tell of
+clock       the rotor's hours of a reading
+signature   how a cell would move the readings
+scan        every cell and pair against the residuals, with a null of their own
+verdict     adequate | effect | not separable | unattributed
+adopt       an effect in the model, as a calibrated amplitude
+diagnose    all of it in turn
+report      before and after, on readings that neither model used
+tell        as JSON
+"""
+
+from core.diagnosis.diagnose import Case, Diagnosis, diagnose
+from core.diagnosis.grammar import FAMILIES, Facts, Family
+from core.diagnosis.report import BeforeAfter, before_after
+from core.diagnosis.tell import to_json
+
+__all__ = [
+    "FAMILIES",
+    "BeforeAfter",
+    "Case",
+    "Diagnosis",
+    "Facts",
+    "Family",
+    "before_after",
+    "diagnose",
+    "to_json",
+]

@@ -1,0 +1,107 @@
+"""Which cells a rotor's readings could tell of; users' own families; the rotor's clock."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.diagnosis.clock import readers, with_offsets
+from core.diagnosis.grammar import FAMILIES, Cell, Facts, Family, Readers, cells
+from core.errors import InputError
+from core.observation import Inspection
+
+NOBODY = Readers((), (), (4000.0,))
+INPUTS = ("tbc_thickness", "t1t_rate", "creep_steady")
+
+
+def names(blades: dict[str, Facts], who: Readers = NOBODY) -> set[str]:
+    return {c.name for c in cells(FAMILIES, INPUTS, ["elongation"], blades, who)}
+
+
+def test_only_what_readings_could_tell_of_is_listed() -> None:
+    plain = names({"B1": Facts(), "B2": Facts()})
+    assert "coating wear" in plain
+    assert "fouling" in plain
+    assert "cooling decline" not in plain  # these runs have no such input
+    assert not any("lot" in n or "instrument" in n or "campaign" in n for n in plain)
+    lots = names({"B1": Facts(coating_lot="C1"), "B2": Facts(coating_lot="C2")})
+    assert {"coating wear (coating lot C1)", "coating wear (coating lot C2)"} <= lots
+    two = replace(NOBODY, instruments=("a", "b"), campaigns=("x", "y"))
+    assert {"instrument offset (instrument a)", "campaign offset (campaign y)"} <= names(
+        {"B1": Facts(), "B2": Facts()}, two
+    )
+    one = replace(NOBODY, instruments=("a",), campaigns=("x",))
+    assert names({"B1": Facts(), "B2": Facts()}, one) == plain
+
+
+def test_a_step_is_tried_between_all_inspections() -> None:
+    who = replace(NOBODY, between_h=(4000.0, 12000.0))
+    found = cells(FAMILIES, INPUTS, ["elongation"], {"B1": Facts()}, who)
+    hours = {c.step_h for c in found if c.family.name == "firing temperature step"}
+    assert hours == {4000.0, 12000.0}
+
+
+def test_shapes_are_nothing_at_the_start_and_of_the_order_of_one_at_the_reference() -> None:
+    for shape in ("early", "linear", "late"):
+        course = Cell(FAMILIES[0], shape, "all").course
+        assert course.at(0.0) == 0.0
+        assert course.at(50_000.0) == pytest.approx(1.0)
+        assert np.all(np.diff(course.at(np.linspace(0, 60_000, 13))) > 0)
+    early, late = (Cell(FAMILIES[0], s, "all").course.at(25_000.0) for s in ("early", "late"))
+    assert early > 0.5 > late
+    step = Cell(FAMILIES[1], "step", "blade", "B1", 9000.0).course
+    assert (step.at(8999.0), step.at(9000.0)) == (0.0, 1.0)
+
+
+def test_families_are_data() -> None:
+    for family in FAMILIES:
+        assert Family.from_json(family.to_json()) == family
+    assert len({f.name for f in FAMILIES}) == len(FAMILIES)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"shapes": ("sometimes",)}, "shapes of the effect"),
+        ({"whom": ()}, "whom of the effect"),
+        ({"size": None}, "size of the effect"),
+        ({"size": -1.0}, "is not positive"),
+        ({"whom": ("campaign",)}, "concerns readings, not an input"),
+        ({"sign": 2}, "sign of the effect"),
+    ],
+)
+def test_a_family_that_is_none_is_refused(changes: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        replace(FAMILIES[0], **changes)  # type: ignore[arg-type]
+
+
+def test_a_family_told_in_other_words_is_refused() -> None:
+    told = FAMILIES[0].to_json()
+    for wrong in ({**told, "colour": "red"}, {k: v for k, v in told.items() if k != "whom"}):
+        with pytest.raises(InputError, match="is no effect"):
+            Family.from_json(wrong)
+
+
+def reading(blade: str, time_h: float, campaign: str | None) -> Inspection:
+    return Inspection(f"{blade}{time_h}", blade, "elongation", time_h, [0.1], campaign=campaign)  # type: ignore[arg-type]
+
+
+def test_campaigns_tell_when_a_blade_came() -> None:
+    data = [
+        reading("old", 8000, "c1"), reading("old", 16000, "c2"),
+        reading("new", 8000, "c2"), reading("told", 100, "c1"),
+    ]  # fmt: skip
+    blades = {"old": Facts(), "new": Facts(), "told": Facts(), "unread": Facts()}
+    found = with_offsets(blades, data, {"told": 500.0})
+    assert {b: f.offset_h for b, f in found.items()} == {
+        "old": 0.0, "new": 8000.0, "told": 500.0, "unread": 0.0,
+    }  # fmt: skip
+
+
+def test_inspections_of_one_visit_are_one() -> None:
+    data = [reading("a", h, None) for h in (7990, 8000, 16000, 16010)]
+    who = readers(data, {"a": Facts()})
+    assert len(who.between_h) == 2
+    assert 0 < who.between_h[0] < 7990 < who.between_h[1] < 16000

@@ -1,0 +1,107 @@
+"""Score and information of a shift in the readings, against the exact Gaussian answers."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.calibration.online import update
+from core.calibration.state import RotorSpec
+from core.diagnosis.grammar import Cell, Family
+from core.diagnosis.scan import Scan
+from core.diagnosis.scores import Scores, scores
+from core.errors import InputError
+from tests.core.calibration.test_exact import SLOPES, conjugate, readings
+
+BLADES, TIMES, SIGMA = 5, [0.0, 0.5, 1.0, 1.5], 0.15
+ANY = Family(
+    "any", "a shift", "reading", "y", "plus", 1.0, 0, ("constant",), ("all",), "blade", "sensor"
+)
+
+
+@cache
+def case() -> tuple[Scores, Any, Any]:
+    """Scores of a conjugate rotor; its exact covariance and miss, rows in the order of `place`."""
+    model, data = conjugate(2), readings(BLADES, TIMES, 3, SIGMA)
+    spec = RotorSpec("r", tuple(f"b{b}" for b in range(BLADES)), 20_000, 5)
+    seen = scores(model, update(model, spec, data), data)
+    ordered = [seen.reading(b, i) for b in range(BLADES) for i in range(len(TIMES))]
+    design = np.zeros((len(ordered), 1 + 2 * BLADES))
+    for row, reading in enumerate(ordered):
+        b = int(reading.blade[1:])
+        design[row, 0] = 0.8
+        design[row, 1 + 2 * b : 3 + 2 * b] = [SLOPES[j] * reading.time_h**j for j in range(2)]
+    prior = np.diag([0.25, *([0.36] * 2 * BLADES)])
+    mean = np.array([2.0, *([-1.0, 0.0] * BLADES)])
+    y = np.array([r.values[0] for r in ordered])
+    return seen, design @ prior @ design.T + SIGMA**2 * np.eye(len(y)), y - design @ mean
+
+
+def signature(seed: int, columns: int = 1) -> Any:
+    return np.random.default_rng(seed).normal(size=(BLADES, len(TIMES), columns))
+
+
+def test_score_and_information_are_the_exact_derivatives_of_the_log_evidence() -> None:
+    seen, spread, miss = case()
+    for seed in range(5):
+        g = signature(seed)
+        flat = g[:, :, 0].ravel()
+        u = float(np.einsum("bic,bi->c", g, seen.q)[0])
+        information = flat @ np.linalg.solve(spread, flat)
+        assert seen.cross(g)[0, 0] == pytest.approx(information, rel=0.02)
+        assert abs(u - flat @ np.linalg.solve(spread, miss)) < 0.05 * np.sqrt(information)
+
+
+def test_what_the_parameters_imitate_has_next_to_no_information() -> None:
+    """A shift like a shared parameter of sd 0.5, 1,000 times as large: I stays below 1 / 0.4²."""
+    seen, _, _ = case()
+    g = np.full((BLADES, len(TIMES), 1), 0.8)
+    assert seen.cross(g)[0, 0] < 1 / 0.4**2
+    assert seen.cross(signature(0))[0, 0] > 100
+
+
+def test_contributions_of_the_blades_add_up_to_the_score_but_for_the_shared_prior() -> None:
+    seen, _, _ = case()
+    g = signature(7)
+    parts = np.einsum("bic,bi->bc", seen.efficient(g), seen.q)
+    pull = np.einsum("bik,bi->k", seen.imitated, seen.q)  # of the shared prior on the readings
+    own = np.einsum("bik,bic->kc", seen.deviation, g)[:, 0]
+    whole = np.einsum("bic,bi->c", g, seen.q)
+    assert parts.sum() + own @ pull == pytest.approx(whole[0], rel=1e-9)
+    assert abs(own @ pull) < 0.05 * abs(whole[0])
+
+
+def test_the_gain_of_two_cells_is_their_exact_log_bayes_factor() -> None:
+    seen, spread, miss = case()
+    g = signature(11, 2)
+    scan = Scan.of([Cell(ANY, "constant", "all"), Cell(ANY, "constant", "all")], seen, g)
+    flat = g.reshape(-1, 2)
+    a = np.eye(2) + flat.T @ np.linalg.solve(spread, flat)
+    u = flat.T @ np.linalg.solve(spread, miss)
+    exact = 0.5 * u @ np.linalg.solve(a, u) - 0.5 * np.linalg.slogdet(a)[1]
+    assert scan.gain(0, 1) == pytest.approx(exact, abs=0.25)
+
+
+def test_with_an_effect_included_the_scores_are_those_of_the_larger_model() -> None:
+    seen, spread, miss = case()
+    g, h = signature(13), signature(14)
+    scan = Scan.of([Cell(ANY, "constant", "all")], seen, g)
+    left = seen.including(g, scan.amplitudes(0)[0])
+    flat, other = g[:, :, 0].ravel(), h[:, :, 0].ravel()
+    larger = spread + np.outer(flat, flat)
+    information = other @ np.linalg.solve(larger, other)
+    assert left.cross(h)[0, 0] == pytest.approx(information, rel=0.02)
+    u = float(np.einsum("bic,bi->c", h, left.q)[0])
+    assert abs(u - other @ np.linalg.solve(larger, miss)) < 0.06 * np.sqrt(information)
+
+
+def test_a_state_of_other_readings_is_refused() -> None:
+    model, data = conjugate(1), readings(2, [0.0, 1.0], 3, SIGMA)
+    state = update(model, RotorSpec("r", ("b0", "b1"), 400, 5), data)
+    with pytest.raises(InputError, match="rests on other readings"):
+        scores(model, state, data[:-1])
+    with pytest.raises(InputError, match="cannot be diagnosed"):
+        scores(model, state, [])
