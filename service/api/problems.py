@@ -19,12 +19,14 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from core.errors import InputError, ModelError
+from service.api.visit import visit_of
 from service.errors import (
     ConflictError,
     FaultsError,
     GoneError,
     NotFoundError,
     NotYetError,
+    PreconditionError,
     StoreAwayError,
 )
 
@@ -74,14 +76,18 @@ def problem(
     detail: str,
     faults: Sequence[Fault] = (),
     headers: Mapping[str, str] | None = None,
+    instance: str | None = None,
 ) -> JSONResponse:
-    """The answer for one error."""
+    """The answer for one error. `instance` is the request's path where nothing else is given."""
+    visit = visit_of(request.scope)
+    if visit is not None:
+        visit.problem = kind
     body = {
         "type": f"urn:bladetwin:problem:{kind}",
         "title": kind.replace("-", " "),
         "status": status,
         "detail": detail,
-        "instance": request.url.path,
+        "instance": request.url.path if instance is None else instance,
         "faults": list(faults),
     }
     return JSONResponse(
@@ -148,6 +154,11 @@ async def _malformed(request: Request, error: Any) -> JSONResponse:
 
 
 async def _missing(request: Request, error: Any) -> JSONResponse:
+    return missing(request, error)
+
+
+def missing(request: Request, error: NotFoundError) -> JSONResponse:
+    """The answer for what does not exist."""
     faults = [fault(error.what, error.name, "does not exist", error.remedy)]
     return problem(request, 404, "not-found", str(error), faults)
 
@@ -170,6 +181,12 @@ async def _gone(request: Request, error: Any) -> JSONResponse:
     return problem(request, 410, "gone", str(error), faults)
 
 
+async def _moved_on(request: Request, error: Any) -> JSONResponse:
+    given = request.headers.get("if-match", "")
+    faults = [fault("If-Match", given, "is not its present ETag", error.remedy)]
+    return problem(request, 412, "precondition-failed", str(error), faults)
+
+
 async def _unfit(request: Request, error: Any) -> JSONResponse:
     log.error("%s", error)
     return problem(request, 503, "model-unfit", str(error))
@@ -183,6 +200,11 @@ async def _routed(request: Request, error: Any) -> JSONResponse:
 
 
 async def _away(request: Request, error: Any) -> JSONResponse:
+    return away(request, error)
+
+
+def away(request: Request, error: StoreAwayError) -> JSONResponse:
+    """The answer while the database does not answer."""
     log.error("%s: %s", error, error.__cause__)
     return problem(request, 503, "database-away", str(error), (), {"Retry-After": "1"})
 
@@ -196,6 +218,7 @@ HANDLERS = {
     ConflictError: _conflict,
     NotYetError: _not_yet,
     GoneError: _gone,
+    PreconditionError: _moved_on,
     ModelError: _unfit,
     HTTPException: _routed,
     StoreAwayError: _away,
@@ -224,10 +247,13 @@ class LastResort:
 
         try:
             await self.app(scope, receive, watched)
-        except Exception:
+        except Exception as error:
             if scope["type"] != "http" or started:
                 raise
             request = Request(scope)
+            if isinstance(error, StoreAwayError):
+                await away(request, error)(scope, receive, send)
+                return
             log.exception("%s %s failed", request.method, request.url.path)
             detail = "the service failed on this request; the log of the server says why."
             await problem(request, 500, "internal-error", detail)(scope, receive, send)
