@@ -52,7 +52,7 @@ def upgrade() -> None:
     op.create_table(
         "first_answer",
         sa.Column("owner", sa.String(length=40), nullable=False),
-        sa.Column("key", sa.String(length=255), nullable=False),
+        sa.Column("key", sa.String(length=64), nullable=False),
         sa.Column("fingerprint", sa.String(length=64), nullable=False),
         sa.Column("status", sa.Integer(), nullable=True),
         sa.Column("headers", sa.Text(), nullable=True),

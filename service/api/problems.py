@@ -29,6 +29,7 @@ from service.errors import (
     PreconditionError,
     StoreAwayError,
 )
+from service.tokens import redacted
 
 log = logging.getLogger("bladetwin.api")
 LONGEST = 200
@@ -61,7 +62,7 @@ def shown(value: object) -> object:
     if isinstance(value, int):
         return "an integer of more than 64 bits"
     text = value if isinstance(value, str) else repr(value)
-    text = text.encode("utf-8", "replace").decode()
+    text = redacted(text.encode("utf-8", "replace").decode())
     return text if len(text) <= LONGEST else text[:LONGEST] + "…"
 
 
@@ -86,8 +87,8 @@ def problem(
         "type": f"urn:bladetwin:problem:{kind}",
         "title": kind.replace("-", " "),
         "status": status,
-        "detail": detail,
-        "instance": request.url.path if instance is None else instance,
+        "detail": redacted(detail),
+        "instance": redacted(request.url.path) if instance is None else instance,
         "faults": list(faults),
     }
     return JSONResponse(

@@ -4,6 +4,7 @@ After draft-ietf-httpapi-idempotency-key-header. The key is taken in the databas
 request is looked at, so of two at once one is told to wait (409). The answer of a request that was
 done is kept for BLADETWIN_IDEMPOTENCY_H hours; a request that was refused changed nothing and frees
 its key. The same key with another request is 422. Keys of one client mean nothing for another.
+What is kept of a key is its SHA-256: it is the caller's choice, and may be what it should not be.
 """
 
 from __future__ import annotations
@@ -46,12 +47,13 @@ class Repeats:
             await _unfit(request, key)(scope, receive, send)
             return
         owner, body = visit.act.poster, await request.body()
+        kept = sha256(key.encode()).hexdigest()
         mark = await run_in_threadpool(fingerprint, request, body)
-        there = await run_in_threadpool(self._begin, owner, key, mark)
+        there = await run_in_threadpool(self._begin, owner, kept, mark)
         if there is not None:
             await _again(request, key, mark, there)(scope, receive, send)
             return
-        await self._first(scope, _replay(body, receive), send, (owner, key, mark))
+        await self._first(scope, _replay(body, receive), send, (owner, kept, mark))
 
     def _begin(self, owner: str, key: str, mark: str) -> FirstAnswer | None:
         with self.store.write() as tx:

@@ -221,7 +221,7 @@ first_answer = Table(
     "first_answer",
     metadata,
     Column("owner", String(40), primary_key=True),
-    Column("key", String(255), primary_key=True),
+    Column("key", String(64), primary_key=True),
     Column("fingerprint", String(64), nullable=False),
     Column("status", Integer),
     Column("headers", Text),
