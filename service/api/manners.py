@@ -16,6 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service import telemetry
 from service.api.visit import PLACE, Visit
+from service.tokens import redacted
 
 log = logging.getLogger("bladetwin.http")
 REQUEST_ID = re.compile(r"[A-Za-z0-9._:\-]{1,100}")
@@ -42,7 +43,7 @@ class Manners:
             await self.app(scope, receive, send)
             return
         given = Headers(scope=scope).get("x-request-id", "")
-        named = REQUEST_ID.fullmatch(given) is not None
+        named = REQUEST_ID.fullmatch(given) is not None and redacted(given) == given
         client = scope.get("client")
         visit = Visit(given if named else secrets.token_hex(8), client and str(client[0]))
         scope[PLACE] = visit

@@ -67,7 +67,7 @@ def shown(value: object) -> object:
 
 
 def fault(field: str, value: object, problem: str, remedy: str) -> Fault:
-    return {"field": field, "value": shown(value), "problem": problem, "remedy": remedy}
+    return {"field": redacted(field), "value": shown(value), "problem": problem, "remedy": remedy}
 
 
 def problem(

@@ -282,7 +282,7 @@ def test_a_server_that_would_refuse_everybody_does_not_start(
 ) -> None:
     open_to_all = settings.model_copy(update={"host": "0.0.0.0"})
     check_keys(store, settings)
-    key, _ = create_key(store, "old", ["read"], days=1e-9)
+    create_key(store, "old", ["read"], days=1e-9)
     revoke_key(store, create_key(store, "gone", ["read"])[0].id)
     assert [status for _, status in list_keys(store)] == ["expired", "revoked"]
     for needs in (open_to_all, settings.model_copy(update={"keys": "always"})):
