@@ -7,6 +7,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
+from service.api.answer_schemas import ANSWERS
 from service.api.scopes import RULES, STATE_CHANGING
 
 Json = dict[str, Any]
@@ -61,6 +62,10 @@ def _complete(name: str, operation: Json, keys: bool) -> None:
     scope = "none" if rule is None else rule.scope
     operation["security"] = [] if scope == "open" else [{"key": [scope]}] + [{}] * (not keys)
     operation["responses"].pop("422", None)
+    for status in ("200", "201", "202"):
+        if status in operation["responses"] and name in ANSWERS:
+            told = {"application/json": {"schema": ANSWERS[name]}}
+            operation["responses"][status]["content"] = told
     if scope == "open":
         return
     parameters = operation.setdefault("parameters", [])
