@@ -6,7 +6,8 @@ import io
 import json
 import logging
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
+from copy import copy
 from typing import Any
 
 import httpx
@@ -110,16 +111,40 @@ def store_now(store: SqlStore) -> float:
         return tx.keys.all()[1]
 
 
+TRUE_WRITE = SqlStore.write
+
+
+@contextmanager
+def noted_after(store: SqlStore) -> Iterator[Any]:
+    """A mutant of `SqlStore.write` that writes the row in a transaction of its own."""
+    plain = copy(store)
+    plain._act = None
+    with TRUE_WRITE(plain) as tx:
+        yield tx
+    if store._act is not None:
+        with TRUE_WRITE(plain) as tx:
+            tx.audit.note(store._act, 202)
+
+
+@pytest.mark.parametrize(("mutant", "head"), [(False, 0), (True, 1)])
 def test_a_change_without_its_row_is_not_made(
-    api: httpx.Client, store: SqlStore, rotor: str, monkeypatch: pytest.MonkeyPatch
+    api: httpx.Client,
+    store: SqlStore,
+    rotor: str,
+    monkeypatch: pytest.MonkeyPatch,
+    mutant: bool,
+    head: int,
 ) -> None:
+    if mutant:
+        monkeypatch.setattr(SqlStore, "write", noted_after)
+
     def broken(*args: Any, **kw: Any) -> int:
         raise RuntimeError("no row")
 
     with monkeypatch.context() as patch:
         patch.setattr(SqlAudit, "note", broken)
         assert api.post(URL, json=READING).status_code == 500
-    assert api.get("/v1/rotors/r1").json()["head_seq"] == 0
+    assert api.get("/v1/rotors/r1").json()["head_seq"] == head
     assert api.post(URL, json=READING).status_code == 202, "negative control"
     assert api.get("/v1/rotors/r1").json()["head_seq"] == 1
 

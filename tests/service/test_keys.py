@@ -15,6 +15,7 @@ from sqlalchemy import text
 
 from core.errors import InputError
 from service import tokens
+from service.api.loopback import by_loopback
 from service.api.scopes import RULES
 from service.bootstrap import check_keys, make_app
 from service.errors import FaultsError, KeysMissingError
@@ -69,10 +70,15 @@ def routes_of(app: FastAPI) -> set[str]:
     return found
 
 
+def forgotten() -> str:
+    """A route that nobody gave a scope."""
+    return "open"
+
+
 def test_every_route_has_a_scope_and_no_other_has(store: SqlStore, settings: Settings) -> None:
     app = make_app(store, FakeScience(), settings)
     assert routes_of(app) == set(RULES)
-    app.add_api_route("/v1/new", dict, methods=["GET"], include_in_schema=False)
+    app.add_api_route("/v1/new", forgotten, methods=["GET"], include_in_schema=False)
     assert routes_of(app) - set(RULES) == {"GET /v1/new"}, "negative control"
 
 
@@ -236,6 +242,26 @@ def test_on_the_loopback_programs_of_this_machine_need_no_key_and_strangers_do(
     with serving(cors_origins="https://plant.example") as client:
         page = {"Origin": "https://plant.example"}
         assert client.get("/v1/rotors/r1", headers=page).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("client", "server", "open_to_it"),
+    [
+        ("127.0.0.1", "127.0.0.1", True),
+        ("::1", "::1", True),
+        ("127.0.0.1", "10.0.0.1", False),
+        ("10.0.0.2", "127.0.0.1", False),
+        (None, "127.0.0.1", False),
+        ("127.0.0.1", None, False),
+    ],
+)
+def test_both_ends_of_a_connection_are_on_the_loopback(
+    client: str | None, server: str | None, open_to_it: bool
+) -> None:
+    scope: dict[str, Any] = {"type": "http", "headers": [(b"host", b"localhost:8000")]}
+    scope["client"] = None if client is None else (client, 50_000)
+    scope["server"] = None if server is None else (server, 8000)
+    assert by_loopback(scope, ()) is open_to_it
 
 
 def test_only_the_digest_of_a_key_is_kept(store: SqlStore) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import httpx
@@ -22,6 +22,7 @@ from service.api.scopes import RULES
 from service.client import Client
 from service.fake import FakeScience
 from service.handlers import models
+from service.handlers.inspections import _event as event_of
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
@@ -242,12 +243,38 @@ def test_a_change_is_made_only_while_the_rotor_stands_as_it_was_seen(
     assert api.get("/v1/rotors/r1").headers["etag"] == seen
 
 
+@contextmanager
+def judged_before(store: SqlStore) -> Iterator[Any]:
+    """A mutant of `SqlStore.write` that judges the precondition in a transaction before."""
+    if store._guard is not None:
+        with store.read() as tx:
+            tx.log.lock = tx.records.rotor  # type: ignore[method-assign, assignment]
+            store._guard(tx)
+    with TRUE_WRITE(copy_without_guard(store)) as tx:
+        yield tx
+
+
+TRUE_WRITE = SqlStore.write
+
+
+def copy_without_guard(store: SqlStore) -> SqlStore:
+    return store if store._act is None else store.acting_for(store._act)  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize(("mutant", "status", "head"), [(False, 412, 1), (True, 202, 2)])
 def test_a_precondition_is_judged_inside_the_transaction(
-    api: httpx.Client, store: SqlStore, rotor: str, post: Callable[..., int], reading: Any
+    api: httpx.Client,
+    store: SqlStore,
+    rotor: str,
+    reading: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    mutant: bool,
+    status: int,
+    head: int,
 ) -> None:
     """A reading that is being committed while the request comes counts against it."""
-    from service.handlers.inspections import _event
-
+    if mutant:
+        monkeypatch.setattr(SqlStore, "write", judged_before)
     tag = api.get("/v1/rotors/r1").headers["etag"]
     answers: list[httpx.Response] = []
 
@@ -258,13 +285,13 @@ def test_a_precondition_is_judged_inside_the_transaction(
 
     thread = threading.Thread(target=retire)
     with store.write() as tx:
-        tx.log.append("r1", [_event(reading("i1"))])
+        tx.log.append("r1", [event_of(reading("i1"))])
         thread.start()
         time.sleep(0.5)
         assert answers == [], "it waits for the rotor"
     thread.join(30)
-    assert answers[0].status_code == 412
-    assert api.get("/v1/rotors/r1").json()["head_seq"] == 1
+    assert answers[0].status_code == status
+    assert api.get("/v1/rotors/r1").json()["head_seq"] == head
 
 
 def test_a_bucket_is_emptied_per_key_and_per_address(serving: Serving, key: Key) -> None:
