@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from sqlalchemy import text
@@ -323,12 +323,13 @@ def test_a_bucket_is_emptied_per_key_and_per_address(serving: Serving, key: Key)
         assert policy == '"key";q=200;w=4', "50 a second where keys are needed"
 
 
-@hypothesis_settings(max_examples=50, deadline=None)
+@hypothesis_settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     rate=st.floats(0.1, 100),
     burst=st.integers(1, 20),
-    pauses=st.lists(st.floats(0, 3), min_size=1, max_size=80),
+    pauses=st.lists(st.just(0.0) | st.floats(0, 3), min_size=1, max_size=80),
 )
+@example(rate=100.0, burst=1, pauses=[0.0, 3.0, 0.0, 0.0])
 def test_in_no_stretch_of_time_more_pass_than_burst_and_rate_allow(
     rate: float, burst: int, pauses: list[float]
 ) -> None:
