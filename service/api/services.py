@@ -30,7 +30,7 @@ class Services:
     changes: Changes
 
 
-def services_of(request: Request) -> Services:
+async def services_of(request: Request) -> Services:
     """The wired parts; for a state-changing request with a store that writes its audit row."""
     found: Services = request.app.state.services
     visit = visit_of(request.scope)
@@ -39,7 +39,7 @@ def services_of(request: Request) -> Services:
     return replace(found, store=found.store.acting_for(visit.act, visit.guard))
 
 
-def rotors_of(request: Request) -> tuple[str, ...] | None:
+async def rotors_of(request: Request) -> tuple[str, ...] | None:
     """The only rotors that the caller's key knows; None: all."""
     visit = visit_of(request.scope)
     return None if visit is None or visit.key is None else visit.key.rotors

@@ -73,7 +73,15 @@ def test_every_command_has_help_and_a_wrong_setting_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runner = CliRunner()
-    for command in (["serve"], ["worker"], ["migrate"], ["demo"], ["model", "build"]):
+    for command in (
+        ["serve"],
+        ["worker"],
+        ["migrate"],
+        ["demo"],
+        ["model", "build"],
+        ["audit"],
+        ["keys", "list"],
+    ):
         shown = runner.invoke(app, [*command, "--help"])
         assert shown.exit_code == 0
         assert "--help" in shown.output
