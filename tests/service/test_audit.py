@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from copy import copy
@@ -263,6 +264,10 @@ def test_lines_of_a_request_carry_its_id_and_its_key(
     header = key("read")
     locked.get("/v1/rotors/r1", headers=header | {"X-Request-Id": "plant-7:42"})
     made = locked.get("/v1/rotors/r1", headers=header | {"X-Request-Id": "no id\x7f"})
+    end = time.monotonic() + 30
+    while lines.getvalue().count("\n") < 2:
+        assert time.monotonic() < end, "a line comes just after its answer"
+        time.sleep(0.01)
     found = [json.loads(line) for line in lines.getvalue().splitlines()]
     (line,) = [line for line in found if line.get("request_id") == "plant-7:42"]
     assert line["message"].startswith("GET /v1/rotors/r1 200 ")
