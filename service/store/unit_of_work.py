@@ -11,12 +11,12 @@ from sqlalchemy import Connection, Engine
 from service.access import EXPECTED, Act
 from service.ports import Array, Get, Guard
 from service.store.answers import SqlAnswers
-from service.store.audit import SqlAudit
 from service.store.engine import transaction
 from service.store.keys import SqlKeys
 from service.store.log import SqlLog
 from service.store.records import SqlRecords
 from service.store.states import ArrayCache, SqlStates
+from service.store.trail import SqlAudit
 
 
 class SqlTransaction:

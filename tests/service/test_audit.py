@@ -19,8 +19,8 @@ from service import tokens
 from service.api.routers import inspections as inspection_routes
 from service.handlers.keys import create_key
 from service.settings import Settings
-from service.store.audit import SqlAudit
 from service.store.engine import transaction
+from service.store.trail import SqlAudit
 from service.store.unit_of_work import SqlStore
 from service.telemetry import JsonLines
 from service.worker.loop import Worker
