@@ -12,9 +12,12 @@ from fastapi import FastAPI
 
 from core.errors import BladetwinError
 from service.api.app import create_app
+from service.api.loopback import keys_required
 from service.api.services import Services
 from service.api.waiting import Changes
+from service.errors import KeysMissingError
 from service.fake import FakeScience
+from service.handlers.keys import list_keys
 from service.handlers.models import register_builtins
 from service.ports import Science
 from service.settings import Settings
@@ -59,6 +62,14 @@ def prepare(store: SqlStore, settings: Settings) -> None:
             f"the database has schema {found}, this release needs {needed}. "
             "To mend it: run `bladetwin migrate`."
         )
+
+
+def check_keys(store: SqlStore, settings: Settings) -> None:
+    """KeysMissingError where requests need a key and there is none that would be accepted."""
+    if not keys_required(settings):
+        return
+    if not any(status == "usable" for _, status in list_keys(store)):
+        raise KeysMissingError(settings.host)
 
 
 def make_app(store: SqlStore, science: Science, settings: Settings) -> FastAPI:
@@ -113,6 +124,7 @@ def serve(settings: Settings) -> None:
     store = make_store(settings)
     science = make_science(settings)
     prepare(store, settings)
+    check_keys(store, settings)
     register_builtins(store, science)
     app = make_app(store, science, settings)
     config = uvicorn.Config(
@@ -122,6 +134,7 @@ def serve(settings: Settings) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
+        headers=[("Server", "bladetwin")],
         timeout_graceful_shutdown=5,
     )
     server = _Server(config)

@@ -52,16 +52,21 @@ def _path(*parts: str) -> str:
 
 
 class Client:
-    """Talks to one service. `http` may be given, e.g. the test client of an application."""
+    """Talks to one service, with an API key where it asks for one.
+
+    `http` may be given instead, e.g. the test client of an application.
+    """
 
     def __init__(
         self,
         base_url: str = "http://127.0.0.1:8000",
         *,
+        key: str | None = None,
         timeout: float = 90.0,
         http: httpx.Client | None = None,
     ) -> None:
-        self._http = http or httpx.Client(base_url=base_url, timeout=timeout)
+        headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        self._http = http or httpx.Client(base_url=base_url, timeout=timeout, headers=headers)
 
     def __enter__(self) -> Self:
         return self

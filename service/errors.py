@@ -9,6 +9,8 @@
     ├── ConflictError         the same id with another content
     ├── NotYetError           an answer that a worker has yet to compute
     ├── GoneError             a version that is no longer kept
+    ├── PreconditionError     what a change depends on is not as the caller saw it
+    ├── KeysMissingError      a server that would refuse every request
     ├── LostLeaseError        a worker whose rotor another one has taken
     └── StoreAwayError        the database does not answer; nothing was written
 """
@@ -62,6 +64,30 @@ class GoneError(BladetwinError):
         self.what = what
         self.remedy = remedy
         super().__init__(f"{what} is no longer kept. To mend it: {remedy}.")
+
+
+class PreconditionError(BladetwinError):
+    """`what` is not, or no longer, as the caller says; nothing was changed."""
+
+    def __init__(self, what: str, remedy: str) -> None:
+        self.what = what
+        self.remedy = remedy
+        super().__init__(
+            f"{what} is not as If-Match says; nothing was changed. To mend it: {remedy}."
+        )
+
+
+class KeysMissingError(BladetwinError):
+    """Requests need a key, and the database has no usable one."""
+
+    def __init__(self, host: str) -> None:
+        self.host = host
+        super().__init__(
+            f"keys are required to listen on {host or 'every address'}, and the database has no "
+            "usable one: every request would be refused. To mend it: run "
+            "`bladetwin keys create NAME --scope read --scope ingest --scope operate`, or serve on "
+            "127.0.0.1 with BLADETWIN_KEYS=auto."
+        )
 
 
 class LostLeaseError(BladetwinError):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from core.network import Network
 from core.observation import Inspection
+from service.access import Act, Answers, Audit, Keys
 
 Array = np.ndarray[Any, np.dtype[Any]]
 Json = dict[str, Any]
@@ -236,10 +237,14 @@ class NewEvent:
 
 @dataclass(frozen=True, slots=True)
 class Event(NewEvent):
-    """An entry of the log."""
+    """An entry of the log.
+
+    posted_by   id of the API key that it came with, or by which way else; None: not known
+    """
 
     seq: int = 0
     received_at: float = 0.0
+    posted_by: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +298,9 @@ class Records(Protocol):
     def job(self, job_id: str) -> JobRecord: ...
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool: ...
     def rotor(self, rotor_id: str) -> RotorRecord: ...
-    def rotors(self, after: str, limit: int) -> list[RotorRecord]: ...
+    def rotors(
+        self, after: str, limit: int, only: Sequence[str] | None = None
+    ) -> list[RotorRecord]: ...
     def blades(self, rotor_id: str) -> list[BladeRecord]: ...
     def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None: ...
     def put_blade(self, rotor_id: str, blade: BladeRecord) -> None: ...
@@ -327,6 +334,15 @@ class Transaction(Protocol):
     def log(self) -> Log: ...
     @property
     def states(self) -> States: ...
+    @property
+    def keys(self) -> Keys: ...
+    @property
+    def audit(self) -> Audit: ...
+    @property
+    def answers(self) -> Answers: ...
+
+
+Guard = Callable[[Transaction], None]
 
 
 class Store(Protocol):
@@ -334,3 +350,10 @@ class Store(Protocol):
 
     def read(self) -> AbstractContextManager[Transaction]: ...
     def write(self) -> AbstractContextManager[Transaction]: ...
+    def acting_for(self, act: Act, guard: Guard | None = None) -> Store:
+        """The store for one state-changing request.
+
+        Its writing transactions begin with the guard, which raises where they must not go on, and
+        end with the request's row of the audit trail.
+        """
+        ...

@@ -7,16 +7,23 @@ An unknown ``BLADETWIN_…`` variable is refused, so that a misspelt one is neve
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from core.errors import InputError
 
 PREFIX = "BLADETWIN_"
 # Names under the prefix that belong to the tests and not to the service.
 FOREIGN = frozenset({"BLADETWIN_TEST_DATABASE_URL"})
+ORIGIN = re.compile(r"https?://[a-z0-9.\-]+(:\d{1,5})?|https?://\[[0-9a-f:]+\](:\d{1,5})?")
+RATE_PER_S = 50.0  # of one caller, where keys are needed and nothing is set
+
+
+def _origins(text: str) -> tuple[str, ...]:
+    return tuple(one.strip() for one in text.split(",") if one.strip())
 
 
 class Settings(BaseModel):
@@ -57,6 +64,26 @@ class Settings(BaseModel):
     particles: int = Field(
         10_000, ge=16, le=1_000_000, description="particles per blade where a rotor names none"
     )
+    keys: Literal["auto", "always"] = Field(
+        "auto", description="API keys: auto = needed unless it listens on the loopback; always"
+    )
+    rate_per_s: float | None = Field(
+        None,
+        ge=0,
+        description="requests a second of a key, or of an address without one; 0 = any number; "
+        "empty = 50 where keys are needed, else any number",
+    )
+    rate_burst: int = Field(
+        200, ge=1, description="requests at once that a key may save up below its rate"
+    )
+    idempotency_h: float = Field(
+        24.0, gt=0, le=8760, description="answers by Idempotency-Key are kept for, h"
+    )
+    cors_origins: str = Field(
+        "",
+        description="origins of pages that may call, with commas between, e.g. "
+        "https://plant.example; empty = none",
+    )
     max_body_mb: float = Field(32.0, gt=0, le=4096, description="largest request body, MiB")
     page_limit: int = Field(200, ge=1, le=10_000, description="most items on one page of a list")
     wait_max_s: float = Field(60.0, ge=0, le=3600, description="longest `timeout` of `wait_for`, s")
@@ -74,6 +101,30 @@ class Settings(BaseModel):
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="least level that is logged"
     )
+
+    @field_validator("rate_per_s", mode="before")
+    @classmethod
+    def _empty_is_none(cls, value: object) -> object:
+        return None if value == "" else value
+
+    @field_validator("cors_origins")
+    @classmethod
+    def _are_origins(cls, value: str) -> str:
+        for origin in _origins(value):
+            if not ORIGIN.fullmatch(origin):
+                raise ValueError(f"{origin!r} is no origin; write https://plant.example:8443")
+        return value
+
+    @property
+    def origins(self) -> tuple[str, ...]:
+        """Origins of pages that may call the API."""
+        return _origins(self.cors_origins)
+
+    def rate(self, *, limited: bool) -> float:
+        """Requests a second of one caller; 0: any number. `limited`: where nothing is set."""
+        if self.rate_per_s is None:
+            return RATE_PER_S if limited else 0.0
+        return self.rate_per_s
 
     @classmethod
     def load(cls, environ: Mapping[str, str] | None = None, **overrides: Any) -> Settings:
@@ -98,7 +149,8 @@ class Settings(BaseModel):
 
     def environ(self) -> dict[str, str]:
         """The same settings as environment variables, for a child process."""
-        return {PREFIX + name.upper(): str(value) for name, value in self.model_dump().items()}
+        given = self.model_dump().items()
+        return {PREFIX + name.upper(): str(value) for name, value in given if value is not None}
 
 
 def names() -> list[str]:
@@ -109,6 +161,10 @@ def names() -> list[str]:
 def table() -> list[tuple[str, str, str]]:
     """(variable, default, meaning) of each setting, for help and documents."""
     return [
-        (PREFIX + name.upper(), str(field.default), str(field.description))
+        (
+            PREFIX + name.upper(),
+            "" if field.default is None else str(field.default),
+            str(field.description),
+        )
         for name, field in Settings.model_fields.items()
     ]

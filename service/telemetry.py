@@ -1,11 +1,40 @@
-"""Logs: one JSON object a line on standard error; nothing secret is ever given to them."""
+"""Logs: one JSON object a line on standard error.
+
+Nothing secret is ever given to them; should a client put its key where keys do not belong (a path,
+say), it is taken out of the line all the same. Lines that belong to a request carry its id and the
+id of its key.
+"""
 
 from __future__ import annotations
 
 import json
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from datetime import UTC, datetime
+
+from service.tokens import redacted
+
+_facts: ContextVar[dict[str, str] | None] = ContextVar("bladetwin_request", default=None)
+
+
+@contextmanager
+def request(request_id: str) -> Iterator[None]:
+    """Inside, every line of this request, in whichever thread, carries its id."""
+    token = _facts.set({"request_id": request_id})
+    try:
+        yield
+    finally:
+        _facts.reset(token)
+
+
+def tell(**facts: str | None) -> None:
+    """Let the lines of this request carry more; None: nothing to tell."""
+    known = _facts.get()
+    if known is not None:
+        known |= {name: value for name, value in facts.items() if value is not None}
 
 
 class JsonLines(logging.Formatter):
@@ -18,10 +47,11 @@ class JsonLines(logging.Formatter):
             "level": record.levelname.lower(),
             "logger": record.name,
             "pid": record.process,
-            "message": record.getMessage(),
+            "message": redacted(record.getMessage()),
         }
+        line |= _facts.get() or {}
         if record.exc_info:
-            line["error"] = self.formatException(record.exc_info)
+            line["error"] = redacted(self.formatException(record.exc_info))
         return json.dumps(line)
 
 

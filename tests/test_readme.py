@@ -52,3 +52,21 @@ def test_every_command_is_named_and_no_other() -> None:
 
     table_rows = re.findall(r"^\| `(bladetwin(?: [a-z]+)+)", README, re.MULTILINE)
     assert {" ".join(row.split()[:3]) for row in table_rows} == words(commands, "bladetwin")
+
+
+PROBLEM = re.compile(r"""\b[45]\d\d,\s*["']([a-z]+(?:-[a-z]+)*)["']""")
+
+
+def kinds(source: str) -> set[str]:
+    """The kinds of problems that a module answers with."""
+    routed = re.findall(r"kinds = {.*?}|kinds\.get\(.*?\)", source)
+    return set(PROBLEM.findall(source)) | set(re.findall(r'"([a-z-]+)"', " ".join(routed)))
+
+
+def test_every_kind_of_problem_is_named_and_no_other() -> None:
+    root = Path(__file__).parent.parent / "service" / "api"
+    served = set().union(*(kinds(path.read_text()) for path in root.rglob("*.py")))
+    part = README.partition("| problem `urn:bladetwin:problem:…`")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (`[^|]*`) \|", part, re.MULTILINE)
+    assert {kind for row in rows for kind in re.findall(r"`([a-z-]+)`", row)} == served
+    assert kinds('problem(request, 418, "short-and-stout", detail)') == {"short-and-stout"}

@@ -9,8 +9,10 @@ from importlib.metadata import PackageNotFoundError, version
 from fastapi import FastAPI
 
 from service.api import problems
-from service.api.limits import BodyLimit
-from service.api.routers import inspections, models, reads, rotors, system
+from service.api.describe import describe
+from service.api.layers import add_layers
+from service.api.loopback import keys_required
+from service.api.routers import audit, inspections, models, reads, rotors, system
 from service.api.services import Services
 
 PROBLEM = {
@@ -69,9 +71,9 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     )
     app.state.services = services
     app.state.revisions = revisions
-    for module in (system, models, rotors, inspections, reads):
+    for module in (system, models, rotors, inspections, reads, audit):
         app.include_router(module.router)
     problems.install(app)
-    app.add_middleware(BodyLimit, limit=int(services.settings.max_body_mb * 2**20))
-    app.add_middleware(problems.LastResort)
+    add_layers(app, services)
+    describe(app, keys=keys_required(services.settings))
     return app

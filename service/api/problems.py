@@ -19,14 +19,17 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from core.errors import InputError, ModelError
+from service.api.visit import visit_of
 from service.errors import (
     ConflictError,
     FaultsError,
     GoneError,
     NotFoundError,
     NotYetError,
+    PreconditionError,
     StoreAwayError,
 )
+from service.tokens import redacted
 
 log = logging.getLogger("bladetwin.api")
 LONGEST = 200
@@ -59,12 +62,12 @@ def shown(value: object) -> object:
     if isinstance(value, int):
         return "an integer of more than 64 bits"
     text = value if isinstance(value, str) else repr(value)
-    text = text.encode("utf-8", "replace").decode()
+    text = redacted(text.encode("utf-8", "replace").decode())
     return text if len(text) <= LONGEST else text[:LONGEST] + "…"
 
 
 def fault(field: str, value: object, problem: str, remedy: str) -> Fault:
-    return {"field": field, "value": shown(value), "problem": problem, "remedy": remedy}
+    return {"field": redacted(field), "value": shown(value), "problem": problem, "remedy": remedy}
 
 
 def problem(
@@ -74,14 +77,18 @@ def problem(
     detail: str,
     faults: Sequence[Fault] = (),
     headers: Mapping[str, str] | None = None,
+    instance: str | None = None,
 ) -> JSONResponse:
-    """The answer for one error."""
+    """The answer for one error. `instance` is the request's path where nothing else is given."""
+    visit = visit_of(request.scope)
+    if visit is not None:
+        visit.problem = kind
     body = {
         "type": f"urn:bladetwin:problem:{kind}",
         "title": kind.replace("-", " "),
         "status": status,
-        "detail": detail,
-        "instance": request.url.path,
+        "detail": redacted(detail),
+        "instance": redacted(request.url.path) if instance is None else instance,
         "faults": list(faults),
     }
     return JSONResponse(
@@ -148,6 +155,11 @@ async def _malformed(request: Request, error: Any) -> JSONResponse:
 
 
 async def _missing(request: Request, error: Any) -> JSONResponse:
+    return missing(request, error)
+
+
+def missing(request: Request, error: NotFoundError) -> JSONResponse:
+    """The answer for what does not exist."""
     faults = [fault(error.what, error.name, "does not exist", error.remedy)]
     return problem(request, 404, "not-found", str(error), faults)
 
@@ -170,6 +182,12 @@ async def _gone(request: Request, error: Any) -> JSONResponse:
     return problem(request, 410, "gone", str(error), faults)
 
 
+async def _moved_on(request: Request, error: Any) -> JSONResponse:
+    given = request.headers.get("if-match", "")
+    faults = [fault("If-Match", given, "is not its present ETag", error.remedy)]
+    return problem(request, 412, "precondition-failed", str(error), faults)
+
+
 async def _unfit(request: Request, error: Any) -> JSONResponse:
     log.error("%s", error)
     return problem(request, 503, "model-unfit", str(error))
@@ -183,6 +201,11 @@ async def _routed(request: Request, error: Any) -> JSONResponse:
 
 
 async def _away(request: Request, error: Any) -> JSONResponse:
+    return away(request, error)
+
+
+def away(request: Request, error: StoreAwayError) -> JSONResponse:
+    """The answer while the database does not answer."""
     log.error("%s: %s", error, error.__cause__)
     return problem(request, 503, "database-away", str(error), (), {"Retry-After": "1"})
 
@@ -196,6 +219,7 @@ HANDLERS = {
     ConflictError: _conflict,
     NotYetError: _not_yet,
     GoneError: _gone,
+    PreconditionError: _moved_on,
     ModelError: _unfit,
     HTTPException: _routed,
     StoreAwayError: _away,
@@ -224,10 +248,13 @@ class LastResort:
 
         try:
             await self.app(scope, receive, watched)
-        except Exception:
+        except Exception as error:
             if scope["type"] != "http" or started:
                 raise
             request = Request(scope)
+            if isinstance(error, StoreAwayError):
+                await away(request, error)(scope, receive, send)
+                return
             log.exception("%s %s failed", request.method, request.url.path)
             detail = "the service failed on this request; the log of the server says why."
             await problem(request, 500, "internal-error", detail)(scope, receive, send)

@@ -80,6 +80,10 @@ class NetworkIn(Body):
 class BladeIn(Body):
     """A blade that a rotor has, or that joins it."""
 
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"id": "B07", "slot": "7", "lot": "L3", "time_h0": 0.0}]}
+    )
+
     id: Id
     slot: Text | None = None
     lot: Text | None = None

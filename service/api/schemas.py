@@ -24,6 +24,7 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
+from pydantic.config import JsonValue
 from pydantic_core import from_json
 
 from core.observation import Inspection
@@ -62,8 +63,36 @@ class Body(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
+READINGS: list[JsonValue] = [
+    {
+        "id": "i1",
+        "blade": "B01",
+        "quantity": "elongation",
+        "time_h": 8000,
+        "value": 0.11,
+        "unit": "mm",
+        "instrument": "gauge 3",
+        "campaign": "outage 2031",
+        "observed_at": "2031-05-04T10:00:00Z",
+    },
+    {
+        "id": "i2",
+        "blade": "B02",
+        "quantity": "deformation",
+        "time_h": 8000,
+        "nodes": [12, 13],
+        "values": [[0.01, -0.02, 0.11], [0.01, -0.02, 0.12]],
+        "unit": "mm",
+        "sigma": 0.02,
+    },
+]
+CSV_EXAMPLE = "id,blade,quantity,time_h,value,unit\ni3,B01,elongation,16000,0.21,mm\n"
+
+
 class InspectionIn(Body):
     """One reading."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": READINGS})
 
     id: Id
     blade: Id
@@ -108,6 +137,8 @@ class InspectionIn(Body):
 
 class ModelIn(Body):
     """A model to register."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"builtin": "rotor-blade"}]})
 
     builtin: Id
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from hashlib import sha256
 from typing import Annotated, Any
 
 from fastapi import Depends, Path, Query, Request
@@ -13,6 +12,8 @@ from fastapi.responses import JSONResponse, Response
 
 from service.api.problems import RequestError, fault
 from service.api.schemas import ID_PATTERN
+from service.api.tags import REVALIDATE, same_tag, tag
+from service.api.visit import visit_of
 from service.api.waiting import Changes
 from service.handlers.reads import Basis
 from service.ports import Appended, Science, Store
@@ -29,12 +30,23 @@ class Services:
     changes: Changes
 
 
-def services_of(request: Request) -> Services:
+async def services_of(request: Request) -> Services:
+    """The wired parts; for a state-changing request with a store that writes its audit row."""
     found: Services = request.app.state.services
-    return found
+    visit = visit_of(request.scope)
+    if visit is None or visit.act is None:
+        return found
+    return replace(found, store=found.store.acting_for(visit.act, visit.guard))
+
+
+async def rotors_of(request: Request) -> tuple[str, ...] | None:
+    """The only rotors that the caller's key knows; None: all."""
+    visit = visit_of(request.scope)
+    return None if visit is None or visit.key is None else visit.key.rotors
 
 
 Wired = Annotated[Services, Depends(services_of)]
+Seen = Annotated[tuple[str, ...] | None, Depends(rotors_of)]
 Name = Annotated[str, Path(max_length=100, pattern=ID_PATTERN)]
 Limit = Annotated[int | None, Query(ge=1, le=2**31)]
 Cursor = Annotated[str | None, Query(max_length=100, pattern=ID_PATTERN)]
@@ -82,8 +94,7 @@ def accepted(answers: Sequence[Appended]) -> JSONResponse:
 
 def tag_of(request: Request, *parts: object) -> str:
     """The ETag of an answer that depends on `parts` and the question alone."""
-    text = "\x1f".join([request.url.path, request.url.query, *map(str, parts)])
-    return f'"{sha256(text.encode()).hexdigest()[:32]}"'
+    return tag(request.url.path, request.url.query, *parts)
 
 
 def tag_of_basis(request: Request, found: Basis) -> str:
@@ -92,15 +103,15 @@ def tag_of_basis(request: Request, found: Basis) -> str:
 
 def unchanged(request: Request, tag: str) -> Response | None:
     """304 where the caller has this answer already."""
-    given = [one.strip() for one in request.headers.get("if-none-match", "").split(",")]
-    if "*" in given or tag in given or f"W/{tag}" in given:
-        return Response(status_code=304, headers={"ETag": tag, "Cache-Control": "no-cache"})
-    return None
+    known = same_tag(request.headers.get("if-none-match", ""), tag)
+    if known is None:
+        return None
+    return Response(status_code=304, headers={"ETag": known, "Cache-Control": REVALIDATE})
 
 
 def tagged(body: Mapping[str, Any], tag: str) -> JSONResponse:
     """An answer with its ETag and, in a header as well, the health of the state it rests on."""
-    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    headers = {"ETag": tag, "Cache-Control": REVALIDATE}
     if body["health"] is not None:
         headers["Bladetwin-Health"] = body["health"]["status"]
     return JSONResponse(body, headers=headers)

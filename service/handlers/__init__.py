@@ -4,4 +4,6 @@ models.py       registration of a model, jobs
 rotors.py       rotors, their blades, retry
 inspections.py  readings, corrections, retractions, the list of what counts
 reads.py        posterior and prediction, with what they rest on
+keys.py         API keys: made, listed, revoked, recognised
+audit.py        who changed what
 """

@@ -30,12 +30,16 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A reading of the log; status ``counts``, ``replaced`` or ``retracted``."""
+    """A reading of the log; status ``counts``, ``replaced`` or ``retracted``.
+
+    posted_by   id of the key that it came with, or by which way else (`service.ports.Event`)
+    """
 
     seq: int
     received_at: float
     status: str
     body: Json
+    posted_by: str | None
 
 
 def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list[Appended]:
@@ -132,4 +136,7 @@ def _listed(events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed
     def status(event_id: str) -> str:
         return "retracted" if event_id in gone else "replaced" if event_id in replaced else "counts"
 
-    return [Listed(e.seq, e.received_at, status(e.event_id), json.loads(e.body)) for e in events]
+    return [
+        Listed(e.seq, e.received_at, status(e.event_id), json.loads(e.body), e.posted_by)
+        for e in events
+    ]

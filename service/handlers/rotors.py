@@ -111,16 +111,23 @@ def create_rotor(
 def view_rotor(store: Store, rotor_id: str) -> RotorView:
     """The rotor as it stands."""
     with store.read() as tx:
-        rotor = tx.records.rotor(rotor_id)
-        blades = tuple(tx.records.blades(rotor_id))
-        state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
+        return view_in(tx, rotor_id)
+
+
+def view_in(tx: Transaction, rotor_id: str) -> RotorView:
+    """The rotor as this transaction sees it."""
+    rotor = tx.records.rotor(rotor_id)
+    blades = tuple(tx.records.blades(rotor_id))
+    state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
     return RotorView(rotor, blades, state)
 
 
-def list_rotors(store: Store, after: str, limit: int) -> list[RotorRecord]:
-    """Rotors in the order of their names, after one name."""
+def list_rotors(
+    store: Store, after: str, limit: int, only: Sequence[str] | None = None
+) -> list[RotorRecord]:
+    """Rotors in the order of their names, after one name; `only` names those that may be seen."""
     with store.read() as tx:
-        return tx.records.rotors(after, limit)
+        return tx.records.rotors(after, limit, only)
 
 
 def retry(store: Store, rotor_id: str) -> RotorRecord:

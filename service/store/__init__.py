@@ -3,5 +3,7 @@
 tables.py    the tables                       engine.py   connections and transactions
 encoding.py  arrays as checked .npy bytes     log.py      the inspection log, which is the queue
 states.py    versions of a rotor's posterior  records.py  models, jobs, rotors, blades
+keys.py      API keys                         trail.py     the audit trail
+answers.py   first answers by Idempotency-Key
 unit_of_work.py   one transaction with all of these
 """

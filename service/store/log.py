@@ -34,10 +34,16 @@ def lock_rotor(connection: Connection, rotor_id: str) -> int | None:
 
 
 class SqlLog:
-    """The `Log` of one transaction."""
+    """The `Log` of one transaction.
 
-    def __init__(self, connection: Connection) -> None:
+    posted_by   what its entries keep of who posted them
+    appended    the first and last sequence number that it gave, if any
+    """
+
+    def __init__(self, connection: Connection, posted_by: str | None = None) -> None:
         self._connection = connection
+        self._posted_by = posted_by
+        self.appended: tuple[int, int] | None = None
 
     def lock(self, rotor_id: str) -> int:
         head = lock_rotor(self._connection, rotor_id)
@@ -69,7 +75,10 @@ class SqlLog:
             remedy = "choose a new id, or post a correction with `replaces`"
             raise ConflictError(events[0].kind, ", ".join(others), remedy)
         if rows:
-            self._connection.execute(insert(t.entry).values(received_at=now_s()), rows)
+            told = {"received_at": now_s(), "posted_by": self._posted_by}
+            self._connection.execute(insert(t.entry).values(**told), rows)
+            first = head + 1 if self.appended is None else self.appended[0]
+            self.appended = (first, head + len(rows))
             advance = update(t.rotor).where(t.rotor.c.id == rotor_id)
             self._connection.execute(advance.values(head_seq=head + len(rows)))
             self._mark_dirty(rotor_id, head)

@@ -124,8 +124,13 @@ class SqlRecords:
             raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
         return _rotor(row)
 
-    def rotors(self, after: str, limit: int) -> list[RotorRecord]:
+    def rotors(
+        self, after: str, limit: int, only: Sequence[str] | None = None
+    ) -> list[RotorRecord]:
+        """Rotors by name after one name; `only` names those that may be listed."""
         query = select(*ROTOR).join(t.cursor).where(t.rotor.c.id > after).order_by(t.rotor.c.id)
+        if only is not None:
+            query = query.where(t.rotor.c.id.in_(only))
         return [_rotor(row) for row in self._connection.execute(query.limit(limit))]
 
     def blades(self, rotor_id: str) -> list[BladeRecord]:

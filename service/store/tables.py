@@ -8,6 +8,9 @@ worker's claim never blocks ingest. Times are seconds since 1970 (UTC) by the da
 `state_array` holds an array under the version that last changed it: version v of a rotor has, for
 each name, the row with the greatest version <= v. A row with an empty dtype says that the name
 ended there.
+
+`audit` has a row for each state-changing request and is never thinned; `first_answer` holds what
+requests with an Idempotency-Key were answered, until it expires.
 """
 
 from __future__ import annotations
@@ -115,6 +118,7 @@ entry = Table(
     Column("body", Text, nullable=False),
     Column("digest", String(64), nullable=False),
     Column("received_at", Double, nullable=False),
+    Column("posted_by", String(40)),
     UniqueConstraint("rotor_id", "event_id"),
     Index("ix_event_rotor_id_replaces", "rotor_id", "replaces"),
 )
@@ -178,6 +182,53 @@ outbox = Table(
     Column("payload", Text, nullable=False),
     Column("at", Double, nullable=False),
     Index("ix_outbox_rotor_id_id", "rotor_id", "id"),
+)
+
+api_key = Table(
+    "api_key",
+    metadata,
+    Column("id", String(40), primary_key=True),
+    Column("name", NAME, nullable=False),
+    Column("digest", String(64), nullable=False),
+    Column("scopes", Text, nullable=False),
+    Column("rotors", Text),
+    Column("created_at", Double, nullable=False),
+    Column("expires_at", Double),
+    Column("revoked_at", Double),
+)
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("id", BIG, primary_key=True, autoincrement=True),
+    Column("at", Double, nullable=False),
+    Column("key_id", String(40)),
+    Column("who", NAME, nullable=False),
+    Column("address", NAME),
+    Column("request_id", NAME, nullable=False),
+    Column("what", NAME, nullable=False),
+    Column("path", Text, nullable=False),
+    Column("rotor_id", NAME),
+    Column("first_seq", BIG),
+    Column("last_seq", BIG),
+    Column("status", Integer, nullable=False),
+    Column("problem", String(60)),
+    Index("ix_audit_rotor_id_id", "rotor_id", "id"),
+    Index("ix_audit_key_id_id", "key_id", "id"),
+)
+
+first_answer = Table(
+    "first_answer",
+    metadata,
+    Column("owner", String(40), primary_key=True),
+    Column("key", String(64), primary_key=True),
+    Column("fingerprint", String(64), nullable=False),
+    Column("status", Integer),
+    Column("headers", Text),
+    Column("body", LargeBinary),
+    Column("begun_at", Double, nullable=False),
+    Column("expires_at", Double, nullable=False),
+    Index("ix_first_answer_expires_at", "expires_at"),
 )
 
 # Array bytes do not compress; PostgreSQL need not try.

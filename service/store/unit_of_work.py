@@ -4,24 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 
 from sqlalchemy import Connection, Engine
 
-from service.ports import Array, Get
+from service.access import EXPECTED, Act
+from service.ports import Array, Get, Guard
+from service.store.answers import SqlAnswers
 from service.store.engine import transaction
+from service.store.keys import SqlKeys
 from service.store.log import SqlLog
 from service.store.records import SqlRecords
 from service.store.states import ArrayCache, SqlStates
+from service.store.trail import SqlAudit
 
 
 class SqlTransaction:
-    """Models, rotors, log and states of one connection's open transaction."""
+    """Models, rotors, log, states, keys and trail of one connection's open transaction."""
 
-    def __init__(self, connection: Connection, cache: ArrayCache) -> None:
+    def __init__(
+        self, connection: Connection, cache: ArrayCache, posted_by: str | None = None
+    ) -> None:
         self.connection = connection
         self.records = SqlRecords(connection)
-        self.log = SqlLog(connection)
+        self.log = SqlLog(connection, posted_by)
         self.states = SqlStates(connection, cache)
+        self.keys = SqlKeys(connection)
+        self.audit = SqlAudit(connection)
+        self.answers = SqlAnswers(connection)
 
 
 class SqlStore:
@@ -30,6 +40,14 @@ class SqlStore:
     def __init__(self, engine: Engine, cache_mb: float = 64.0) -> None:
         self.engine = engine
         self.cache = ArrayCache(cache_mb)
+        self._act: Act | None = None
+        self._guard: Guard | None = None
+
+    def acting_for(self, act: Act, guard: Guard | None = None) -> SqlStore:
+        """The same database and cache for one state-changing request (`service.ports.Store`)."""
+        other = copy(self)
+        other._act, other._guard = act, guard
+        return other
 
     @contextmanager
     def read(self) -> Iterator[SqlTransaction]:
@@ -38,8 +56,16 @@ class SqlStore:
 
     @contextmanager
     def write(self) -> Iterator[SqlTransaction]:
+        act, row = self._act, None
         with transaction(self.engine, write=True) as connection:
-            yield SqlTransaction(connection, self.cache)
+            tx = SqlTransaction(connection, self.cache, None if act is None else act.poster)
+            if self._guard is not None:
+                self._guard(tx)
+            yield tx
+            if act is not None and act.row is None:
+                row = tx.audit.note(act, EXPECTED, entries=tx.log.appended)
+        if act is not None and row is not None:
+            act.row = row
 
     def arrays(self, rotor_id: str, version: int) -> Get:
         """A lazy reader of one version's arrays: what is not cached takes a short transaction."""

@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import httpx
@@ -18,6 +19,7 @@ from core.observation import Inspection
 from service.bootstrap import make_app, make_worker
 from service.fake import FakeScience
 from service.handlers.inspections import Item, post_inspections
+from service.handlers.keys import create_key
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
@@ -97,8 +99,8 @@ def server() -> Iterator[RunningServer]:
     running.stop()
 
 
-@pytest.fixture
-def api(
+@contextmanager
+def served(
     store: SqlStore, science: FakeScience, settings: Settings, server: RunningServer
 ) -> Iterator[httpx.Client]:
     """A client of the whole application, over a real connection."""
@@ -109,6 +111,38 @@ def api(
     with httpx.Client(base_url=f"http://127.0.0.1:{server.port}", timeout=60) as client:
         yield client
     server.do(lifespan.__aexit__(None, None, None))
+
+
+@pytest.fixture
+def api(
+    store: SqlStore, science: FakeScience, settings: Settings, server: RunningServer
+) -> Iterator[httpx.Client]:
+    """A program on the server's machine: it needs no key."""
+    with served(store, science, settings, server) as client:
+        yield client
+
+
+@pytest.fixture
+def serving(
+    store: SqlStore, science: FakeScience, settings: Settings, server: RunningServer
+) -> Callable[..., AbstractContextManager[httpx.Client]]:
+    """Serve with other settings: ``with serving(keys="always") as client``."""
+
+    def serve(**given: Any) -> AbstractContextManager[httpx.Client]:
+        return served(store, science, settings.model_copy(update=given), server)
+
+    return serve
+
+
+@pytest.fixture
+def key(store: SqlStore) -> Callable[..., dict[str, str]]:
+    """The header of a new key: ``key("read", rotors=["r1"])``."""
+
+    def make(*scopes: str, name: str = "tests", **given: Any) -> dict[str, str]:
+        _, token = create_key(store, name, scopes, **given)
+        return {"Authorization": f"Bearer {token}"}
+
+    return make
 
 
 @pytest.fixture

@@ -50,7 +50,7 @@ def test_kernels_are_compiled_on_demand() -> None:
 def test_the_help_of_serve_lists_every_setting() -> None:
     shown = CliRunner().invoke(app, ["serve", "--help"]).output
     assert [name for name in names() if name not in shown] == []
-    assert len(names()) == 24
+    assert len(names()) == 29
 
 
 def test_no_password_is_shown() -> None:
@@ -73,7 +73,15 @@ def test_every_command_has_help_and_a_wrong_setting_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runner = CliRunner()
-    for command in (["serve"], ["worker"], ["migrate"], ["demo"], ["model", "build"]):
+    for command in (
+        ["serve"],
+        ["worker"],
+        ["migrate"],
+        ["demo"],
+        ["model", "build"],
+        ["audit"],
+        ["keys", "list"],
+    ):
         shown = runner.invoke(app, [*command, "--help"])
         assert shown.exit_code == 0
         assert "--help" in shown.output

@@ -8,7 +8,14 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import JSONResponse
 
 from service.api.problems import RequestError, fault
-from service.api.schemas import COLUMNS, InspectionIn, Nothing, read_inspections
+from service.api.schemas import (
+    COLUMNS,
+    CSV_EXAMPLE,
+    READINGS,
+    InspectionIn,
+    Nothing,
+    read_inspections,
+)
 from service.api.services import Cursor, Limit, Name, Wired, accepted, moment, page, page_size
 from service.handlers import inspections as use
 
@@ -26,9 +33,16 @@ BODY = {
     "requestBody": {
         "required": True,
         "content": {
-            "application/json": {"schema": {"oneOf": [_ONE, _MANY]}},
+            "application/json": {
+                "schema": {"oneOf": [_ONE, _MANY]},
+                "examples": {
+                    "one": {"value": READINGS[0]},
+                    "many": {"value": {"inspections": READINGS}},
+                },
+            },
             "text/csv": {
-                "schema": {"type": "string", "description": f"columns: {', '.join(COLUMNS)}"}
+                "schema": {"type": "string", "description": f"columns: {', '.join(COLUMNS)}"},
+                "example": CSV_EXAMPLE,
             },
         },
     }
@@ -50,6 +64,7 @@ def listed_out(item: use.Listed, *, full: bool) -> dict[str, Any]:
         "seq": item.seq,
         "status": item.status,
         "received_at": moment(item.received_at),
+        "posted_by": item.posted_by,
     }
 
 

@@ -3,80 +3,36 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import time
-from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
+from service.api.preconditions import rotor_tag
 from service.api.problems import RequestError, fault
+from service.api.rotor_answers import blade_out, rotor_out, view_out
 from service.api.rotor_bodies import BladeIn, RotorIn
 from service.api.schemas import Nothing
 from service.api.services import (
     Cursor,
     Limit,
     Name,
+    Seen,
     Services,
     Wired,
     accepted,
     moment,
     page,
     page_size,
-    tag_of,
     tagged,
     unchanged,
 )
 from service.handlers import rotors as use
-from service.handlers.reads import health
-from service.ports import BladeRecord, RotorRecord
 
 router = APIRouter(prefix="/v1/rotors", tags=["rotors"])
 LOOK_AGAIN_S = 1.0
-
-
-def rotor_out(rotor: RotorRecord) -> dict[str, Any]:
-    blocked = {"error": rotor.last_error, "event": rotor.last_error_event}
-    return {
-        "id": rotor.id,
-        "model": rotor.model_id,
-        "model_version": rotor.model_version,
-        "particles": rotor.particles,
-        "seed": rotor.seed,
-        "network": rotor.network,
-        "created_at": moment(rotor.created_at),
-        "head_seq": rotor.head_seq,
-        "applied_seq": rotor.applied_seq,
-        "version": rotor.version,
-        "status": "blocked" if rotor.blocked else "pending" if rotor.dirty else "current",
-        "attempts": rotor.attempts,
-        "last_error": blocked if rotor.last_error else None,
-    }
-
-
-def blade_out(blade: BladeRecord) -> dict[str, Any]:
-    return asdict(blade) | {"retired": blade.retired_seq is not None}
-
-
-def view_out(view: use.RotorView) -> dict[str, Any]:
-    state = view.state
-    posterior = state and {
-        "version": state.version,
-        "through_seq": state.through_seq,
-        "sealed": state.sealed,
-        "state_digest": state.digest,
-        "events_digest": state.events_digest,
-        "model_version": state.model_version,
-        "algorithm_version": state.algorithm_version,
-        "created_at": moment(state.created_at),
-    }
-    return rotor_out(view.rotor) | {
-        "blades": [blade_out(blade) for blade in view.blades],
-        "posterior": posterior,
-        "health": state and health(state),
-    }
 
 
 @router.post("", status_code=201, summary="Create a rotor; the same again gives the same answer")
@@ -107,9 +63,11 @@ def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
 
 
 @router.get("", summary="Rotors, page by page")
-def get_rotors(services: Wired, limit: Limit = None, cursor: Cursor = None) -> dict[str, Any]:
+def get_rotors(
+    services: Wired, seen: Seen, limit: Limit = None, cursor: Cursor = None
+) -> dict[str, Any]:
     size = page_size(services, limit)
-    rotors = use.list_rotors(services.store, cursor or "", size + 1)
+    rotors = use.list_rotors(services.store, cursor or "", size + 1, seen)
     return page([rotor_out(rotor) for rotor in rotors], size, "id")
 
 
@@ -123,7 +81,7 @@ async def get_rotor(
 ) -> Response:
     view = await _wait(services, r, wait_for, timeout)
     body = view_out(view)
-    tag = tag_of(request, json.dumps(body, sort_keys=True))
+    tag = rotor_tag(view)
     return unchanged(request, tag) or tagged(body, tag)
 
 

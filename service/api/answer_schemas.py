@@ -1,0 +1,227 @@
+"""What answers hold, as JSON schema for the OpenAPI document.
+
+Every field is named and no other comes, so that a test that reads answers against the document sees
+a field that is lost, renamed or added without a word.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+Json = dict[str, Any]
+
+TEXT: Json = {"type": "string"}
+WHOLE: Json = {"type": "integer"}
+NUMBER: Json = {"type": "number"}
+YES: Json = {"type": "boolean"}
+ANY: Json = {"type": "object"}
+
+
+def maybe(schema: Json) -> Json:
+    """The value, or null."""
+    return schema | {"type": [schema["type"], "null"]}
+
+
+def each(schema: Json) -> Json:
+    return {"type": "array", "items": schema}
+
+
+def named(schema: Json) -> Json:
+    """Values by name."""
+    return {"type": "object", "additionalProperties": schema}
+
+
+def having(optional: tuple[str, ...] = (), /, **fields: Json) -> Json:
+    """An object with these fields and no other."""
+    required = [name for name in fields if name not in optional]
+    return {
+        "type": "object",
+        "properties": fields,
+        "required": required,
+        "additionalProperties": False,
+    }
+
+
+def paged(schema: Json) -> Json:
+    """A page; `next` is the cursor of the one after it."""
+    return having(items=each(schema), next=maybe(TEXT))
+
+
+HEALTH = having(
+    status={"enum": ["ok", "degenerate", "contradicted", "unknown"]},
+    reasons=each(TEXT),
+    met_floor=maybe(YES),
+    contradicted=each({}),
+    trusted=YES,
+) | {"additionalProperties": True}
+BLADE = having(
+    id=TEXT,
+    slot=maybe(TEXT),
+    lot=maybe(TEXT),
+    coating_lot=maybe(TEXT),
+    installed_at=maybe(TEXT),
+    time_h0=maybe(NUMBER),
+    added_seq=WHOLE,
+    retired_seq=maybe(WHOLE),
+    known=maybe(ANY),
+    retired=YES,
+)
+MADE = {
+    "id": TEXT,
+    "model": TEXT,
+    "model_version": TEXT,
+    "particles": WHOLE,
+    "seed": WHOLE,
+    "network": maybe(ANY),
+    "created_at": TEXT,
+}
+STANDING = MADE | {
+    "head_seq": WHOLE,
+    "applied_seq": WHOLE,
+    "version": WHOLE,
+    "status": {"enum": ["blocked", "pending", "current"]},
+    "attempts": WHOLE,
+    "last_error": maybe(having(error=maybe(TEXT), event=maybe(TEXT))),
+}
+POSTERIOR_OF_ROTOR = having(
+    version=WHOLE,
+    through_seq=WHOLE,
+    sealed=YES,
+    state_digest=TEXT,
+    events_digest=TEXT,
+    model_version=TEXT,
+    algorithm_version=TEXT,
+    created_at=TEXT,
+)
+RESTS_ON = having(
+    rotor=TEXT,
+    version=WHOLE,
+    through_seq=WHOLE,
+    events_digest=TEXT,
+    state_digest=TEXT,
+    sealed=YES,
+    model=TEXT,
+    model_version=TEXT,
+    model_digest=TEXT,
+    algorithm_version=TEXT,
+)
+SUMMARY = {
+    "rotor": TEXT,
+    "parameters": named(having(mean=NUMBER, sd=NUMBER, quantiles=named(NUMBER))),
+    "names": each(TEXT),
+    "correlation": each(each(NUMBER)),
+    "ess": NUMBER,
+    "draws": WHOLE,
+    "health": HEALTH,
+    "rests_on": RESTS_ON,
+}
+BAND: Json = each({"anyOf": [NUMBER, each(NUMBER)]})
+PREDICTION = having(
+    rotor=TEXT,
+    blade=TEXT,
+    quantity=TEXT,
+    unit=TEXT,
+    node=maybe(WHOLE),
+    probability=NUMBER,
+    instrument=maybe(TEXT),
+    noise_from={"enum": ["readings", "prior"]},
+    time_h=each(NUMBER),
+    mean=BAND,
+    sd=named(BAND),
+    lower=BAND,
+    upper=BAND,
+    quantiles=named(BAND),
+    health=HEALTH,
+    rests_on=RESTS_ON,
+)
+READING_MAY_LACK = (
+    *("nodes", "unit", "sigma", "instrument", "campaign", "observed_at", "replaces", "count"),
+)
+INSPECTION = having(
+    READING_MAY_LACK,
+    id=TEXT,
+    blade=TEXT,
+    quantity=TEXT,
+    time_h=NUMBER,
+    values=maybe(each({})),
+    nodes=maybe(each(WHOLE)),
+    unit=maybe(TEXT),
+    sigma=maybe(NUMBER),
+    instrument=maybe(TEXT),
+    campaign=maybe(TEXT),
+    observed_at=maybe(TEXT),
+    replaces=maybe(TEXT),
+    count=WHOLE,
+    seq=WHOLE,
+    status={"enum": ["counts", "replaced", "retracted"]},
+    received_at=TEXT,
+    posted_by=maybe(TEXT),
+)
+ACCEPTED = having(
+    items=each(having(id=TEXT, seq=WHOLE, status={"enum": ["accepted"]})), head_seq=WHOLE
+)
+JOB = having(
+    id=TEXT,
+    kind=TEXT,
+    status=TEXT,
+    request=ANY,
+    result=maybe(ANY),
+    error=maybe(TEXT),
+    attempts=WHOLE,
+    created_at=TEXT,
+    finished_at=maybe(TEXT),
+)
+MODEL = having(
+    id=TEXT,
+    version=TEXT,
+    digest=TEXT,
+    state=TEXT,
+    network=ANY,
+    horizon_h=NUMBER,
+    node_count=WHOLE,
+    nodes=named(WHOLE),
+    time_h=each(NUMBER),
+    outputs=named(having(unit=TEXT, kind=TEXT)),
+    summary=ANY,
+)
+AUDIT = having(
+    id=WHOLE,
+    at=TEXT,
+    key=maybe(TEXT),
+    who=TEXT,
+    address=maybe(TEXT),
+    request_id=TEXT,
+    what=TEXT,
+    path=TEXT,
+    rotor=maybe(TEXT),
+    entries=maybe(having(first_seq=WHOLE, last_seq=WHOLE)),
+    status=WHOLE,
+    problem=maybe(TEXT),
+)
+ROTOR = "/v1/rotors/{r}"
+ANSWERS: dict[str, Json] = {
+    "GET /healthz": having(status=TEXT),
+    "GET /readyz": having(
+        ("schema", "database", "remedy"), ready=YES, database=TEXT, schema=maybe(TEXT), remedy=TEXT
+    ),
+    "GET /v1/models": paged(having(id=TEXT, version=TEXT, digest=TEXT, state=TEXT)),
+    "GET /v1/models/{m}": MODEL,
+    "POST /v1/models": having(job=JOB),
+    "GET /v1/jobs/{id}": JOB,
+    "GET /v1/rotors": paged(having(**STANDING)),
+    "POST /v1/rotors": having(**MADE, blades=each(BLADE)),
+    f"GET {ROTOR}": having(
+        **STANDING, blades=each(BLADE), posterior=maybe(POSTERIOR_OF_ROTOR), health=maybe(HEALTH)
+    ),
+    f"POST {ROTOR}/retry": having(**STANDING),
+    f"POST {ROTOR}/blades": ACCEPTED,
+    f"POST {ROTOR}/blades/{{b}}/retirement": ACCEPTED,
+    f"GET {ROTOR}/inspections": paged(INSPECTION),
+    f"POST {ROTOR}/inspections": ACCEPTED,
+    f"GET {ROTOR}/inspections/{{i}}": INSPECTION,
+    f"POST {ROTOR}/inspections/{{i}}/retraction": ACCEPTED,
+    f"GET {ROTOR}/posterior": having(**SUMMARY),
+    f"GET {ROTOR}/blades/{{b}}/posterior": having(**SUMMARY, blade=TEXT),
+    f"GET {ROTOR}/blades/{{b}}/prediction": PREDICTION,
+    "GET /v1/audit": paged(AUDIT),
+}

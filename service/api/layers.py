@@ -1,0 +1,55 @@
+"""The layers around the routes, from the outside in.
+
+=============  ===========================================================================
+Manners        request id, browsers' headers, a line in the log
+CORS           where BLADETWIN_CORS_ORIGINS names pages that may call
+Compression    gzip for large answers
+LastResort     an error that nobody foresaw is a problem, too
+Trail          a row of the audit trail for what was refused
+Gate           key, rate, scope, rotor
+BodyLimit      bodies above the limit
+Repeats        Idempotency-Key
+EntityTags     ETag and 304
+=============  ===========================================================================
+"""
+
+from __future__ import annotations
+
+from fastapi import FastAPI
+from starlette.middleware.cors import CORSMiddleware
+
+from service.api.gate import Gate
+from service.api.limits import BodyLimit
+from service.api.manners import Manners
+from service.api.problems import LastResort
+from service.api.repeats import Repeats
+from service.api.services import Services
+from service.api.tags import Compression, EntityTags
+from service.api.trail import Trail
+
+SENT = ("Authorization", "Idempotency-Key", "If-Match", "If-None-Match", "X-Request-Id")
+SHOWN = (
+    *("ETag", "Location", "Retry-After", "RateLimit", "RateLimit-Policy", "X-Request-Id"),
+    *("Idempotent-Replayed", "Bladetwin-Health"),
+)
+
+
+def add_layers(app: FastAPI, services: Services) -> None:
+    """Put every layer around the application; the one added last is the outermost."""
+    store, settings = services.store, services.settings
+    app.add_middleware(EntityTags)
+    app.add_middleware(Repeats, store=store, keep_s=3600 * settings.idempotency_h)
+    app.add_middleware(BodyLimit, limit=int(settings.max_body_mb * 2**20))
+    app.add_middleware(Gate, store=store, settings=settings)
+    app.add_middleware(Trail, store=store)
+    app.add_middleware(LastResort)
+    app.add_middleware(Compression)
+    if settings.origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.origins,
+            allow_methods=["GET", "POST"],
+            allow_headers=SENT,
+            expose_headers=SHOWN,
+        )
+    app.add_middleware(Manners)

@@ -1,0 +1,53 @@
+"""A rotor and its blades as answers tell them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from service.api.services import moment
+from service.handlers.reads import health
+from service.handlers.rotors import RotorView
+from service.ports import BladeRecord, RotorRecord
+
+
+def rotor_out(rotor: RotorRecord) -> dict[str, Any]:
+    blocked = {"error": rotor.last_error, "event": rotor.last_error_event}
+    return {
+        "id": rotor.id,
+        "model": rotor.model_id,
+        "model_version": rotor.model_version,
+        "particles": rotor.particles,
+        "seed": rotor.seed,
+        "network": rotor.network,
+        "created_at": moment(rotor.created_at),
+        "head_seq": rotor.head_seq,
+        "applied_seq": rotor.applied_seq,
+        "version": rotor.version,
+        "status": "blocked" if rotor.blocked else "pending" if rotor.dirty else "current",
+        "attempts": rotor.attempts,
+        "last_error": blocked if rotor.last_error else None,
+    }
+
+
+def blade_out(blade: BladeRecord) -> dict[str, Any]:
+    return asdict(blade) | {"retired": blade.retired_seq is not None}
+
+
+def view_out(view: RotorView) -> dict[str, Any]:
+    state = view.state
+    posterior = state and {
+        "version": state.version,
+        "through_seq": state.through_seq,
+        "sealed": state.sealed,
+        "state_digest": state.digest,
+        "events_digest": state.events_digest,
+        "model_version": state.model_version,
+        "algorithm_version": state.algorithm_version,
+        "created_at": moment(state.created_at),
+    }
+    return rotor_out(view.rotor) | {
+        "blades": [blade_out(blade) for blade in view.blades],
+        "posterior": posterior,
+        "health": state and health(state),
+    }

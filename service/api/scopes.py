@@ -1,0 +1,94 @@
+"""Which scope each route asks of a key. What is not in this table is not served.
+
+The gate looks a request up here before the router sees it, so that a route that somebody forgot
+to enter answers 404 in its first test instead of being open to everybody.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from starlette.routing import compile_path
+
+from service.access import Scope
+
+STATE_CHANGING = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What a route asks for.
+
+    scope    ``open``: nobody needs a key for it
+    beyond   a key for some rotors may use it though it names no rotor: it tells of none, or of
+             the key's own alone
+    """
+
+    scope: Scope | Literal["open"]
+    beyond: bool = False
+
+
+ROTOR = "/v1/rotors/{r}"
+RULES: dict[str, Rule] = {
+    "GET /healthz": Rule("open"),
+    "GET /readyz": Rule("open"),
+    "GET /openapi.json": Rule("read", beyond=True),
+    "GET /v1/models": Rule("read", beyond=True),
+    "GET /v1/models/{m}": Rule("read", beyond=True),
+    "POST /v1/models": Rule("operate"),
+    "GET /v1/jobs/{id}": Rule("read", beyond=True),
+    "GET /v1/rotors": Rule("read", beyond=True),
+    "POST /v1/rotors": Rule("operate"),
+    f"GET {ROTOR}": Rule("read"),
+    f"POST {ROTOR}/retry": Rule("operate"),
+    f"POST {ROTOR}/blades": Rule("operate"),
+    f"POST {ROTOR}/blades/{{b}}/retirement": Rule("operate"),
+    f"GET {ROTOR}/inspections": Rule("read"),
+    f"POST {ROTOR}/inspections": Rule("ingest"),
+    f"GET {ROTOR}/inspections/{{i}}": Rule("read"),
+    f"POST {ROTOR}/inspections/{{i}}/retraction": Rule("ingest"),
+    f"GET {ROTOR}/posterior": Rule("read"),
+    f"GET {ROTOR}/blades/{{b}}/posterior": Rule("read"),
+    f"GET {ROTOR}/blades/{{b}}/prediction": Rule("read"),
+    "GET /v1/audit": Rule("operate", beyond=True),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where a request leads; `rotor` as the path names it."""
+
+    name: str
+    rule: Rule
+    rotor: str | None
+
+
+class Table:
+    """Finds the rule of a request.
+
+    >>> Table(RULES).find("GET", "/v1/rotors/r7/posterior").rotor
+    'r7'
+    >>> Table(RULES).find("PATCH", "/v1/rotors")
+    ['GET', 'POST']
+    >>> Table(RULES).find("GET", "/v1/engines")
+    []
+    """
+
+    def __init__(self, rules: dict[str, Rule]) -> None:
+        by_path: dict[str, dict[str, Rule]] = {}
+        for name, rule in rules.items():
+            method, path = name.split(" ")
+            by_path.setdefault(path, {})[method] = rule
+        self._paths = [(compile_path(path)[0], path, by_path[path]) for path in by_path]
+
+    def find(self, method: str, path: str) -> Found | list[str]:
+        """The rule, or the methods that the path has: none where there is no such path."""
+        for pattern, template, rules in self._paths:
+            match = pattern.match(path)
+            if match is None:
+                continue
+            if method not in rules:
+                return sorted(rules)
+            return Found(f"{method} {template}", rules[method], match.groupdict().get("r"))
+        return []

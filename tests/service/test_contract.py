@@ -1,0 +1,206 @@
+"""The OpenAPI document holds, with and without keys.
+
+Requests are made from the document by schemathesis, such as fit it and such as do not, from a fixed
+seed, and sent over a real connection; what comes back is held against the document.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from typing import Any
+
+import httpx
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, seed
+from hypothesis import settings as hypothesis_settings
+from schemathesis import GenerationMode
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_headers_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+from service.api.routers import rotors
+from service.worker.loop import Worker
+
+Json = dict[str, Any]
+Serving = Callable[..., AbstractContextManager[httpx.Client]]
+CHECKS = [
+    not_a_server_error,
+    status_code_conformance,
+    content_type_conformance,
+    response_headers_conformance,
+    response_schema_conformance,
+]
+READING = {"id": "i1", "blade": "B1", "quantity": "elongation", "time_h": 8000.0, "value": 0.11}
+NAMES = {"r": "r1", "b": "B1", "i": "i1", "m": "rotor-blade", "id": "none"}
+
+
+@pytest.fixture
+def database_url(tmp_path: Any, sqlite_template: Any) -> str:
+    """The document is the same on both databases; SQLite is the quicker one."""
+    shutil.copy(sqlite_template, tmp_path / "bladetwin.db")
+    return f"sqlite:///{tmp_path / 'bladetwin.db'}"
+
+
+def fitted(label: str, body: Any) -> Any:
+    """A body whose names are those of things that are there, so that some requests are done."""
+    if not isinstance(body, dict):
+        return body
+    if label == "POST /v1/rotors":
+        return body | {"model": "rotor-blade", "network": None, "blades": [{"id": "B1"}]}
+    if label.endswith("/inspections"):
+        known = {"blade": "B1", "quantity": "elongation", "time_h": 8000.0, "values": [0.1]}
+        known |= {"value": None, "nodes": None, "unit": "mm"}
+        rows = body.get("inspections")
+        if isinstance(rows, list):
+            fit = [one | known if isinstance(one, dict) else one for one in rows]
+            return body | {"inspections": fit}
+        return body | known
+    return body
+
+
+def answered(
+    client: httpx.Client, document: Json, headers: dict[str, str], examples: int
+) -> dict[str, dict[int, int]]:
+    """How often each operation was answered with each status; a breach of the document raises."""
+    schema = schemathesis.openapi.from_dict(document)
+    seen: dict[str, dict[int, int]] = {}
+    for found in schema.get_all_operations():
+        operation = found.ok()
+        told = seen.setdefault(operation.label, {})
+        takes = any(operation.iter_parameters()) or operation.body
+        for mode in [GenerationMode.POSITIVE] + [GenerationMode.NEGATIVE] * bool(takes):
+            for known in (False, True):
+                send(operation, mode, known, told, client, headers, examples)
+    return seen
+
+
+def send(
+    operation: Any,
+    mode: GenerationMode,
+    known: bool,
+    told: dict[int, int],
+    client: httpx.Client,
+    headers: dict[str, str],
+    examples: int,
+) -> None:
+    """Send some requests of one operation; `known`: with names of things that are there."""
+
+    @seed(20310504)
+    @hypothesis_settings(
+        max_examples=examples,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(case=operation.as_strategy(generation_mode=mode))
+    def one(case: Any) -> None:
+        if known:
+            case.path_parameters = {name: NAMES[name] for name in case.path_parameters or {}}
+            case.body = fitted(operation.label, case.body)
+        answer = case.call_and_validate(
+            base_url=str(client.base_url), headers=headers, checks=CHECKS
+        )
+        told[answer.status_code] = told.get(answer.status_code, 0) + 1
+
+    one()
+
+
+def test_the_document_is_kept_where_no_key_is_needed(
+    serving: Serving, rotor: str, worker: Worker
+) -> None:
+    worker.drain()
+    with serving() as client:
+        client.post("/v1/rotors/r1/inspections", json=READING)
+        worker.drain()
+        seen = answered(client, client.get("/openapi.json").json(), {}, 3)
+    done = {label for label, told in seen.items() if {200, 201, 202} & set(told)}
+    assert done | {"GET /v1/jobs/{id}"} == set(seen), "every operation was done, not only refused"
+    refused = {label for label, told in seen.items() if {404, 412, 422} & set(told)}
+    assert len(refused) == len(seen) - 2, "all but healthz and readyz"
+    assert not {401, 403, 405, 429} & {status for told in seen.values() for status in told}
+
+
+def test_the_document_is_kept_where_keys_are_needed(
+    serving: Serving, rotor: str, worker: Worker, key: Callable[..., dict[str, str]]
+) -> None:
+    worker.drain()
+    everything = key("read", "ingest", "operate")
+    with serving(keys="always", rate_per_s=0.0) as client:
+        document = client.get("/openapi.json", headers=everything).json()
+        without = answered(client, document, {}, 1)
+        reader = answered(client, document, key("read"), 1)
+        chief = answered(client, document, everything, 2)
+    guarded = set(without) - {"GET /healthz", "GET /readyz"}
+    assert {label for label, told in without.items() if set(told) == {401}} == guarded
+    # Among requests that do not fit are some whose Authorization does not: 401.
+    beyond = {label for label, told in reader.items() if 403 in told}
+    assert beyond == seen_posts(document) | {"GET /v1/audit"}
+    assert all(set(reader[label]) <= {401, 403} for label in beyond)
+    assert not [label for label, told in chief.items() if 403 in told or set(told) == {401}]
+
+
+def seen_posts(document: Json) -> set[str]:
+    return {f"POST {path}" for path, methods in document["paths"].items() if "post" in methods}
+
+
+def test_an_answer_that_breaks_the_document_is_seen(
+    serving: Serving, rotor: str, worker: Worker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Negative controls: a lost field, a field that nobody named, a server's failure."""
+    worker.drain()
+    true = rotors.view_out
+    faults: list[Callable[[Any], Json]] = [
+        lambda view: {k: v for k, v in true(view).items() if k != "head_seq"},
+        lambda view: true(view) | {"colour": "red"},
+        lambda view: true(view) | {"version": "1"},
+        lambda view: true(view) | {"version": 1 / 0},
+    ]
+    for wrong in faults:
+        monkeypatch.setattr(rotors, "view_out", wrong)
+        with serving() as client:
+            document = client.get("/openapi.json").json()
+            path = "/v1/rotors/{r}"
+            document["paths"] = {path: {"get": document["paths"][path]["get"]}}
+            with pytest.raises(BaseException, match=r"(?i)schema|server error"):
+                answered(client, document, {}, 4)
+
+
+def examples_of(document: Json) -> Iterator[tuple[str, str, Any]]:
+    """(path, media type, body) of every example of a body in the document."""
+    schemas = document["components"]["schemas"]
+    for path, methods in document["paths"].items():
+        for kind, told in methods.get("post", {}).get("requestBody", {}).get("content", {}).items():
+            named = [one["value"] for one in told.get("examples", {}).values()]
+            named += [told["example"]] if "example" in told else []
+            schema = told["schema"]
+            if "$ref" in schema:
+                schema = schemas[schema["$ref"].rpartition("/")[2]]
+            named += schema.get("examples", []) if not named else []
+            yield from ((path, kind, body) for body in named)
+
+
+def test_every_example_of_the_document_can_be_posted(api: httpx.Client) -> None:
+    document = api.get("/openapi.json").json()
+    found = list(examples_of(document))
+    assert {path for path, _, _ in found} == {
+        "/v1/models",
+        "/v1/rotors",
+        "/v1/rotors/{r}/blades",
+        "/v1/rotors/{r}/inspections",
+    }
+    order = ["/v1/models", "/v1/rotors", "/v1/rotors/{r}/blades", "/v1/rotors/{r}/inspections"]
+    for path, kind, body in sorted(found, key=lambda one: order.index(one[0])):
+        if path == "/v1/rotors":
+            body = body | {"network": None}  # the trial's model has other parameters
+        content = body if kind == "text/csv" else json.dumps(body)
+        sent = api.post(path.replace("{r}", "r1"), content=content, headers={"content-type": kind})
+        assert sent.status_code in (201, 202), sent.text
