@@ -268,3 +268,10 @@ def rotor_blade() -> Model:
     from core.builtin import rotor_blade as builtin
 
     return Model(rotor_blade_network(), builtin.load())
+
+
+def rotor_blade_wide() -> Model:
+    """The model of the wide plan, in which effects find room; dormant inputs are asleep."""
+    from core.builtin import rotor_blade as builtin
+
+    return Model.of(builtin.wide_network(), builtin.load_wide())

@@ -34,6 +34,8 @@ from core.blade import BOUNDS, DORMANT, BladeRun, build_mesh, output_times, run_
 from core.blade.integrate import Tolerance
 from core.design import maximin_lhs
 from core.errors import ModelError
+from core.network import Network, Parameter, rotor_blade_network
+from core.prior import Prior
 from core.rng import seed_of
 from core.surrogate import Surrogate, save, train
 from core.surrogate import load as load_artefact
@@ -44,6 +46,7 @@ NAME = "rotor-blade"
 SEED = 20230106
 TRAINING, TEST = 66, 34
 MODEL = Path(__file__).with_name("rotor_blade_model")
+WIDE_MODEL = Path(__file__).with_name("rotor_blade_wide_model")
 QUANTITIES = ("ceeq", "creep_damage", "mises", "displacement", "elongation")
 Progress = Callable[[str, int, int, float], None]
 Array = NDArray[np.float64]
@@ -225,3 +228,19 @@ def blade_digest() -> str:
 def load() -> Surrogate:
     """The shipped artefact, read once per process."""
     return load_artefact(MODEL)
+
+
+@cache
+def load_wide() -> Surrogate:
+    """The shipped artefact of the wide plan, read once per process."""
+    return load_artefact(WIDE_MODEL)
+
+
+def wide_network() -> Network:
+    """The paper's network on the wide plan: the same priors, and the dormant inputs asleep."""
+    network = rotor_blade_network()
+    asleep = tuple(
+        Parameter(name, "dormant", Prior("uniform", one.low, one.high), nominal=one.nominal)
+        for name, one in DORMANT.items()
+    )
+    return replace(network, name=WIDE.name, parameters=(*network.parameters, *asleep))
