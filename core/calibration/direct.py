@@ -49,6 +49,8 @@ class Pieces:
 class DirectMessage(BladeMessage):
     """The message of one blade's readings that a closed form answers."""
 
+    smooth, cheap = False, True  # all nodes at once cost no more than a few of them
+
     @cached_property
     def _rows(self) -> FormulaRows:
         rows = self.rows.response

@@ -181,9 +181,11 @@ class BladeMessage:
     """The message of one blade's readings, as a function of the shared parameters.
 
     `smooth`: what its quadrature leaves is small enough to go from node to node by kriging.
+    `cheap`: thousands of nodes are affordable.
     """
 
     smooth = True
+    cheap = False
 
     def __init__(
         self, model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]

@@ -134,7 +134,7 @@ def narrowed(readings: Readings, low: Array, high: Array) -> tuple[Index, Array,
         kept = upper + volume[:, None] >= floor[node, None] - NEGLIGIBLE
         begin = np.where(kept[:, :, None], starts[None], cells).min(axis=1)
         end = np.where(kept[:, :, None], starts[None] + 1, 0).max(axis=1)
-        cut = _gaps(kept, starts, begin)
+        cut = _gaps(kept, begin)
         if d == 1:
             log_l = -0.5 * np.sum((rows - y) ** 2 / s2, axis=2)
             valley = _valleys(log_l)[:, None]
@@ -164,13 +164,13 @@ def narrowed(readings: Readings, low: Array, high: Array) -> tuple[Index, Array,
     return n, a, b, floor
 
 
-def _gaps(kept: NDArray[np.bool_], starts: Array, begin: Array) -> Array:
+def _gaps(kept: NDArray[np.bool_], begin: Array) -> Array:
     """Along each coordinate of each window the end of its first run of cells, 0 if the last one."""
-    cells = int(starts.max()) + 1
-    out = np.zeros(begin.shape)
-    for j in range(begin.shape[1]):
-        seen = np.stack([kept[:, starts[:, j] == c].any(axis=1) for c in range(cells)], axis=1)
-        number = np.arange(cells)
+    windows, d = begin.shape
+    kept = kept.reshape(windows, *(CELLS[d],) * d)
+    out, number = np.zeros(begin.shape), np.arange(CELLS[d])
+    for j in range(d):
+        seen = kept.any(axis=tuple(k + 1 for k in range(d) if k != j))
         after = ~seen & (number > begin[:, [j]])
         gap = np.argmax(after, axis=1)
         more = (seen & (number > gap[:, None])).any(axis=1)
