@@ -243,11 +243,18 @@ def _inputs(
 
 def _answer(model: Model, reading: Inspection) -> Rows:
     """The row of a scalar reading or of one at a node."""
-    nodes, times = _node_of(model, reading), np.array([reading.time_h])
-    part = model.part(reading.quantity)
+    part, times = model.part(reading.quantity), np.array([reading.time_h])
     if isinstance(part, ClosedForm):
+        if model.network.quantity(reading.quantity).kind != "scalar":
+            raise InputError(
+                "quantity",
+                reading.quantity,
+                "has nodes, a closed form has none",
+                "declare a scalar",
+            )
         own = part.rows(reading.quantity, times)
         return own.over(own.names, *_box(model, part.inputs))
+    nodes = _node_of(model, reading)
     key = (reading.quantity, reading.time_h, None if nodes is None else tuple(nodes))
     return _rows(model, key, lambda: part.response(reading.quantity, times, nodes, degree=DEGREE))
 

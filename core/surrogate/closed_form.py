@@ -78,6 +78,17 @@ class ClosedForm(FormulaModel):
         return " ".join(f"{v:.{DIGITS - 1}e}" for v in np.concatenate(values))
 
     @property
+    def named(self) -> dict[str, int]:
+        """A closed form has no nodes: its quantities are scalars."""
+        return {}
+
+    @property
+    def manifest(self) -> dict[str, object]:
+        """What it is, for whoever asks what a model is and how good: exact."""
+        inputs = {i.name: [i.low, i.high] for i in self.inputs}
+        return {"kind": "closed form", "inputs": inputs, "errors": None}
+
+    @property
     def digest(self) -> str:
         """SHA-256 over the declaration and the formulas' own values at the probes.
 
