@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from core.calibration import draws as drawing
 from core.calibration import kernel
+from core.calibration.boxes import Boxes, boxes, laid_out
 from core.calibration.message import PARTS, BladeMessage, cut_offset, side_by_side, split
 from core.calibration.target import locals_of
 from core.calibration.vector import LANES
-from core.calibration.windows import DEGREE, Boxes, Readings, boxes
+from core.calibration.windows import Readings
 from core.errors import CalibrationError, InputError
-from core.response import multi_indices
 from core.surrogate.closed_form import FormulaRows
 
 Array = NDArray[np.float64]
@@ -182,7 +182,7 @@ class DirectMessage(BladeMessage):
             return Pieces(Boxes(node, none, none, empty, empty, error), sums, y, s2, rest)
         made = boxes(readings, low, high)
         blocks = [
-            made_of(made, np.arange(i, i + LANES), y, s2) for i in range(0, len(made.node), LANES)
+            laid_out(made, np.arange(i, i + LANES), y, s2) for i in range(0, len(made.node), LANES)
         ]
         dim, sums = len(low), np.empty((len(blocks), LANES))
 
@@ -217,7 +217,7 @@ class DirectMessage(BladeMessage):
         def work(part: slice) -> None:
             for k in range(part.start, part.stop):
                 here = entries[np.minimum(np.arange(k * LANES, (k + 1) * LANES), len(entries) - 1)]
-                given = made_of(found.boxes, here, found.y, found.s2)
+                given = laid_out(found.boxes, here, found.y, found.s2)
                 one = slice(k, k + 1)
                 if dim == 3:
                     kernel.volume_draws(*given, points[one], out[one], log_w[one])
@@ -226,31 +226,6 @@ class DirectMessage(BladeMessage):
 
         side_by_side(work, split(n, PARTS))
         return out.reshape(-1, per_node, 3), log_w.reshape(-1, per_node)
-
-
-def made_of(made: Boxes, which: Index, y: Array, s2: Array) -> tuple[Array, ...]:
-    """What the kernels take of `LANES` boxes; those beyond the last repeat it."""
-    which = np.minimum(which, len(made.node) - 1)
-    node, d = made.node[which], made.low.shape[1]
-    table = multi_indices(d, DEGREE)
-    exponents = np.zeros((len(table), 3), dtype=np.int64)
-    exponents[:, 3 - d :] = table
-    a, b = (v[which].transpose(1, 2, 0).reshape(v.shape[1], -1) for v in (made.a, made.b))
-    rows = np.ascontiguousarray(y[node].T)[None]
-    noise = np.ascontiguousarray((s2[node] * (1.0 + made.error[which] ** 2)).T)[None]
-    factors = np.tile(np.eye(LANES), (len(table), 1))[None]
-    none = np.zeros(len(a))
-    return (
-        np.ascontiguousarray(a),
-        np.ascontiguousarray(b),
-        np.zeros_like(a),
-        np.repeat(exponents, LANES, axis=0),
-        factors,
-        rows,
-        noise,
-        none,
-        none.copy(),
-    )
 
 
 def _picked(found: Pieces, u: Array) -> tuple[Index, Array, Array]:

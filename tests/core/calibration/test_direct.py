@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 
 from core.builtin import creep_specimens as built
 from core.builtin.creep_specimens import QUANTITY, strain
-from core.calibration import windows
+from core.calibration import boxes, windows
 from core.calibration.collapsed import message_of
 from core.calibration.direct import DirectMessage
 from core.calibration.target import assemble, nominal, shared_space
@@ -177,9 +177,9 @@ def test_rows_on_the_boxes_follow_the_formula_within_the_stated_share_of_noise_a
     exact = readings.answer(made.node, local)
     scale = np.sqrt(readings.s2[made.node] + (exact - readings.y[made.node]) ** 2)
     missed = np.abs(value - exact) / scale
-    assert np.sqrt(np.sum(missed**2, axis=1)).max() < windows.TOLERANCE
+    assert np.sqrt(np.sum(missed**2, axis=1)).max() < boxes.TOLERANCE
     assert np.all(missed <= 1.5 * made.error + 1e-9)
-    assert made.error.max() <= windows.TOLERANCE
+    assert made.error.max() <= boxes.TOLERANCE
 
 
 def test_draws_weigh_one_and_have_the_moments_of_dense_quadrature() -> None:
