@@ -11,9 +11,11 @@ the strain is x alone, or, with what the network keeps asleep (``dormant``) unti
              primary                   tertiary, → x for c → 0
 
 `log_rate` is each specimen's own, drawn from a population over the specimens; n, P, eps_p and c are
-shared; the stress is known of each specimen. Both amplitudes P and c are nominally 0. From
-c x = `MOST` on, beyond any strain that a specimen lives to see, the exponential goes on along its
-tangent, so that every number stays finite and strain still rises with rate and amplitude.
+shared; the stress is known of each specimen. Both amplitudes P and c are nominally 0. (The nominal
+eps_p, 0.04 %, comes from a first look at CMSX-6 at 980 °C; it counts only where P is freed and
+eps_p is not.) From c x = `MOST` on, beyond any strain that a specimen lives to see, the exponential
+goes on along its tangent, so that every number stays finite and strain still rises with rate and
+amplitude.
 
 Names of the service stay: the set of specimens is a "rotor", a specimen a "blade".
 

@@ -1,10 +1,11 @@
 """Calibrate four networks on the measured creep curves, whole and with specimens held out.
 
-    python -m tests.claims.make_specimens [NETWORK …]
+    python -m tests.claims.make_specimens [NETWORK … | table]
 
 writes tests/claims/results/specimens/<network>.json for norton, primary, tertiary and both: what
 the network makes of all twelve specimens, of eleven (each left out once) and of nine (each stress
-left out once). About 5 minutes of processor time per network.
+left out once); and table.md of those that are there, which `table` does alone. Two to ten minutes
+of processor time per network.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,10 +119,57 @@ def made(network: str) -> dict[str, Any]:
     }
 
 
+def kept(network: str) -> dict[str, Any]:
+    """What is kept of a network."""
+    found: dict[str, Any] = json.loads((OUT / f"{network}.json").read_text())
+    return found
+
+
+def rmse(found: Mapping[str, Any], which: str, kind: str) -> float:
+    """Of all readings up to `LARGEST` of the specimens under `which` [%]."""
+    weights = np.array([one["readings"] for one in found[which]])
+    return float(np.sqrt(weights @ [one[kind] for one in found[which]] / weights.sum()))
+
+
+COLUMNS = (
+    "network | log evidence | noise | fit | new specimen | new stress | in 95 %: specimen, stress"
+)
+
+
+def row(network: str) -> str:
+    found = kept(network)
+    noise, sd = found["shared"][f"sigma_obs.{built.QUANTITY}"]
+    errors = [
+        f"{rmse(found, which, 'mean_square'):.3f} / {rmse(found, which, 'median_square'):.3f}"
+        for which in ("fit", "new_specimen", "new_stress")
+    ]
+    inside = [
+        float(np.mean([one["inside_95"] for one in found[which]]))
+        for which in ("new_specimen", "new_stress")
+    ]
+    cells = [network, f"{found['log_evidence']:.1f}", f"{noise:.3f} ± {sd:.3f}", *errors]
+    return " | ".join([*cells, ", ".join(f"{share:.2f}" for share in inside)])
+
+
+def table() -> str:
+    """All networks that are kept; errors are root mean squares in % strain."""
+    rows = [row(name) for name in FREED if (OUT / f"{name}.json").exists()]
+    lines = [COLUMNS, " | ".join(["---"] * (COLUMNS.count("|") + 1)), *rows]
+    first = kept("norton")
+    return (
+        f"`python -m tests.claims.make_specimens`: {first['delivered']} readings delivered, "
+        f"{first['up_to_largest']} up to {first['largest_pct']:g} %, every {first['every']}th of "
+        f"them used, {first['used']}. Errors: root mean squares [% strain] over all "
+        f"{first['up_to_largest']}, of the band's mean / median. Data: see specimen_data.py.\n\n"
+        + "".join(f"| {line} |\n" for line in lines)
+    )
+
+
 def main(networks: Sequence[str]) -> None:
     OUT.mkdir(parents=True, exist_ok=True)
-    for network in networks or [*FREED]:
+    for network in [] if networks == ["table"] else networks or [*FREED]:
         (OUT / f"{network}.json").write_text(json.dumps(made(network), indent=1) + "\n")
+    (OUT / "table.md").write_text(table())
 
 
 if __name__ == "__main__":

@@ -7,28 +7,16 @@ two middle stresses, to show that the kept ones come out of this code.
 
 from __future__ import annotations
 
-import json
-from functools import cache
-from typing import Any
-
 import numpy as np
 import pytest
 
-from tests.claims.make_specimens import FREED, OUT, calibrated, errors, model
+from tests.claims import make_specimens
+from tests.claims.make_specimens import FREED, OUT, calibrated, errors, kept, model
 from tests.claims.specimen_data import EVERY, LARGEST, specimens
 
 
-@cache
-def kept(network: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((OUT / f"{network}.json").read_text())
-    return found
-
-
 def rmse(network: str, which: str, kind: str = "mean_square") -> float:
-    """Of all readings up to 8 % of these specimens together [%]."""
-    own = kept(network)[which]
-    weights = np.array([one["readings"] for one in own])
-    return float(np.sqrt(weights @ np.array([one[kind] for one in own]) / weights.sum()))
+    return make_specimens.rmse(kept(network), which, kind)
 
 
 def noise(network: str) -> float:
@@ -49,6 +37,10 @@ def test_what_is_kept_is_of_this_releases_model_and_counts_every_reading(network
     assert found["health"]["status"] == "ok"
     names = {one["specimen"] for one in found["fit"]}
     assert names == {one["specimen"] for one in found["new_specimen"]}
+
+
+def test_the_table_is_that_of_the_kept_results() -> None:
+    assert (OUT / "table.md").read_text() == make_specimens.table()
 
 
 def test_the_data_are_those_that_were_delivered() -> None:
