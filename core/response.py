@@ -22,7 +22,7 @@ training point, 1 far away) and ka, kb are the scales of the errors of a and b.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations_with_replacement
 
@@ -118,6 +118,28 @@ class Response:
         a, e = basis @ self.a.T, np.exp(basis @ self.b.T)
         v = np.exp(basis @ self.log_v.T)
         return a * e, e * np.sqrt(v * (self.ka**2 + (a * self.kb) ** 2))
+
+    def of_input(self, name: str) -> Response:
+        """One row over the same inputs that is an input itself, e.g. that of a normal prior.
+
+        >>> x = np.linspace(0, 2, 9)[:, None]
+        >>> r = Response.fit(["l"], np.array([0.0]), np.array([2.0]), 2, x, a=3 + x**2)
+        >>> r.of_input("l").evaluate(np.array([[1.5]]))[0].tolist()
+        [[1.5]]
+        """
+        j = self.names.index(name)
+        half = 0.5 * (self.high[j] - self.low[j])
+        a, zero, none = np.zeros((1, self.a.shape[1])), np.zeros((1, self.a.shape[1])), np.zeros(1)
+        unit = np.zeros(len(self.names), dtype=np.int64)
+        unit[j] = 1
+        table = multi_indices(len(self.names), self.degree)
+        a[0, 0] = self.low[j] + half
+        a[0, np.flatnonzero((table == unit).all(axis=1))[0]] = half
+        return Response(self.names, self.low, self.high, self.degree, a, zero, none, none, zero)
+
+    def scattered(self, times: Array) -> Response:
+        """The same rows with the surrogate's error so many `times` as large, (R,)."""
+        return replace(self, ka=self.ka * times, kb=self.kb * times)
 
     def reboxed(self, low: Array, high: Array) -> Response:
         """The same rows as polynomials of inputs scaled to another box.

@@ -106,13 +106,14 @@ def compile_kernels(as_json: Json = False) -> None:
     The machine code is kept beside the installed package, or in the user's cache folder where that
     cannot be written to.
     """
-    from service.science import NAME, CoreScience
+    from service.science import CoreScience
 
     start = time.monotonic()
     science = CoreScience(Settings.load().model_dir)
-    with bar("compiling", 1, quiet=as_json) as shown:
-        science.warm(science.builtin(NAME))
-        shown(1)
+    with bar("compiling", len(science.builtins), quiet=as_json) as shown:
+        for done, name in enumerate(science.builtins, start=1):
+            science.warm(science.builtin(name))
+            shown(done)
     seconds = round(time.monotonic() - start, 1)
     say({"seconds": seconds}, f"kernels are compiled ({seconds:g} s)", as_json=as_json)
 

@@ -188,7 +188,7 @@ class Client:
         self,
         rotor: str,
         blade: str,
-        quantity: str = "elongation",
+        quantity: str | None = None,
         *,
         times: Sequence[float] | None = None,
         node: int | str | None = None,
@@ -198,9 +198,13 @@ class Client:
     ) -> Json:
         """Bands of a quantity by source; with an instrument, of a reading by it.
 
+        quantity   default: the model's first one
+
         ``answer["health"]["trusted"]`` is False where the state behind it says why it is not.
         """
-        params: dict[str, str] = {"quantity": quantity, "probability": repr(probability)}
+        params: dict[str, str] = {"probability": repr(probability)}
+        if quantity is not None:
+            params["quantity"] = quantity
         if times is not None:
             params["times"] = ",".join(repr(float(t)) for t in times)
         if node is not None:

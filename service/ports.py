@@ -138,7 +138,9 @@ class Science(Protocol):
     """The calibration: pure functions of readings, rotor and earlier state."""
 
     @property
-    def builtins(self) -> tuple[str, ...]: ...
+    def builtins(self) -> tuple[str, ...]:
+        """Names of the models that come with it; the first is registered without being asked."""
+        ...
 
     def builtin(self, name: str) -> ModelCard: ...
     def vary(self, card: ModelCard, asked: Json | None) -> ModelCard:

@@ -1,4 +1,6 @@
-"""The blade physics behind the `Science` port: core.model, core.calibration, core.prediction.
+"""The calibration behind the `Science` port: core.model, core.calibration, core.prediction.
+
+Two models come with it: blades on their shipped surrogate, and creep specimens in closed form.
 
 Imported only where it is wired; the compiled kernels of the calibration are imported when a
 worker warms up, so that a process that only serves never loads them.
@@ -10,13 +12,13 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import core.builtin
+from core.builtin import creep_specimens
 from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
 from core.discrepancy import parameters
 from core.errors import InputError, ModelError
@@ -30,6 +32,7 @@ from service.variant import named, vary
 
 SHIPPED = Path(core.builtin.__file__).with_name("rotor_blade_model")
 NAME = "rotor-blade"
+SPECIMENS = creep_specimens.NAME
 INSTANTS = 51
 MOST_VARIED = 64  # varied models kept with the rows compiled for them
 
@@ -49,29 +52,40 @@ class Bands:
 
 
 class CoreScience:
-    """The science of this release, on the shipped model.
+    """The science of this release, on the models that come with it.
 
-    folder   holds a rebuilt model, used instead of the shipped one
-    model    any network and surrogate, e.g. a formula (core.surrogate.formula), used instead
+    folder   holds a rebuilt rotor-blade model, used instead of the shipped one
+    model    any network and surrogate, e.g. a formula (core.surrogate.formula), used instead of
+             rotor-blade and alone
     """
-
-    builtins = (NAME,)
 
     def __init__(self, folder: str = "", model: Model | None = None) -> None:
         self._folder = Path(folder) if folder else SHIPPED
-        self._given = model
+        self._models: dict[str, Model] = {} if model is None else {NAME: model}
+        self.builtins = (NAME, SPECIMENS) if model is None else (NAME,)
         self._lock = threading.Lock()
         self._varied: OrderedDict[str, Model] = OrderedDict()
         self._workspace: Any = None
 
-    @cached_property
-    def _loaded(self) -> Model:
-        return self._given or Model(rotor_blade_network(), load(self._folder))
+    def _loaded(self, name: str) -> Model:
+        """A built-in model, made when first asked for; the lock is held."""
+        if name not in self.builtins:
+            raise ModelError(
+                f"model {name} is registered, but is none of this release's: "
+                f"{', '.join(self.builtins)}. Run the release that registered it."
+            )
+        if name not in self._models:
+            self._models[name] = (
+                Model(rotor_blade_network(), load(self._folder))
+                if name == NAME
+                else Model(creep_specimens.network(), creep_specimens.formula())
+            )
+        return self._models[name]
 
     def _model(self, card: ModelCard) -> Model:
         """The loaded model, or its surrogate under the varied network of the card."""
         with self._lock:
-            model = self._loaded
+            model = self._loaded(card.id)
             if card.version != model.version:
                 raise ModelError(
                     f"model {card.id} {card.version} is registered, but this release has "
@@ -100,9 +114,10 @@ class CoreScience:
 
     def builtin(self, name: str) -> ModelCard:
         if name not in self.builtins:
-            raise InputError("builtin", name, "is no built-in model", f"use {NAME}")
+            remedy = f"use {' or '.join(self.builtins)}"
+            raise InputError("builtin", name, "is no built-in model", remedy)
         with self._lock:
-            model = self._loaded
+            model = self._loaded(name)
         surrogate: Any = model.surrogate
         manifest = getattr(surrogate, "manifest", {})
         instants = getattr(surrogate, "time_h", np.linspace(0.0, surrogate.horizon_h, INSTANTS))
@@ -194,12 +209,32 @@ class CoreScience:
         )
 
     def warm(self, card: ModelCard) -> None:
-        """One update of a made-up rotor compiles what an update needs."""
-        spec = RotorSpec("warm", ("w",), 256, 0)
-        reading = Inspection("w", "w", "elongation", 0.5 * card.horizon_h, np.array([0.2]))
-        state = self.update(card, spec, [reading], None, quick=False)
-        later = Inspection("x", "w", "elongation", 0.6 * card.horizon_h, np.array([0.25]))
-        self.update(card, spec, [reading, later], state, quick=True)
+        """One update of a made-up rotor compiles what an update needs.
+
+        Its readings are what the model answers in the middle of the priors.
+        """
+        model = self._model(card)
+        quantity = next((q for q in card.network.quantities if q.kind == "scalar"), None)
+        if quantity is None:
+            return
+        inputs = [card.network.parameter(i.name) for i in model.part(quantity.name).inputs]
+        middle = {
+            p.name: p.prior.quantile(np.array(0.5)).item() if p.nominal is None else p.nominal
+            for p in inputs
+        }
+        known = {p.name: middle[p.name] for p in inputs if p.level == "known"}
+        spec = RotorSpec("warm", ("w",), 256, 0, {"w": known})
+        x = np.array([[middle[p.name] for p in inputs]])
+        times = card.horizon_h * np.array([0.5, 0.6])
+        values, _ = model.part(quantity.name).predict(x, quantity.name, times)
+        first, later = (
+            Inspection(
+                f"w{i}", "w", quantity.name, t, values[0, [i]], sigma=quantity.sigma_obs.high
+            )
+            for i, t in enumerate(times.tolist())
+        )
+        state = self.update(card, spec, [first], None, quick=False)
+        self.update(card, spec, [first, later], state, quick=True)
 
 
 def _draws(posterior: Posterior) -> Draws:

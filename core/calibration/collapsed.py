@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from core.calibration import collapsed_kernels as kernels
 from core.calibration.collapsed_split import Split, pivots, split_of
+from core.calibration.direct import DirectMessage
 from core.calibration.message import PARTS, BladeMessage, monomials_of, natural, prior_draws
 from core.calibration.target import BladeRows, SharedSpace, locals_of
 from core.errors import CalibrationError
@@ -38,6 +39,7 @@ from core.model import Model
 from core.rng import seed_of
 from core.smc.placement import sobol
 from core.smc.tempered import Kernels, effective, tempered
+from core.surrogate.closed_form import FormulaRows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -275,7 +277,11 @@ MANY = 4  # local parameters from which particles take the quadrature's place
 def message_of(
     model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]
 ) -> BladeMessage:
-    """The message of these rows: by quadrature up to three local parameters, else by particles."""
+    """The message of these rows: by quadrature up to three local parameters, else by particles;
+    of a closed form, from the formula itself.
+    """
+    if isinstance(rows.response, FormulaRows):
+        return DirectMessage(model, rows, space, fixed)
     many = len(locals_of(model, rows.response.names)) >= MANY
     kind = CollapsedMessage if many else BladeMessage
     return kind(model, rows, space, fixed)

@@ -45,7 +45,7 @@ def contradictions(
     for blade in sorted(columns):
         message = messages[blade]
         y, s2, rest = message.readings(at)
-        density = columns[blade][np.argmax(log_p)] - rest[0] - message.packed.offset
+        density = columns[blade][np.argmax(log_p)] - rest[0] - message.offset
         bound = -(density + 0.5 * float(np.sum(np.log(2 * np.pi * s2))))
         if not _improbable(bound, y.shape[1]):
             continue

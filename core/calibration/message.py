@@ -86,14 +86,14 @@ def pack(model: Model, rows: BladeRows) -> Packed:
     Those that the rows do not depend on are left out; where none is left, one place is integrated
     over without effect. `local` are the places of the rest among all local parameters.
     """
-    response = rows.response
+    response = rows.polynomials
     touched = locals_of(model, response.names)
     inner = [response.names.index(p.name) for p in touched]
     table = multi_indices(len(response.names), response.degree)
     places = max(3, len(inner))
     exponents = np.zeros((len(table), places), dtype=np.int64)
     exponents[:, places - len(inner) :] = table[:, inner]
-    offset = sum(_cut_offset(p) for p in touched)
+    offset = sum(cut_offset(p) for p in touched)
     return Packed(
         np.ascontiguousarray(response.a),
         np.ascontiguousarray(response.b),
@@ -107,7 +107,7 @@ def pack(model: Model, rows: BladeRows) -> Packed:
     )
 
 
-def _cut_offset(parameter: Parameter) -> float:
+def cut_offset(parameter: Parameter) -> float:
     """log of what the row of a normal prior lacks: the box's size, and the mass inside it."""
     prior = parameter.prior
     size = math.log(prior.high - prior.low)
@@ -122,7 +122,7 @@ def monomials_of(
     model: Model, rows: BladeRows, space: SharedSpace, x: Array, fixed: dict[str, float]
 ) -> Array:
     """Monomials of all inputs that are not local, at shared values x (n, d): (n, M)."""
-    response = rows.response
+    response = rows.polynomials
     table = multi_indices(len(response.names), response.degree)
     out = np.ones((len(x), len(table)))
     inner = {p.name for p in locals_of(model)}
@@ -165,12 +165,12 @@ def _readings(rows: BladeRows, space: SharedSpace, x: Array) -> tuple[Array, Arr
     return y, s2, rest
 
 
-def _split(n: int, parts: int) -> list[slice]:
+def split(n: int, parts: int) -> list[slice]:
     edges = np.linspace(0, n, min(parts, n) + 1).astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(edges) if b > a]
 
 
-def _side_by_side(work: Callable[[slice], None], parts: list[slice]) -> None:
+def side_by_side(work: Callable[[slice], None], parts: list[slice]) -> None:
     if len(parts) == 1:
         work(parts[0])
     else:
@@ -181,9 +181,11 @@ class BladeMessage:
     """The message of one blade's readings, as a function of the shared parameters.
 
     `smooth`: what its quadrature leaves is small enough to go from node to node by kriging.
+    `cheap`: thousands of nodes are affordable.
     """
 
     smooth = True
+    cheap = False
 
     def __init__(
         self, model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]
@@ -209,6 +211,11 @@ class BladeMessage:
         """The rows in the compiled functions' layout, made when first needed."""
         return pack(self.model, self.rows)
 
+    @property
+    def offset(self) -> float:
+        """log of what the rows of normal priors lack."""
+        return self.packed.offset
+
     def readings(self, unit: Array) -> tuple[Array, Array, Array]:
         """Readings (n, R), noise variances (n, R) and what no local parameter moves (n,)."""
         return _readings(self.rows, self.space, self.space.to_x(unit))
@@ -225,7 +232,7 @@ class BladeMessage:
             else:
                 (kernel.plane_messages if p.dim == 2 else kernel.line_messages)(*given, out[part])
 
-        _side_by_side(work, _split(len(out), parts))
+        side_by_side(work, split(len(out), parts))
         return blocks.back(out) + blocks.rest + self._constant
 
     @property
@@ -262,7 +269,7 @@ class BladeMessage:
             else:
                 kernel.fewer_draws(*given, p.dim, u[part], out[part], log_w[part])
 
-        _side_by_side(work, _split(n, PARTS))
+        side_by_side(work, split(n, PARTS))
         shift = self._constant - math.log(per_node) + (blocks.rest - column)[:, None]
         weights = blocks.back(log_w) + shift
         if not np.all(weights < np.inf):  # neither NaN nor an unbounded weight

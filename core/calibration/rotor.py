@@ -9,8 +9,9 @@ blades that each stands for, mends the rough messages of all, and a descent on t
 Where the quadratic leaves too much (few readings of each blade, small noise), the descent goes on
 with the exact messages of all. At the end the exact messages at the nodes must give even weights,
 seen by a surface that looks beyond them (`surface.foreseen`): nodes beside the posterior can have
-even weights, too. Everything is a function of the set of readings; the columns are kept, so that a
-new reading costs one blade's columns as long as the nodes stay.
+even weights, too. Where messages are cheap (a closed form's) and that is not reached, the nodes of
+further placements are pooled (`placement.pooled`). Everything is a function of the set of readings;
+the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from core.errors import InputError
 from core.response import monomials
 from core.rng import seed_of
 from core.smc.particles import ess, normalised, tempering_exponent
-from core.smc.placement import Proposal, descend, improved, sobol
+from core.smc.placement import Proposal, descend, improved, pooled, sobol
 
 Array = NDArray[np.float64]
 
@@ -73,6 +74,8 @@ CARRIES = 0.15  # share of effective nodes from which a surface through them tel
 CIRCLE = 4  # placements at most that are looked at together
 IDLE = 4  # turns without a better placement after which no more are tried
 PANEL = 12  # blades of a kind whose exact messages place the nodes
+CHEAP_TURNS = 3  # placements tried where messages are cheap, before all nodes met are pooled
+POOLED = 512  # nodes of a round of those
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
 
@@ -246,8 +249,17 @@ def weigh(
         nearer = nearer and mended(nearer, everyone)
         if nearer is not None:
             best = settled(nearer, 3, ASTRAY)
+    cheap = all(m.cheap for m in messages.values())
     if best[0] < enough:
-        best = max(best, settled(exactly(place, everyone), rounds), key=lambda found: found[0])
+        turns = CHEAP_TURNS if cheap else rounds
+        best = max(best, settled(exactly(place, everyone), turns), key=lambda found: found[0])
+    if best[0] < enough and cheap:
+        place = pooled(
+            lambda unit: space.log_prior(unit) + seen(unit, "exact", everyone),
+            best[1],
+            sobol(POOLED, d, seed + 1),
+        )
+        best = (enough, place)
     unit, log_q = best[1].nodes(base[:n])
     columns = known.all(messages, unit, "exact")
     return Weighed(unit, log_q, space.log_prior(unit), columns, best[1])

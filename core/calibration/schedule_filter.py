@@ -189,7 +189,7 @@ class Readings:
     ) -> None:
         rows = assemble(model, readings)
         assert rows is not None
-        response = rows.response
+        response = rows.polynomials
         self.names, self.shared = response.names, rows.shared
         normal = sum(p.prior.kind == "normal" for p in locals_of(model, response.names))
         count = len(rows.y) - normal  # the rows of normal priors come last: beliefs hold these

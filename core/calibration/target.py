@@ -5,7 +5,9 @@ priors; each row has a reading and a noise, which is a shared parameter sigma_ob
 or, where the inspection says so, known. A normal prior of a local parameter is one more row,
 linear in it; with a population its reading and noise are the shared mean and sd.
 
-A 3-D scan becomes a few rows and a remainder (`core.calibration.scans`). What the model gets wrong
+A closed form's rows stay formulas (`core.surrogate.closed_form`), its messages are those of
+`core.calibration.direct`. A 3-D scan becomes a few rows and a remainder
+(`core.calibration.scans`). What the model gets wrong
 (`core.discrepancy`) is carried by each row as a gain and an offset in shared parameters.
 """
 
@@ -22,15 +24,17 @@ from numpy.typing import NDArray
 
 from core.calibration.scans import Dense, scan_rows
 from core.discrepancy import NONE, Affine, affine, parameters
-from core.errors import InputError
-from core.model import Model, Stacked
+from core.errors import InputError, ModelError
+from core.model import Input, Model, Stacked
 from core.network import Parameter
 from core.observation import Inspection, digest_of
 from core.prior import Prior
-from core.response import Response, multi_indices
+from core.response import Response
+from core.surrogate.closed_form import ClosedForm, FormulaRows
 from core.surrogate.driven import Driven
 
 Array = NDArray[np.float64]
+Rows = Response | FormulaRows
 DEGREE = 5
 TAILS = 4
 
@@ -39,7 +43,7 @@ TAILS = 4
 class BladeRows:
     """A blade's readings, packed.
 
-    response  R rows over all inputs, on the priors' boxes
+    response  R rows over all inputs, on the priors' boxes; of a closed form: the formulas
     y         readings, (R,)
     sigma     per row: the name of a shared sigma_obs, or a known value
     extra     per row: variance beside the noise and the surrogate's, (R,) [unit²]
@@ -54,7 +58,7 @@ class BladeRows:
     mixings   of a scan's rows, by the scan's place in `readings` (`scans.ScanRows`)
     """
 
-    response: Response
+    response: Rows
     y: Array
     sigma: tuple[str | float, ...]
     extra: Array
@@ -68,6 +72,16 @@ class BladeRows:
     readings: tuple[Inspection, ...] = ()
     of: tuple[int, ...] = ()
     mixings: Mapping[int, Array] = field(default_factory=dict)
+
+    @property
+    def polynomials(self) -> Response:
+        """The rows where they are polynomials; ModelError for those of a closed form."""
+        if isinstance(self.response, Response):
+            return self.response
+        raise ModelError(
+            f"{self.response.model.name} answers by closed formulas, and this needs polynomials "
+            "over the whole box: use core.calibration.online"
+        )
 
     @property
     def shared(self) -> frozenset[str]:
@@ -162,6 +176,17 @@ def shared_space(
     return SharedSpace(tuple(found), tuple(found.values()), joint, TAILS if hyper else 1)
 
 
+def _box(model: Model, inputs: Iterable[Input]) -> tuple[Array, Array]:
+    """Bounds of inputs, (d,) each: the priors', or the surrogate's where nothing is calibrated."""
+    bounds = []
+    for i in inputs:
+        p = model.network.parameter(i.name)
+        calibrated = p.level in ("local", "shared")
+        bounds.append((p.prior.low, p.prior.high) if calibrated else (i.low, i.high))
+    low, high = np.array(bounds).T
+    return low, high
+
+
 def _boxed(model: Model, response: Response) -> Response:
     """Rows on the boxes of the priors (known and dormant inputs keep the surrogate's)."""
     low, high = response.low.copy(), response.high.copy()
@@ -216,36 +241,15 @@ def _node_of(model: Model, reading: Inspection) -> list[int] | None:
     return [model.part(reading.quantity).named[quantity.node or "critical"]]
 
 
-def _gaussian_prior_rows(
-    model: Model, like: Response
-) -> list[tuple[Response, Parameter, float | str]]:
+def _gaussian_prior_rows(model: Model, like: Rows) -> list[tuple[Rows, Parameter, float | str]]:
     """A row (response, parameter, sd) for each local parameter with a normal prior."""
-    found: list[tuple[Response, Parameter, float | str]] = []
-    for j, name in enumerate(like.names):
+    found: list[tuple[Rows, Parameter, float | str]] = []
+    for name in like.names:
         parameter = model.network.parameter(name)
         drawn = parameter.population is not None or parameter.prior.kind == "normal"
         if parameter.level == "local" and drawn:
-            half = 0.5 * (like.high[j] - like.low[j])
-            a = np.zeros((1, like.a.shape[1]))
-            a[0, 0] = like.low[j] + half
-            unit = np.zeros(len(like.names), dtype=np.int64)
-            unit[j] = 1
-            table = multi_indices(len(like.names), like.degree)
-            a[0, np.flatnonzero((table == unit).all(axis=1))[0]] = half
-            zero = np.zeros((1, like.a.shape[1]))
-            row = Response(
-                like.names,
-                like.low,
-                like.high,
-                like.degree,
-                a,
-                zero,
-                np.zeros(1),
-                np.zeros(1),
-                zero,
-            )
             sd = f"sd.{name}" if parameter.population is not None else parameter.prior.sd
-            found.append((row, parameter, sd))
+            found.append((like.of_input(name), parameter, sd))
     return found
 
 
@@ -259,13 +263,38 @@ def _inputs(
     inputs = [i for i in model.surrogate.inputs if i.name in met]
     names = tuple(i.name for i in inputs)
     model.few_locals(names, f"component {readings[0].blade}")
-    boxes = []
-    for i in inputs:
-        p = model.network.parameter(i.name)
-        calibrated = p.level in ("local", "shared")
-        boxes.append((p.prior.low, p.prior.high) if calibrated else (i.low, i.high))
-    low, high = np.array(boxes).T
-    return names, low, high
+    return names, *_box(model, inputs)
+
+
+def _answer(model: Model, reading: Inspection) -> Rows:
+    """The row of a scalar reading or of one at a node."""
+    part, times = model.part(reading.quantity), np.array([reading.time_h])
+    if isinstance(part, ClosedForm):
+        if model.network.quantity(reading.quantity).kind != "scalar":
+            raise InputError(
+                "quantity",
+                reading.quantity,
+                "has nodes, a closed form has none",
+                "declare a scalar",
+            )
+        own = part.rows(reading.quantity, times)
+        return own.over(own.names, *_box(model, part.inputs))
+    nodes = _node_of(model, reading)
+    key = (reading.quantity, reading.time_h, None if nodes is None else tuple(nodes))
+    return _rows(model, key, lambda: part.response(reading.quantity, times, nodes, degree=DEGREE))
+
+
+def _stacked(parts: Sequence[Rows]) -> Rows:
+    """All rows of a blade as one; ModelError where formulas and polynomials would mix."""
+    formulas = [p for p in parts if isinstance(p, FormulaRows)]
+    if not formulas:
+        return Response.stack([p for p in parts if isinstance(p, Response)])
+    if len(formulas) < len(parts):
+        raise ModelError(
+            f"readings of one blade are answered by {formulas[0].model.name}, a closed form, and "
+            "by a surrogate: give each model's readings to a blade of its own"
+        )
+    return FormulaRows.stack(formulas)
 
 
 def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
@@ -274,7 +303,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         return None
     model = model.for_blade(readings[0].blade)
     names = _inputs(model, readings)
-    parts: list[Response] = []
+    parts: list[Rows] = []
     y: list[Array] = []
     sigma: list[str | float] = []
     dense: list[Dense] = []
@@ -297,24 +326,15 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         name = reading.sigma if reading.sigma is not None else quantity.sigma_of(reading.instrument)
         if quantity.kind == "vector":
             scan = scan_rows(model, reading, name, partial(_boxed, model), DEGREE)
-            response, values = scan.response, scan.y
+            response: Rows = scan.response
+            values = scan.y
             dense.append(scan.dense)
             extra.append(scan.extra)
             relative += [0.0] * len(response)
             wrong += scan.discrepancy
             mixings[place] = scan.mixing
         else:
-            nodes = _node_of(model, reading)
-            times = np.array([reading.time_h])
-            key = (reading.quantity, reading.time_h, None if nodes is None else tuple(nodes))
-            response = _rows(
-                model,
-                key,
-                lambda q=reading.quantity, t=times, n=nodes: model.part(q).response(
-                    q, t, n, degree=DEGREE
-                ),
-            )
-            values = reading.values
+            response, values = _answer(model, reading), reading.values
             reader = (reading.instrument, reading.campaign)
             one = affine(model, quantity, reading.time_h, None, reader)
             extra.append(np.array([one.sigma**2]))
@@ -338,9 +358,8 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         wrong.append(NONE)
         discount.append(1.0)
     weight = np.array(discount)
-    response = Response.stack(parts)
     return BladeRows(
-        replace(response, ka=response.ka * np.sqrt(weight), kb=response.kb * np.sqrt(weight)),
+        _stacked(parts).scattered(np.sqrt(weight)),
         np.concatenate(y),
         tuple(sigma),
         np.concatenate(extra),

@@ -32,6 +32,7 @@ from core.smc.particles import ess, normalised, tempering_exponent
 
 Array = NDArray[np.float64]
 WIDEN = 1.4  # proposals are wider than what they propose for: tails are longer than a normal's
+POOLED_WIDEN = 1.2  # where the moments are those of many more nodes
 EXPLAINED = 0.3  # of log p's spread that a quadratic may miss and still be followed
 STEP, SCALES, SHRINK = 2.0, (0.15, 2.0), 0.55  # of a proposal's spread, from level to level
 
@@ -193,3 +194,50 @@ def improved(proposal: Proposal, u: Array, log_p: Array, log_q: Array, enough: f
     mean, cov = fit or (u[np.argmax(log_p)], SHRINK**2 * proposal.chol @ proposal.chol.T)
     inside = 1.0 / np.maximum(np.sqrt(np.diag(cov)), 1.0)
     return rounded(np.clip(mean, 0.0, 1.0), cov * np.outer(inside, inside) / WIDEN**2)
+
+
+def pooled(
+    target: Callable[[Array], Array],
+    start: Proposal,
+    base: Array,
+    *,
+    enough: float = 0.4,
+    most: int = 10,
+) -> Proposal:
+    """A proposal with the moments of all nodes met on the way, where the target is cheap.
+
+    Each round adds nodes of its own proposal; all that were met are weighted anew against the
+    mixture of the proposals so far, and their moments are the next one (adaptive multiple
+    importance sampling: Cornuet, Marin, Mira & Robert, Scand. J. Stat. 39, 2012). Moments of one
+    round's nodes alone, and those of a coarse lattice, never settled on a ridge of seven shared
+    parameters whose correlations are 0.97: 3–8 % of the nodes effective, with these 54 %.
+
+    base    points of the unit cube (n, d) of each round; n several times d²
+    enough  share of effective nodes at which it ends
+    """
+    n, d = base.shape
+    proposals, units, log_ps = [start], list[Array](), list[Array]()
+    for _ in range(most):
+        unit, log_q = proposals[-1].nodes(base)
+        units.append(unit)
+        log_ps.append(target(unit))
+        if ess(floored(log_ps[-1]) - log_q) >= enough * n:
+            break
+        every, log_p = np.concatenate(units), floored(np.concatenate(log_ps))
+        densities = np.array([one.log_density(every) for one in proposals])
+        log_w = log_p - (np.logaddexp.reduce(densities, axis=0) - np.log(len(proposals)))
+        wanted = min(float(d * d + 16), 0.5 * n)
+        if ess(log_w) < wanted:
+            log_w = tempering_exponent(log_w, wanted) * log_w
+        proposals.append(_finely_rounded(*moments(every, normalised(log_w))))
+    return proposals[-1]
+
+
+def _finely_rounded(mean: Array, covariance: Array) -> Proposal:
+    """The proposal for these moments, but for last bits that differ between machines."""
+    chol = POOLED_WIDEN * np.linalg.cholesky(covariance + 1e-18 * np.eye(len(mean)))
+    step = 2.0 ** np.floor(np.log2(np.diag(chol))) / 64
+    return Proposal(
+        np.clip(np.round(mean / step) * step, 0.0, 1.0),
+        np.round(chol / step[:, None]) * step[:, None],
+    )

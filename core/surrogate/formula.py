@@ -2,6 +2,9 @@
 
 A creep law in closed form, say; checks against exact answers; users' own tests. Everything that
 needs a surrogate (calibration, prediction, the service) runs on it unchanged.
+
+Its rows are compiled to polynomials over the whole box of the inputs, as a surrogate's are; where
+inputs span decades, use a `core.surrogate.closed_form.ClosedForm`.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from core.errors import InputError, RangeError
 from core.response import Response, multi_indices
 
 Array = NDArray[np.float64]
-Formula = Callable[[Array, float], Array]
+Formula = Callable[..., Array]
 
 
 @dataclass(frozen=True, slots=True)

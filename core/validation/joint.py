@@ -93,9 +93,9 @@ class Target:
             own = rows[name]
             extra = own.extra + (own.relative * own.y) ** 2
             for r, (table, sigma) in enumerate(
-                zip(split(own.response, outer, inner), own.sigma, strict=True)
+                zip(split(own.polynomials, outer, inner), own.sigma, strict=True)
             ):
-                ka, kb = float(own.response.ka[r]), float(own.response.kb[r])
+                ka, kb = float(own.polynomials.ka[r]), float(own.polynomials.kb[r])
                 key = table.tobytes() + np.array([ka, kb]).tobytes()
                 if key not in index:
                     index[key] = len(tables)

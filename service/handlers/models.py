@@ -19,17 +19,26 @@ def request_builtin(store: Store, science: Science, name: str) -> JobRecord:
 
 
 def register_builtins(store: Store, science: Science) -> None:
-    """Make every built-in model known; what is known already stays as it is."""
-    for name in science.builtins:
+    """Make the first built-in model known, and this release's version of those that are.
+
+    What is known already stays as it is.
+    """
+    for number, name in enumerate(science.builtins):
+        if number > 0 and not _known(store, name):
+            continue
         card = science.builtin(name)
-        with store.read() as tx:
-            try:
-                known = tx.records.model(card.id, card.version).version == card.version
-            except NotFoundError:
-                known = False
-        if not known:
+        if not _known(store, card.id, card.version):
             with store.write() as tx:
                 tx.records.put_model(card, {"builtin": name})
+
+
+def _known(store: Store, name: str, version: str | None = None) -> bool:
+    with store.read() as tx:
+        try:
+            tx.records.model(name, version)
+        except NotFoundError:
+            return False
+    return True
 
 
 def find_job(store: Store, job_id: str) -> JobRecord:

@@ -149,14 +149,18 @@ class Question:
 
 def question(
     card: ModelCard,
-    quantity: str,
+    quantity: str | None,
     times: Sequence[float] | None,
     node: str | None,
     probability: float,
     instrument: str | None = None,
 ) -> Question:
-    """Check a question; FaultsError names each parameter, its value and the remedy."""
+    """Check a question; FaultsError names each parameter, its value and the remedy.
+
+    quantity   None: the model's first one
+    """
     faults: list[InputError] = []
+    quantity = card.network.quantities[0].name if quantity is None else quantity
     output = card.outputs.get(quantity)
     if output is None:
         known = ", ".join(sorted(card.outputs))

@@ -46,7 +46,9 @@ def get_prediction(
     b: Name,
     request: Request,
     services: Wired,
-    quantity: Annotated[str, Query(max_length=100)] = "elongation",
+    quantity: Annotated[
+        str | None, Query(max_length=100, description="default: the model's first one")
+    ] = None,
     times: Annotated[str | None, Query(description="hours, with commas between")] = None,
     node: Annotated[str | None, Query(max_length=100)] = None,
     probability: float = 0.95,

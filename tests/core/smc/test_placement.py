@@ -8,7 +8,7 @@ from scipy.stats import truncnorm
 
 from core.calibration.surface import foreseen
 from core.smc.particles import ess
-from core.smc.placement import Proposal, descend, moments, sobol
+from core.smc.placement import Proposal, descend, improved, moments, pooled, sobol
 
 
 def ridge(d: int) -> tuple[np.ndarray, np.ndarray]:
@@ -68,3 +68,34 @@ def test_nodes_beside_the_posterior_have_even_weights_and_are_found_out() -> Non
     unit, log_q = right.nodes(sobol(64, 2, 1))
     share, _ = foreseen(right, unit, log_p(unit), log_q)
     assert share == pytest.approx(ess(log_p(unit) - log_q) / 64, abs=0.1)
+
+
+def test_pooled_nodes_find_a_ridge_of_seven_parameters_that_single_placements_do_not() -> None:
+    """Correlations of 0.97, started three spreads away; the control is the plain iteration."""
+    d = 7
+    rng = np.random.default_rng(5)
+    turn = np.linalg.qr(rng.normal(size=(d, d)))[0]
+    root = turn * (0.02 * np.array([1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03]))
+    centre = np.full(d, 0.45)
+
+    def target(u: np.ndarray) -> np.ndarray:
+        z = np.linalg.solve(root, (u - centre).T).T
+        return np.asarray(
+            -0.5 * np.sum(z**2, axis=1) - 0.02 * np.sum(z**2, axis=1) * np.sin(z[:, 0])
+        )
+
+    start = Proposal(centre + 0.02, 0.02 * np.eye(d))
+    base = sobol(512, d, 1)
+
+    def share(proposal: Proposal, seed: int) -> float:
+        u, log_q = proposal.nodes(sobol(512, d, seed))
+        return ess(target(u) - log_q) / 512
+
+    assert share(start, 2) < 0.01
+    found = pooled(target, start, base)
+    assert share(found, 2) > 0.35
+    single = start
+    for _ in range(10):
+        u, log_q = single.nodes(base[:256])
+        single = improved(single, u, target(u), log_q, 0.17)
+    assert share(single, 2) < share(found, 2)

@@ -1,0 +1,176 @@
+"""Calibrate four networks on the measured creep curves, whole and with specimens held out.
+
+    python -m tests.claims.make_specimens [NETWORK … | table]
+
+writes tests/claims/results/specimens/<network>.json for norton, primary, tertiary and both: what
+the network makes of all twelve specimens, of eleven (each left out once) and of nine (each stress
+left out once); and table.md of those that are there, which `table` does alone. Two to ten minutes
+of processor time per network.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import service.one_thread  # noqa: F401  before numpy, as every command does
+
+# isort: split
+import numpy as np
+
+from core.builtin import creep_specimens as built
+from core.calibration.online import RotorSpec, update
+from core.calibration.state import RotorState, blade_posterior, shared_posterior
+from core.model import Model
+from core.network import Level
+from core.prediction import predict
+from tests.claims.specimen_data import EVERY, LARGEST, Specimen, specimens
+
+OUT = Path(__file__).with_name("results") / "specimens"
+PRIMARY: dict[str, Level] = {"primary": "shared", "primary_strain": "shared"}
+FREED: dict[str, dict[str, Level]] = {
+    "norton": {},
+    "primary": PRIMARY,
+    "tertiary": {"tertiary": "shared"},
+    "both": {**PRIMARY, "tertiary": "shared"},
+}
+PARTICLES, SEED = 4096, 1
+
+
+def model(network: str) -> Model:
+    return Model(built.freed(built.network(), FREED[network]), built.formula())
+
+
+def calibrated(
+    of: Model, every: Sequence[Specimen], left_out: Collection[str] = (), particles: int = PARTICLES
+) -> RotorState:
+    """The state of all these specimens, of which those left out have no reading."""
+    known = {one.name: {"stress": one.stress} for one in every}
+    readings = [r for one in every if one.name not in left_out for r in one.readings]
+    return update(of, RotorSpec("set", tuple(known), particles, SEED, known), readings)
+
+
+def errors(of: Model, state: RotorState, one: Specimen) -> dict[str, Any]:
+    """The band at all of a specimen's readings up to `LARGEST` against them [%]."""
+    posterior = blade_posterior(state.meta, state.arrays.__getitem__, one.name)
+    band = predict(of, posterior, built.QUANTITY, one.time_h, known={"stress": one.stress})
+    off, middle = band.mean - one.strain, band.quantiles[0.5] - one.strain
+    inside = (band.lower <= one.strain) & (one.strain <= band.upper)
+    return {
+        "specimen": one.name,
+        "stress_MPa": one.stress,
+        "readings": len(one.strain),
+        "mean_square": float(np.mean(off**2)),
+        "median_square": float(np.mean(middle**2)),
+        "inside_95": float(np.mean(inside)),
+        "used_square": float(np.mean(off[::EVERY] ** 2)),
+    }
+
+
+def summary(of: Model, state: RotorState) -> dict[str, Any]:
+    """Evidence, shared parameters and health of a state."""
+    shared = shared_posterior(state.meta, state.arrays.__getitem__)
+    sd = np.sqrt(np.diag(shared.particles.covariance))
+    pairs = zip(shared.names, shared.particles.mean, sd, strict=True)
+    health = state.meta["health"]
+    return {
+        "log_evidence": round(state.meta["log_evidence"], 3),
+        "shared": {name: [float(f"{m:.5g}"), float(f"{s:.3g}")] for name, m, s in pairs},
+        "health": {k: health[k] for k in ("status", "ess_ratio", "message_error_nat")},
+    }
+
+
+def held_out(of: Model, every: Sequence[Specimen], groups: Sequence[Collection[str]]) -> list[Any]:
+    """Errors on each specimen of each group, by a state that has not seen the group."""
+    out = []
+    for group in groups:
+        state = calibrated(of, every, group)
+        health = state.meta["health"]["status"]
+        out += [errors(of, state, one) | {"health": health} for one in every if one.name in group]
+    return out
+
+
+def made(network: str) -> dict[str, Any]:
+    """Everything about one network."""
+    of, every, began = model(network), specimens(), time.process_time()
+    state = calibrated(of, every)
+    stresses = sorted({one.stress for one in every})
+    return {
+        "network": network,
+        "command": f"python -m tests.claims.make_specimens {network}",
+        "freed": FREED[network],
+        "model": of.digest,
+        "largest_pct": LARGEST,
+        "every": EVERY,
+        "delivered": sum(one.delivered for one in every),
+        "up_to_largest": sum(len(one.strain) for one in every),
+        "used": sum(len(one.readings) for one in every),
+        **summary(of, state),
+        "fit": [errors(of, state, one) for one in every],
+        "new_specimen": held_out(of, every, [{one.name} for one in every]),
+        "new_stress": held_out(
+            of, every, [{one.name for one in every if one.stress == s} for s in stresses]
+        ),
+        "processor_s": round(time.process_time() - began),
+    }
+
+
+def kept(network: str) -> dict[str, Any]:
+    """What is kept of a network."""
+    found: dict[str, Any] = json.loads((OUT / f"{network}.json").read_text())
+    return found
+
+
+def rmse(found: Mapping[str, Any], which: str, kind: str) -> float:
+    """Of all readings up to `LARGEST` of the specimens under `which` [%]."""
+    weights = np.array([one["readings"] for one in found[which]])
+    return float(np.sqrt(weights @ [one[kind] for one in found[which]] / weights.sum()))
+
+
+COLUMNS = (
+    "network | log evidence | noise | fit | new specimen | new stress | in 95 %: specimen, stress"
+)
+
+
+def row(network: str) -> str:
+    found = kept(network)
+    noise, sd = found["shared"][f"sigma_obs.{built.QUANTITY}"]
+    errors = [
+        f"{rmse(found, which, 'mean_square'):.3f} / {rmse(found, which, 'median_square'):.3f}"
+        for which in ("fit", "new_specimen", "new_stress")
+    ]
+    inside = [
+        float(np.mean([one["inside_95"] for one in found[which]]))
+        for which in ("new_specimen", "new_stress")
+    ]
+    cells = [network, f"{found['log_evidence']:.1f}", f"{noise:.3f} ± {sd:.3f}", *errors]
+    return " | ".join([*cells, ", ".join(f"{share:.2f}" for share in inside)])
+
+
+def table() -> str:
+    """All networks that are kept; errors are root mean squares in % strain."""
+    rows = [row(name) for name in FREED if (OUT / f"{name}.json").exists()]
+    lines = [COLUMNS, " | ".join(["---"] * (COLUMNS.count("|") + 1)), *rows]
+    first = kept("norton")
+    return (
+        f"`python -m tests.claims.make_specimens`: {first['delivered']} readings delivered, "
+        f"{first['up_to_largest']} up to {first['largest_pct']:g} %, every {first['every']}th of "
+        f"them used, {first['used']}. Errors: root mean squares [% strain] over all "
+        f"{first['up_to_largest']}, of the band's mean / median. Data: see specimen_data.py.\n\n"
+        + "".join(f"| {line} |\n" for line in lines)
+    )
+
+
+def main(networks: Sequence[str]) -> None:
+    OUT.mkdir(parents=True, exist_ok=True)
+    for network in [] if networks == ["table"] else networks or [*FREED]:
+        (OUT / f"{network}.json").write_text(json.dumps(made(network), indent=1) + "\n")
+    (OUT / "table.md").write_text(table())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
