@@ -14,6 +14,7 @@ import typer
 
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
+from service.commands import register
 from service.progress import bar
 from service.settings import Settings, table
 from service.studies import app as studies
@@ -30,6 +31,7 @@ app = typer.Typer(
 models = typer.Typer(help="Models.", no_args_is_help=True)
 app.add_typer(models, name="model")
 app.add_typer(studies, name="study")
+register(app)
 
 SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
     f"{name} [{default}]: {meaning}" for name, default, meaning in table()

@@ -9,6 +9,8 @@
     ├── ConflictError         the same id with another content
     ├── NotYetError           an answer that a worker has yet to compute
     ├── GoneError             a version that is no longer kept
+    ├── DamagedError          a stored part that is not what was written
+    ├── HeldError             a rotor that a worker holds at the moment
     ├── LostLeaseError        a worker whose rotor another one has taken
     └── StoreAwayError        the database does not answer; nothing was written
 """
@@ -62,6 +64,36 @@ class GoneError(BladetwinError):
         self.what = what
         self.remedy = remedy
         super().__init__(f"{what} is no longer kept. To mend it: {remedy}.")
+
+
+class DamagedError(BladetwinError):
+    """A stored part of a version that is not what was written; it is never used.
+
+    part   ``state`` or ``array <name>``
+    """
+
+    def __init__(self, rotor: str, version: int, part: str, problem: str) -> None:
+        self.rotor = rotor
+        self.version = version
+        self.part = part
+        self.problem = problem
+        self.remedy = f"run `bladetwin verify {rotor} --repair`, which rebuilds it from the log"
+        super().__init__(
+            f"version {version} of rotor {rotor} is damaged: {part}: {problem}. "
+            f"To mend it: {self.remedy}."
+        )
+
+
+class HeldError(BladetwinError):
+    """A rotor that a worker holds: it is not touched beside the worker."""
+
+    def __init__(self, rotor: str, owner: str | None) -> None:
+        self.rotor = rotor
+        self.owner = owner
+        super().__init__(
+            f"rotor {rotor} is being updated by {owner or 'a worker'}; nothing was changed. "
+            "To mend it: try again once it is current, or wait longer with --patience."
+        )
 
 
 class LostLeaseError(BladetwinError):

@@ -201,6 +201,7 @@ class RotorRecord:
     """A rotor with its place in the log and its worker's cursor.
 
     network   what it varies of the model's network (`service.variant`); None: nothing
+    origin    the id under which its random numbers are drawn, where it was imported under another
     """
 
     id: str
@@ -212,6 +213,7 @@ class RotorRecord:
     digest: str
     created_at: float
     network: Json | None = None
+    origin: str | None = None
     applied_seq: int = 0
     version: int = 0
     dirty: bool = True

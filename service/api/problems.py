@@ -21,6 +21,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from core.errors import InputError, ModelError
 from service.errors import (
     ConflictError,
+    DamagedError,
     FaultsError,
     GoneError,
     NotFoundError,
@@ -170,6 +171,13 @@ async def _gone(request: Request, error: Any) -> JSONResponse:
     return problem(request, 410, "gone", str(error), faults)
 
 
+async def _damaged(request: Request, error: Any) -> JSONResponse:
+    log.error("%s", error)
+    where = f"rotor {error.rotor}, version {error.version}"
+    faults = [fault(error.part, where, error.problem, error.remedy)]
+    return problem(request, 503, "damaged", str(error), faults)
+
+
 async def _unfit(request: Request, error: Any) -> JSONResponse:
     log.error("%s", error)
     return problem(request, 503, "model-unfit", str(error))
@@ -196,6 +204,7 @@ HANDLERS = {
     ConflictError: _conflict,
     NotYetError: _not_yet,
     GoneError: _gone,
+    DamagedError: _damaged,
     ModelError: _unfit,
     HTTPException: _routed,
     StoreAwayError: _away,

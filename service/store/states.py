@@ -3,72 +3,66 @@
 Only an array whose SHA-256 changed is written, under the version that changed it. Reading name n
 at version v takes the row with the greatest version <= v. Decoded arrays are cached by (rotor,
 version, name), so that a read of one blade loads what that blade needs and no more.
+
+A version is compared with its digest when a process first loads it (`service.store.intact`), and
+each array with the SHA-256 that the digest was made from: what was damaged is never used.
 """
 
 from __future__ import annotations
 
 import json
-import threading
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict
+from typing import Any
 
-from sqlalchemy import Connection, Engine, delete, exists, func, insert, select, tuple_
+from sqlalchemy import (
+    Connection,
+    Engine,
+    Row,
+    Select,
+    delete,
+    exists,
+    func,
+    insert,
+    select,
+    true,
+    tuple_,
+)
 
 from core.errors import ModelError
-from service.errors import GoneError, NotFoundError, NotYetError
+from service.errors import DamagedError, GoneError, NotFoundError, NotYetError
 from service.ports import Array, Get, StateRecord
+from service.store import intact
 from service.store import tables as t
-from service.store.encoding import Encoded, decode
+from service.store.cache import ArrayCache, Checked, Key
+from service.store.encoding import DamagedArrayError, Encoded, decode
 from service.store.engine import now_s, transaction
 
-Key = tuple[str, int, str]
 ENDED = Encoded("npy", "", "", "", b"")
-
-
-class ArrayCache:
-    """Decoded arrays, least recently used ones dropped above `limit_mb`; safe between threads."""
-
-    def __init__(self, limit_mb: float) -> None:
-        self._limit = int(limit_mb * 2**20)
-        self._size = 0
-        self._arrays: OrderedDict[Key, Array] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, key: Key) -> Array | None:
-        with self._lock:
-            if key in self._arrays:
-                self._arrays.move_to_end(key)
-            return self._arrays.get(key)
-
-    def put(self, key: Key, array: Array) -> None:
-        with self._lock:
-            if key in self._arrays or array.nbytes > self._limit:
-                return
-            self._arrays[key] = array
-            self._size += array.nbytes
-            while self._size > self._limit:
-                _, dropped = self._arrays.popitem(last=False)
-                self._size -= dropped.nbytes
 
 
 class SqlStates:
     """The `States` of one transaction."""
 
-    def __init__(self, connection: Connection, cache: ArrayCache) -> None:
+    def __init__(self, connection: Connection, cache: ArrayCache, checked: Checked) -> None:
         self._connection = connection
         self._cache = cache
+        self._checked = checked
 
     def get(self, rotor_id: str, version: int | None = None) -> StateRecord:
-        """The newest version, or the one asked for."""
-        query = select(t.state).where(t.state.c.rotor_id == rotor_id)
+        """The newest version, or the one asked for; DamagedError: it is not what was written."""
+        query = stored(rotor_id)
         if version is not None:
             query = query.where(t.state.c.version == version)
         row = self._connection.execute(query.order_by(t.state.c.version.desc()).limit(1)).first()
-        if row is not None:
-            return StateRecord(**dict(row._mapping) | {"meta": json.loads(row.meta)})
+        if row is not None and version is None and row.version < row.newest:
+            row = None
+        if row is not None and (found := self._record(row)) is not None:
+            return found
         newest = select(t.cursor.c.version).where(t.cursor.c.rotor_id == rotor_id)
         last = self._connection.execute(newest).scalar()
+        if last and version in (None, last):
+            raise DamagedError(rotor_id, last, "state", "its row is missing")
         if last is None:
             raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
         if version is None or last == 0:
@@ -83,6 +77,21 @@ class SqlStates:
             )
         raise NotFoundError("version", str(version), f"the newest one is {last}")
 
+    def _record(self, row: Row[Any]) -> StateRecord | None:
+        """The version, compared with its digest; None: it was thinned out meanwhile."""
+        told = intact.told(row)
+        if self._checked.get(row.rotor_id, row.version, told) is None:
+            names = digests(self._connection, row.rotor_id, row.version)
+            try:
+                intact.check(row, names)
+            except DamagedError:
+                again = stored(row.rotor_id).where(t.state.c.version == row.version)
+                if self._connection.execute(again).first() is None:
+                    return None
+                raise
+            self._checked.put(row.rotor_id, row.version, told, names)
+        return record_of(row)
+
     def reader(self, state: StateRecord) -> Get:
         """The arrays of a version by name, inside this transaction."""
         return lambda name: self.array((state.rotor_id, state.version, name))
@@ -91,7 +100,16 @@ class SqlStates:
         """One array of one version, from the cache or the database."""
         array = self._cache.get(key)
         if array is None:
-            array = decode(key[2], self._row(key))
+            rotor_id, version, name = key
+            row = self._row(key)
+            names = self._checked.get(rotor_id, version)
+            if names is not None and names.get(name) != row.sha256:
+                problem = f"its sha256 {row.sha256[:12]}… is not the one that the version has"
+                raise DamagedError(rotor_id, version, f"array {name}", problem)
+            try:
+                array = decode(name, row)
+            except DamagedArrayError as error:
+                raise DamagedError(rotor_id, version, f"array {name}", str(error)) from None
             self._cache.put(key, array)
         return array
 
@@ -110,12 +128,29 @@ class SqlStates:
         return Encoded(**row._mapping)
 
 
-def digests(connection: Connection, rotor_id: str) -> dict[str, str]:
-    """name -> SHA-256 of each array of the newest version."""
+def stored(rotor_id: str) -> Select[Any]:
+    """The rotor's versions as they stand in the table, each with where the cursor is."""
+    cursor = (t.cursor.c.version.label("newest"), t.cursor.c.applied_seq)
+    return (
+        select(t.state, *cursor)
+        .join(t.cursor, t.cursor.c.rotor_id == t.state.c.rotor_id)
+        .where(t.state.c.rotor_id == rotor_id)
+    )
+
+
+def record_of(row: Row[Any]) -> StateRecord:
+    """A row of `stored`, compared before."""
+    values = {name: getattr(row, name) for name in t.state.c.keys()}  # noqa: SIM118
+    return StateRecord(**values | {"meta": json.loads(row.meta)})
+
+
+def digests(connection: Connection, rotor_id: str, version: int | None = None) -> dict[str, str]:
+    """name -> SHA-256 of each array of a version; None: of the newest."""
     a = t.state_array.c
+    until = a.version <= version if version is not None else true()
     newest = (
         select(a.name, func.max(a.version).label("version"))
-        .where(a.rotor_id == rotor_id)
+        .where(a.rotor_id == rotor_id, until)
         .group_by(a.name)
         .subquery()
     )

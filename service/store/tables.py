@@ -8,6 +8,9 @@ worker's claim never blocks ingest. Times are seconds since 1970 (UTC) by the da
 `state_array` holds an array under the version that last changed it: version v of a rotor has, for
 each name, the row with the greatest version <= v. A row with an empty dtype says that the name
 ended there.
+
+`rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
+its own. `cursor.outbox_dropped` is the newest note of the outbox that is no longer kept.
 """
 
 from __future__ import annotations
@@ -84,6 +87,7 @@ rotor = Table(
     Column("digest", String(64), nullable=False),
     Column("created_at", Double, nullable=False),
     Column("network", Text),
+    Column("origin", NAME),
     ForeignKeyConstraint(["model_id", "model_version"], ["model.id", "model.version"]),
 )
 
@@ -137,6 +141,10 @@ cursor = Table(
     Column("blocked", Boolean, nullable=False),
     Column("last_error", Text),
     Column("last_error_event", NAME),
+    Column("takeovers", BIG, nullable=False, server_default="0"),
+    Column("seals", BIG, nullable=False, server_default="0"),
+    Column("ess_ratio", Double),
+    Column("outbox_dropped", BIG, nullable=False, server_default="0"),
     Index("ix_cursor_dirty_dirty_since", "dirty", "dirty_since"),
 )
 
@@ -167,6 +175,8 @@ state_array = Table(
     Column("shape", String(100), nullable=False),
     Column("sha256", String(64), nullable=False),
     Column("data", LargeBinary, nullable=False),
+    # what a version is made of is read without touching its bytes
+    Index("ix_state_array_digests", "rotor_id", "name", "version", "sha256"),
 )
 
 outbox = Table(

@@ -8,20 +8,21 @@ from contextlib import contextmanager
 from sqlalchemy import Connection, Engine
 
 from service.ports import Array, Get
+from service.store.cache import ArrayCache, Checked
 from service.store.engine import transaction
 from service.store.log import SqlLog
 from service.store.records import SqlRecords
-from service.store.states import ArrayCache, SqlStates
+from service.store.states import SqlStates
 
 
 class SqlTransaction:
     """Models, rotors, log and states of one connection's open transaction."""
 
-    def __init__(self, connection: Connection, cache: ArrayCache) -> None:
+    def __init__(self, connection: Connection, cache: ArrayCache, checked: Checked) -> None:
         self.connection = connection
         self.records = SqlRecords(connection)
         self.log = SqlLog(connection)
-        self.states = SqlStates(connection, cache)
+        self.states = SqlStates(connection, cache, checked)
 
 
 class SqlStore:
@@ -30,16 +31,17 @@ class SqlStore:
     def __init__(self, engine: Engine, cache_mb: float = 64.0) -> None:
         self.engine = engine
         self.cache = ArrayCache(cache_mb)
+        self.checked = Checked()
 
     @contextmanager
     def read(self) -> Iterator[SqlTransaction]:
         with transaction(self.engine, write=False) as connection:
-            yield SqlTransaction(connection, self.cache)
+            yield SqlTransaction(connection, self.cache, self.checked)
 
     @contextmanager
     def write(self) -> Iterator[SqlTransaction]:
         with transaction(self.engine, write=True) as connection:
-            yield SqlTransaction(connection, self.cache)
+            yield SqlTransaction(connection, self.cache, self.checked)
 
     def arrays(self, rotor_id: str, version: int) -> Get:
         """A lazy reader of one version's arrays: what is not cached takes a short transaction."""

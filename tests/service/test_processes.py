@@ -115,8 +115,7 @@ def check_undisturbed(store: SqlStore, rotor: str) -> None:
 
     from core.observation import effective
     from service.store import tables as t
-    from service.store.log import read_entries
-    from service.worker.update import entry_of
+    from service.store.log import entry_of, read_entries
 
     view = view_rotor(store, rotor)
     with store.read() as tx:
