@@ -10,6 +10,7 @@
     ├── NotYetError           an answer that a worker has yet to compute
     ├── GoneError             a version that is no longer kept
     ├── DamagedError          a stored part that is not what was written
+    ├── DamagedLogError       an entry of the log that is not what was written
     ├── HeldError             a rotor that a worker holds at the moment
     ├── LostLeaseError        a worker whose rotor another one has taken
     └── StoreAwayError        the database does not answer; nothing was written
@@ -81,6 +82,19 @@ class DamagedError(BladetwinError):
         super().__init__(
             f"version {version} of rotor {rotor} is damaged: {part}: {problem}. "
             f"To mend it: {self.remedy}."
+        )
+
+
+class DamagedLogError(BladetwinError):
+    """An entry of a rotor's log that is not what was written, or is missing."""
+
+    def __init__(self, rotor: str, entry: str, problem: str) -> None:
+        self.rotor = rotor
+        self.entry = entry
+        self.problem = problem
+        super().__init__(
+            f"the log of rotor {rotor} is damaged: {entry}: {problem}. To mend it: restore the "
+            "database, or import the rotor from a file that was exported before."
         )
 
 

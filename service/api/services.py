@@ -12,9 +12,9 @@ from fastapi import Depends, Path, Query, Request
 from fastapi.responses import JSONResponse, Response
 
 from service.api.problems import RequestError, fault
-from service.api.schemas import ID_PATTERN
 from service.api.waiting import Changes
 from service.handlers.reads import Basis
+from service.names import ID_PATTERN
 from service.ports import Appended, Science, Store
 from service.settings import Settings
 

@@ -11,7 +11,7 @@ through the same leases as a worker.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,8 +46,9 @@ def opened(settings: Settings) -> Iterator[SqlStore]:
 
 def register(app: typer.Typer) -> None:
     """Add every command of this room."""
-    from service.commands import replay
+    from service.commands import replay, transfer
 
-    commands: tuple[Callable[..., None], ...] = (replay.replay, replay.verify)
-    for command in commands:
-        app.command()(command)
+    app.command()(replay.replay)
+    app.command()(replay.verify)
+    app.command()(transfer.export)
+    app.command("import")(transfer.import_rotor)

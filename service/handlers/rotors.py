@@ -58,12 +58,25 @@ def _registered(tx: Transaction, model_id: str) -> ModelCard:
         raise FaultsError([fault]) from None
 
 
-def _told(blade: BladeRecord) -> Json:
+def told_of(blade: BladeRecord) -> Json:
     """A blade as its digest sees it, which knows no field that it does not use."""
     told = asdict(blade)
     if blade.known is None:
         del told["known"]
     return told
+
+
+def digest_of_rotor(
+    rotor_id: str,
+    model_id: str,
+    blades: Sequence[BladeRecord],
+    particles: int,
+    seed: int,
+    network: Json | None,
+) -> str:
+    """What tells a repeated creation from another one; `blades` as at the creation, by id."""
+    body = [rotor_id, model_id, [told_of(b) for b in blades], particles, seed]
+    return digest_of_json(body if network is None else [*body, network])[1]
 
 
 def create_rotor(
@@ -85,8 +98,7 @@ def create_rotor(
         fault = InputError("blades", twice, "are named twice", "give each blade its own id")
         raise FaultsError([fault])
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
-    body = [rotor_id, model_id, [_told(b) for b in ordered], particles, seed]
-    digest = digest_of_json(body if network is None else [*body, network])[1]
+    digest = digest_of_rotor(rotor_id, model_id, ordered, particles, seed, network)
     with store.write() as tx:
         card = _registered(tx, model_id)
         check_known(card.network, [(f"blades[{i}].", blade) for i, blade in enumerate(blades)])
@@ -132,7 +144,7 @@ def retry(store: Store, rotor_id: str) -> RotorRecord:
 
 def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
     """A blade joins the rotor; its prior is what the rotor knows."""
-    body, digest = digest_of_json(_told(blade))
+    body, digest = digest_of_json(told_of(blade))
     event = NewEvent(f"blade/{blade.id}", "blade", body, digest, blade=blade.id)
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)

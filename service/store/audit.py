@@ -19,12 +19,13 @@ from sqlalchemy import Connection, select
 
 from core.errors import BladetwinError
 from core.observation import digest_of, effective
+from service.entries import body_problem, entries_of
 from service.errors import NotFoundError
 from service.ports import Event, Json
 from service.store import intact
 from service.store import tables as t
 from service.store.encoding import DamagedArrayError, Encoded, decode
-from service.store.log import body_problem, entries_of, read_entries
+from service.store.log import read_entries
 from service.store.states import ENDED, digests, stored
 
 Part = Literal["log", "state", "array", "model"]

@@ -23,13 +23,14 @@ from sqlalchemy import Connection, Row, delete, insert, select, update
 from core.digest import state_digest
 from core.errors import ModelError
 from core.observation import effective
+from service.entries import entries_of
 from service.errors import DamagedError, HeldError, NotFoundError
 from service.ports import Json, RotorState, Science
 from service.store import tables as t
 from service.store.audit import Finding, array_problem, array_row
 from service.store.encoding import Encoded, decode, encode
 from service.store.engine import snapshot, transaction
-from service.store.log import entries_of, read_entries
+from service.store.log import read_entries
 from service.store.states import ENDED, digests, stored, thin
 from service.store.unit_of_work import SqlStore
 from service.worker import lease as leases

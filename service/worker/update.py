@@ -26,6 +26,7 @@ from sqlalchemy import Engine
 from core.digest import state_digest
 from core.errors import CalibrationError
 from core.observation import Entry, effective
+from service.entries import entries_of
 from service.errors import DamagedError, LostLeaseError, StoreAwayError
 from service.ports import (
     ModelCard,
@@ -38,7 +39,7 @@ from service.ports import (
 from service.settings import Settings
 from service.store.encoding import Encoded, encode
 from service.store.engine import transaction
-from service.store.log import entries_of, read_entries
+from service.store.log import read_entries
 from service.store.states import digests, thin, write_state
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker import lease as leases
