@@ -51,6 +51,12 @@ def _path(*parts: str) -> str:
     return "/v1/" + "/".join(quote(part, safe="") for part in parts)
 
 
+def _which(version: int | None, at: str | None) -> dict[str, str]:
+    """The query of a version (a number) or of a moment (ISO 8601 with an offset)."""
+    told = {"version": None if version is None else str(version), "at": at}
+    return {name: value for name, value in told.items() if value is not None}
+
+
 class Client:
     """Talks to one service. `http` may be given, e.g. the test client of an application."""
 
@@ -125,8 +131,9 @@ class Client:
         body |= {} if network is None else {"network": dict(network)}
         return self._call("POST", "/v1/rotors", json=body)
 
-    def rotor(self, rotor: str) -> Json:
-        return self._call("GET", _path("rotors", rotor))
+    def rotor(self, rotor: str, *, version: int | None = None, at: str | None = None) -> Json:
+        """The rotor as it stands; with a version or a moment, its blades and posterior then."""
+        return self._call("GET", _path("rotors", rotor), params=_which(version, at))
 
     def add_blade(self, rotor: str, blade: Blade) -> int:
         """Add a blade; the sequence number to wait for."""
@@ -172,12 +179,16 @@ class Client:
         raise TimeoutError(f"rotor {rotor} was not sealed within {patience_s:g} s")
 
     def posterior(
-        self, rotor: str, blade: str | None = None, *, version: int | None = None
+        self,
+        rotor: str,
+        blade: str | None = None,
+        *,
+        version: int | None = None,
+        at: str | None = None,
     ) -> Json:
-        """The shared parameters' posterior, or one blade's."""
+        """The shared parameters' posterior, or one blade's; of a version, or as of a moment."""
         parts = ("rotors", rotor) + (() if blade is None else ("blades", blade)) + ("posterior",)
-        params = {} if version is None else {"version": version}
-        return self._call("GET", _path(*parts), params=params)
+        return self._call("GET", _path(*parts), params=_which(version, at))
 
     def prediction(
         self,
@@ -190,6 +201,7 @@ class Client:
         probability: float = 0.95,
         instrument: str | None = None,
         version: int | None = None,
+        at: str | None = None,
     ) -> Json:
         """Bands of a quantity by source; with an instrument, of a reading by it.
 
@@ -202,8 +214,7 @@ class Client:
             params["node"] = str(node)
         if instrument is not None:
             params["instrument"] = instrument
-        if version is not None:
-            params["version"] = str(version)
+        params |= _which(version, at)
         return self._call(
             "GET", _path("rotors", rotor, "blades", blade, "prediction"), params=params
         )

@@ -59,12 +59,24 @@ class NotYetError(BladetwinError):
 
 
 class GoneError(BladetwinError):
-    """A version that was thinned out."""
+    """A version that was thinned out; `kept` names the nearest that are kept, with their ends.
 
-    def __init__(self, what: str, remedy: str) -> None:
+    field   what asked for it: ``version`` or ``at``
+    kept    (version, through_seq) before it, then after it, where there is one
+    """
+
+    def __init__(
+        self, what: str, field: str, value: object, kept: tuple[tuple[int, int], ...]
+    ) -> None:
         self.what = what
-        self.remedy = remedy
-        super().__init__(f"{what} is no longer kept. To mend it: {remedy}.")
+        self.field = field
+        self.value = value
+        self.kept = kept
+        near = " or ".join(f"version {v} (through entry {seq})" for v, seq in kept)
+        self.remedy = (
+            f"ask for {near}, the nearest that are kept; BLADETWIN_KEEP_VERSIONS keeps more"
+        )
+        super().__init__(f"{what} is no longer kept. To mend it: {self.remedy}.")
 
 
 class DamagedError(BladetwinError):

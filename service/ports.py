@@ -271,6 +271,18 @@ class StateRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Which:
+    """Which version is asked for: by number, by a moment (s since 1970), or the newest."""
+
+    version: int | None = None
+    at: float | None = None
+
+    @property
+    def newest(self) -> bool:
+        return self.version is None and self.at is None
+
+
+@dataclass(frozen=True, slots=True)
 class JobRecord:
     """A piece of work that answers later."""
 
@@ -321,6 +333,7 @@ class States(Protocol):
     """Versions of posteriors."""
 
     def get(self, rotor_id: str, version: int | None = None) -> StateRecord: ...
+    def as_of(self, rotor_id: str, at: float) -> StateRecord: ...
     def reader(self, state: StateRecord) -> Get: ...
 
 

@@ -1,4 +1,4 @@
-"""What operating needs: origin of an imported rotor, counters of the cursor, digests by index.
+"""What operating needs: origin of an imported rotor, counters of the cursor, two indices.
 
 Revision ID: 0003
 Revises: 0002
@@ -14,6 +14,7 @@ depends_on = None
 
 BIG = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 COUNTERS = ("takeovers", "seals", "outbox_dropped")
+RECEIVED = ["rotor_id", "received_at", "seq"]
 DIGESTS = ["rotor_id", "name", "version", "sha256"]
 
 
@@ -23,9 +24,11 @@ def upgrade() -> None:
         op.add_column("cursor", sa.Column(name, BIG, nullable=False, server_default="0"))
     op.add_column("cursor", sa.Column("ess_ratio", sa.Double(), nullable=True))
     op.create_index("ix_state_array_digests", "state_array", DIGESTS, unique=False)
+    op.create_index("ix_event_received", "event", RECEIVED, unique=False)
 
 
 def downgrade() -> None:
+    op.drop_index("ix_event_received", table_name="event")
     op.drop_index("ix_state_array_digests", table_name="state_array")
     op.drop_column("cursor", "ess_ratio")
     for name in reversed(COUNTERS):

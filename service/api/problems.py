@@ -167,7 +167,10 @@ async def _not_yet(request: Request, error: Any) -> JSONResponse:
 
 
 async def _gone(request: Request, error: Any) -> JSONResponse:
-    faults = [fault("version", error.what, "is no longer kept", error.remedy)]
+    faults = [fault(error.field, error.value, "is no longer kept", error.remedy)]
+    for version, seq in error.kept:
+        near = f"is one of the nearest kept, through entry {seq}"
+        faults.append(fault("version", version, near, f"ask for version={version}"))
     return problem(request, 410, "gone", str(error), faults)
 
 

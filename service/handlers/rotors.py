@@ -20,8 +20,11 @@ from service.ports import (
     StateRecord,
     Store,
     Transaction,
+    Which,
 )
 from service.variant import check_known
+
+NEWEST = Which()
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,13 +123,34 @@ def create_rotor(
     return stored, ordered, new
 
 
-def view_rotor(store: Store, rotor_id: str) -> RotorView:
-    """The rotor as it stands."""
+def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
+    """The rotor as it stands, with the blades and the posterior of the version asked for."""
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
         blades = tuple(tx.records.blades(rotor_id))
-        state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
-    return RotorView(rotor, blades, state)
+        if which.newest:
+            newest = tx.states.get(rotor_id, rotor.version) if rotor.version else None
+            return RotorView(rotor, blades, newest)
+        state = state_of(tx, rotor_id, which)
+    return RotorView(rotor, tuple(blades_at(blades, state.through_seq)), state)
+
+
+def state_of(tx: Transaction, rotor_id: str, which: Which) -> StateRecord:
+    """The version asked for."""
+    if which.at is not None:
+        return tx.states.as_of(rotor_id, which.at)
+    return tx.states.get(rotor_id, which.version)
+
+
+def blades_at(blades: Sequence[BladeRecord], seq: int) -> list[BladeRecord]:
+    """The blades as they were after entry `seq`: who joins later is left out, who leaves is on."""
+    there = [blade for blade in blades if blade.added_seq <= seq]
+    return [
+        replace(blade, retired_seq=None)
+        if blade.retired_seq is not None and blade.retired_seq > seq
+        else blade
+        for blade in there
+    ]
 
 
 def list_rotors(store: Store, after: str, limit: int) -> list[RotorRecord]:

@@ -22,7 +22,7 @@ from core.errors import InputError
 from service import bundle
 from service.entries import body_problem
 from service.errors import ConflictError, DamagedError, DamagedLogError, NotFoundError, NotYetError
-from service.handlers.rotors import digest_of_rotor
+from service.handlers.rotors import blades_at, digest_of_rotor
 from service.handlers.transfer_lines import (
     EntryLine,
     NamedLine,
@@ -52,7 +52,7 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         head = rotor.head_seq
-        blades = [b for b in tx.records.blades(rotor_id) if b.added_seq <= head]
+        blades = blades_at(tx.records.blades(rotor_id), head)
         state = _newest_sealed(tx, rotor_id)
     line = RotorLine(
         id=rotor.id,
@@ -68,13 +68,8 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
     model = {"id": card.id, "version": card.version, "digest": card.digest}
     facts: Json = {"release": release, "rotor": rotor.id, "model": model, "head_seq": head}
     log = (_told_entry(event) for event in _entries(store, rotor_id, head))
-    present = (asdict(_as_of(blade, head)) for blade in blades)
+    present = (asdict(blade) for blade in blades)
     return bundle.write(path, facts | {"state": state}, line.model_dump(), present, log)
-
-
-def _as_of(blade: BladeRecord, head: int) -> BladeRecord:
-    retired = blade.retired_seq
-    return replace(blade, retired_seq=None if retired is not None and retired > head else retired)
 
 
 def _newest_sealed(tx: Transaction, rotor_id: str) -> Json | None:

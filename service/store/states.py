@@ -11,11 +11,13 @@ each array with the SHA-256 that the digest was made from: what was damaged is n
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 from sqlalchemy import (
+    Column,
     Connection,
     Engine,
     Row,
@@ -29,8 +31,9 @@ from sqlalchemy import (
     tuple_,
 )
 
-from core.errors import ModelError
+from core.errors import ModelError, RangeError
 from service.errors import DamagedError, GoneError, NotFoundError, NotYetError
+from service.moments import moment
 from service.ports import Array, Get, StateRecord
 from service.store import intact
 from service.store import tables as t
@@ -71,11 +74,66 @@ class SqlStates:
                 f"wait for it with GET /v1/rotors/{rotor_id}?wait_for=0&timeout=30",
             )
         if 1 <= version <= last:
-            raise GoneError(
-                f"version {version} of rotor {rotor_id}",
-                f"ask for the newest, {last}, or raise BLADETWIN_KEEP_VERSIONS",
-            )
+            near = self._nearest(rotor_id, t.state.c.version, version)
+            raise GoneError(f"version {version} of rotor {rotor_id}", "version", version, near)
         raise NotFoundError("version", str(version), f"the newest one is {last}")
+
+    def as_of(self, rotor_id: str, at: float) -> StateRecord:
+        """The newest version that rests on exactly the entries received by a moment.
+
+        at   seconds since 1970, as the log's `received_at`; told to the millisecond, so that an
+             entry of that very millisecond counts
+        Raises RangeError for a moment before the rotor or in the future, NotYetError where it is
+        still to be computed, GoneError with the nearest versions where it is not kept.
+        """
+        through, applied = self._received_by(rotor_id, at)
+        query = select(func.max(t.state.c.version)).where(
+            t.state.c.rotor_id == rotor_id, t.state.c.through_seq == through
+        )
+        version = self._connection.execute(query).scalar()
+        if version is not None:
+            return self.get(rotor_id, version)
+        if through > applied:
+            raise NotYetError(
+                f"the posterior of rotor {rotor_id} through entry {through}",
+                f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={through}&timeout=30",
+            )
+        what = f"a version of rotor {rotor_id} that ends with entry {through}, as of then,"
+        near = self._nearest(rotor_id, t.state.c.through_seq, through)
+        raise GoneError(what, "at", moment(at), near)
+
+    def _received_by(self, rotor_id: str, at: float) -> tuple[int, int]:
+        """(the last of the entries that all came by a moment, the cursor)."""
+        end = (math.floor(1000.0 * at + 1e-3) + 1) / 1000.0
+        c, e = t.cursor.c, t.entry.c
+        rotor = select(
+            t.rotor.c.head_seq, t.rotor.c.created_at, c.applied_seq, now_s().label("now")
+        )
+        row = self._connection.execute(
+            rotor.join(t.cursor, c.rotor_id == t.rotor.c.id).where(t.rotor.c.id == rotor_id)
+        ).one_or_none()
+        if row is None:
+            raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
+        times = select(func.min(e.received_at)).where(e.rotor_id == rotor_id)
+        first = self._connection.execute(times).scalar()
+        begun = row.created_at if first is None else min(row.created_at, first)
+        if not (begun < end and at <= row.now):
+            problem = f"lies outside {moment(begun)} … {moment(row.now)}, the rotor's time till now"
+            raise RangeError("at", moment(at), problem, "ask for a moment inside, or leave it out")
+        later = select(func.min(e.seq)).where(e.rotor_id == rotor_id, e.received_at >= end)
+        after = self._connection.execute(later).scalar()
+        return (row.head_seq if after is None else after - 1), row.applied_seq
+
+    def _nearest(
+        self, rotor_id: str, column: Column[Any], value: int
+    ) -> tuple[tuple[int, int], ...]:
+        """(version, through_seq) of the kept versions next to a value, before it and after it."""
+        s = t.state.c
+        query = select(s.version, s.through_seq).where(s.rotor_id == rotor_id).limit(1)
+        before = query.where(column < value).order_by(s.version.desc())
+        after = query.where(column > value).order_by(s.version)
+        rows = [self._connection.execute(one).one_or_none() for one in (before, after)]
+        return tuple((row.version, row.through_seq) for row in rows if row is not None)
 
     def _record(self, row: Row[Any]) -> StateRecord | None:
         """The version, compared with its digest; None: it was thinned out meanwhile."""

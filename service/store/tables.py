@@ -121,6 +121,7 @@ entry = Table(
     Column("received_at", Double, nullable=False),
     UniqueConstraint("rotor_id", "event_id"),
     Index("ix_event_rotor_id_replaces", "rotor_id", "replaces"),
+    Index("ix_event_received", "rotor_id", "received_at", "seq"),
 )
 
 cursor = Table(
