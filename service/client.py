@@ -11,7 +11,7 @@ with Client("http://127.0.0.1:8000") as twin:
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 from urllib.parse import quote
@@ -19,7 +19,9 @@ from urllib.parse import quote
 import httpx
 
 from core.errors import BladetwinError
+from service.sse import events
 
+STREAM_TIMEOUT = httpx.Timeout(30.0, read=3600.0 + 30.0)  # a heartbeat comes before
 Json = dict[str, Any]
 Blade = str | Mapping[str, Any]
 
@@ -218,6 +220,21 @@ class Client:
         return self._call(
             "GET", _path("rotors", rotor, "blades", blade, "prediction"), params=params
         )
+
+    def events(self, rotor: str, *, after: int | None = None) -> Iterator[Json]:
+        """Hints as they come: ``{"id", "event", "rotor", "version", …}``; ends with the server.
+
+        after   id of the last event known; None: begin with the newest. An event ``reset`` says
+                that some in between are no longer kept: read the rotor again.
+        """
+        params = {} if after is None else {"after": str(after)}
+        with self._http.stream(
+            "GET", _path("rotors", rotor, "events"), params=params, timeout=STREAM_TIMEOUT
+        ) as answer:
+            if not answer.is_success:
+                answer.read()
+                raise ProblemError(answer)
+            yield from events(answer.iter_lines())
 
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

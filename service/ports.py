@@ -297,6 +297,17 @@ class JobRecord:
     finished_at: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A row of the outbox: kind ``applied`` or ``blocked``, and what it tells."""
+
+    id: int
+    rotor_id: str
+    kind: str
+    payload: Json
+    at: float
+
+
 class Records(Protocol):
     """Models, jobs, rotors and blades."""
 
@@ -337,6 +348,22 @@ class States(Protocol):
     def reader(self, state: StateRecord) -> Get: ...
 
 
+class Outbox(Protocol):
+    """Notes of what was committed."""
+
+    def after(self, rotor_id: str, number: int, limit: int) -> list[Note]:
+        """Notes with a greater number, in order."""
+        ...
+
+    def newest(self, rotor_ids: Sequence[str]) -> dict[str, int]:
+        """The number of the newest note of each rotor that has one."""
+        ...
+
+    def missing(self, rotor_id: str, number: int) -> bool:
+        """Whether notes after this number are no longer kept, or it was never given."""
+        ...
+
+
 class Transaction(Protocol):
     """One transaction: all of it is written, or nothing."""
 
@@ -346,6 +373,8 @@ class Transaction(Protocol):
     def log(self) -> Log: ...
     @property
     def states(self) -> States: ...
+    @property
+    def outbox(self) -> Outbox: ...
 
 
 class Store(Protocol):

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
 from fastapi import FastAPI
 
 from service.api import problems
+from service.api.feed import Feed
 from service.api.limits import BodyLimit
-from service.api.routers import inspections, models, reads, rotors, system
+from service.api.routers import events, inspections, models, reads, rotors, system
 from service.api.services import Services
+from service.handlers.events import newest_notes
 
 PROBLEM = {
     "description": "A problem (RFC 9457)",
@@ -55,6 +58,8 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         services.changes.start()
         yield
+        services.changes.begin_close()
+        await app.state.feed.close()
         services.changes.close()
 
     app = FastAPI(
@@ -69,7 +74,8 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     )
     app.state.services = services
     app.state.revisions = revisions
-    for module in (system, models, rotors, inspections, reads):
+    app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
+    for module in (system, models, rotors, inspections, reads, events):
         app.include_router(module.router)
     problems.install(app)
     app.add_middleware(BodyLimit, limit=int(services.settings.max_body_mb * 2**20))

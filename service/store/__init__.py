@@ -3,5 +3,7 @@
 tables.py    the tables                       engine.py   connections and transactions
 encoding.py  arrays as checked .npy bytes     log.py      the inspection log, which is the queue
 states.py    versions of a rotor's posterior  records.py  models, jobs, rotors, blades
+cache.py     what a process keeps          intact.py   whether a version is what was written
+audit.py     every stored part checked    outbox.py   notes of what was committed
 unit_of_work.py   one transaction with all of these
 """

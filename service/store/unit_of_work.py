@@ -11,18 +11,20 @@ from service.ports import Array, Get
 from service.store.cache import ArrayCache, Checked
 from service.store.engine import transaction
 from service.store.log import SqlLog
+from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
 from service.store.states import SqlStates
 
 
 class SqlTransaction:
-    """Models, rotors, log and states of one connection's open transaction."""
+    """Models, rotors, log, states and notes of one connection's open transaction."""
 
     def __init__(self, connection: Connection, cache: ArrayCache, checked: Checked) -> None:
         self.connection = connection
         self.records = SqlRecords(connection)
         self.log = SqlLog(connection)
         self.states = SqlStates(connection, cache, checked)
+        self.outbox = SqlOutbox(connection)
 
 
 class SqlStore:

@@ -247,7 +247,8 @@ def advance(
     version = connection.execute(move).scalar()
     if version is None:
         raise LostLeaseError(lease.rotor_id, lease.fence)
-    post(connection, lease.rotor_id, "applied", {"version": version, "through_seq": through})
+    told = {"version": version, "through_seq": through, "sealed": sealed}
+    post(connection, lease.rotor_id, "applied", told)
     if dirty:
         notify(connection, "bladetwin_work")
     return int(version)

@@ -40,6 +40,7 @@ from service.settings import Settings
 from service.store.encoding import Encoded, encode
 from service.store.engine import transaction
 from service.store.log import read_entries
+from service.store.outbox import trim
 from service.store.states import digests, thin, write_state
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker import lease as leases
@@ -124,6 +125,7 @@ class Updater:
         if lease.attempts > self.settings.max_attempts:
             error = f"{lease.attempts - 1} workers died or lost their lease during the update"
             leases.fail(self.engine, lease, error, None, 0.0, block=True)
+            trim(self.engine, lease.rotor_id, self.settings.keep_events)
             return True
         with self.heartbeats(lease):
             task: Task | None = None
@@ -244,6 +246,7 @@ class Updater:
         if version - self._thinned.get(rotor_id, 0) >= THIN_EVERY:
             self._thinned[rotor_id] = version
             thin(self.engine, rotor_id, self.settings.keep_versions, self.settings.checkpoint_every)
+            trim(self.engine, rotor_id, self.settings.keep_events)
 
     def commit(self, lease: Lease, task: Task, state: RotorState, change: Change) -> int:
         """State and cursor in one transaction; LostLeaseError leaves the database as it was."""
@@ -286,6 +289,8 @@ class Updater:
         )
         text = f"{type(error).__name__}: {error}"
         leases.fail(self.engine, lease, text, event, pause, block=block)
+        if block:
+            trim(self.engine, lease.rotor_id, self.settings.keep_events)
         self._memory.pop(lease.rotor_id, None)
         log.error("rotor %s: attempt %d failed: %s", lease.rotor_id, lease.attempts, text)
 
