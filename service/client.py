@@ -21,7 +21,6 @@ import httpx
 from core.errors import BladetwinError
 from service.sse import events
 
-STREAM_TIMEOUT = httpx.Timeout(30.0, read=3600.0 + 30.0)  # a heartbeat comes before
 Json = dict[str, Any]
 Blade = str | Mapping[str, Any]
 
@@ -221,15 +220,18 @@ class Client:
             "GET", _path("rotors", rotor, "blades", blade, "prediction"), params=params
         )
 
-    def events(self, rotor: str, *, after: int | None = None) -> Iterator[Json]:
+    def events(
+        self, rotor: str, *, after: int | None = None, silence_s: float = 60.0
+    ) -> Iterator[Json]:
         """Hints as they come: ``{"id", "event", "rotor", "version", …}``; ends with the server.
 
         after   id of the last event known; None: begin with the newest. An event ``reset`` says
                 that some in between are no longer kept: read the rotor again.
+        silence_s   without even a heartbeat the connection is lost: httpx.ReadTimeout
         """
         params = {} if after is None else {"after": str(after)}
         with self._http.stream(
-            "GET", _path("rotors", rotor, "events"), params=params, timeout=STREAM_TIMEOUT
+            "GET", _path("rotors", rotor, "events"), params=params, timeout=silence_s
         ) as answer:
             if not answer.is_success:
                 answer.read()

@@ -308,6 +308,31 @@ class Note:
     at: float
 
 
+@dataclass(frozen=True, slots=True)
+class Gauges:
+    """How the service stands, over all rotors.
+
+    backlog          entries of the log that are not applied
+    applied          entries that are; versions and seals: versions written, and the sealed ones
+    takeovers        leases taken after they ran out
+    least_ess_ratio  of the newest version of any rotor; None: no version says one
+    oldest_s         age of the oldest entry that is not applied, s; 0: there is none
+    """
+
+    rotors: int
+    backlog: int
+    applied: int
+    versions: int
+    seals: int
+    takeovers: int
+    dirty: int
+    blocked: int
+    provisional: int
+    least_ess_ratio: float | None
+    oldest_s: float
+    jobs: int
+
+
 class Records(Protocol):
     """Models, jobs, rotors and blades."""
 
@@ -375,6 +400,7 @@ class Transaction(Protocol):
     def states(self) -> States: ...
     @property
     def outbox(self) -> Outbox: ...
+    def gauges(self) -> Gauges: ...
 
 
 class Store(Protocol):

@@ -12,6 +12,7 @@ from fastapi import FastAPI
 from service.api import problems
 from service.api.feed import Feed
 from service.api.limits import BodyLimit
+from service.api.metrics import Measured, Requests
 from service.api.routers import events, inspections, models, reads, rotors, system
 from service.api.services import Services
 from service.handlers.events import newest_notes
@@ -80,4 +81,6 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     problems.install(app)
     app.add_middleware(BodyLimit, limit=int(services.settings.max_body_mb * 2**20))
     app.add_middleware(problems.LastResort)
+    app.state.requests = Requests()
+    app.add_middleware(Measured, requests=app.state.requests)
     return app

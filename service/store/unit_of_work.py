@@ -7,9 +7,10 @@ from contextlib import contextmanager
 
 from sqlalchemy import Connection, Engine
 
-from service.ports import Array, Get
+from service.ports import Array, Gauges, Get
 from service.store.cache import ArrayCache, Checked
 from service.store.engine import transaction
+from service.store.gauges import read_gauges
 from service.store.log import SqlLog
 from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
@@ -25,6 +26,9 @@ class SqlTransaction:
         self.log = SqlLog(connection)
         self.states = SqlStates(connection, cache, checked)
         self.outbox = SqlOutbox(connection)
+
+    def gauges(self) -> Gauges:
+        return read_gauges(self.connection)
 
 
 class SqlStore:

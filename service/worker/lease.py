@@ -85,6 +85,11 @@ def unheld() -> ColumnElement[bool]:
     return or_(c.lease_until.is_(None), c.lease_until <= now_s())
 
 
+def ran_out() -> ColumnElement[bool]:
+    """Somebody held the rotor and did not give it back."""
+    return c.lease_until <= now_s()
+
+
 def claimable(kind: Kind, *, quiet_s: float, overdue_s: float) -> ColumnElement[bool]:
     """There is work of this kind, nobody alive holds it, and no pause is running."""
     free = unheld()
@@ -156,7 +161,7 @@ def _claim(
                 owner=owner,
                 lease_until=now_s() + lease_s,
                 sealing=sealing,
-                takeovers=c.takeovers + case((c.lease_until <= now_s(), 1), else_=0),
+                takeovers=c.takeovers + case((ran_out(), 1), else_=0),
             )
             .returning(c.fence, c.applied_seq, c.version, c.attempts)
         )

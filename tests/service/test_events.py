@@ -15,12 +15,14 @@ from typing import Any
 
 import httpx
 import pytest
+import uvicorn
 from sqlalchemy import func, select
 
 from core.observation import Inspection
 from service.api.feed import Feed
 from service.api.routers import events as routes
-from service.bootstrap import make_app, make_worker
+from service.api.waiting import Changes
+from service.bootstrap import _Server, make_app, make_worker
 from service.client import Client, ProblemError
 from service.fake import FakeScience
 from service.handlers import events as use
@@ -330,6 +332,31 @@ def test_a_commit_between_the_first_read_and_the_listening_is_not_missed(
         return text
 
     assert asyncio.run(scene()).count("event: applied") == 2
+
+
+class InTheHandler(_Server):
+    """The mutant: who waits is released by the signal's handler itself."""
+
+    def handle_exit(self, sig: int, frame: Any) -> None:
+        if self.changes is not None:
+            self.changes.begin_close()
+        super().handle_exit(sig, frame)
+
+
+@pytest.mark.parametrize(("kind", "hangs"), [(_Server, False), (InTheHandler, True)])
+def test_a_stop_signal_that_comes_inside_a_lock_does_not_wait_for_it(
+    kind: type[_Server], hangs: bool
+) -> None:
+    """A handler runs in the thread that it interrupts, which cannot give its lock back."""
+    server = kind(uvicorn.Config(Feed))
+    server.changes = Changes(lambda: pytest.fail("nobody watches"))
+    handler = threading.Thread(target=server.handle_exit, args=(signal.SIGTERM, None), daemon=True)
+    with server.changes._busy._cond:
+        handler.start()
+        handler.join(0.5 if hangs else 20.0)
+        assert handler.is_alive() == hangs
+    handler.join(20.0)
+    assert server.should_exit
 
 
 def test_streams_end_when_the_server_stops(tmp_path: Path) -> None:
