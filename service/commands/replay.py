@@ -113,7 +113,11 @@ def verify(
             own = [one for one in found if one.rotor == name]
             if own and name not in unsure:
                 done.append(_patiently(patience, lambda n=name, f=own: repair(updater, n, f)))
-        left = [one for one in found if one.rotor not in {one.rotor for one in done}]
+        mended = {one.rotor for one in done}
+        left = [one for one in found if one.rotor not in mended]
+        for name in sorted(mended):  # a repair is believed when nothing is found any more
+            with snapshot(store.engine) as connection:
+                left += audit(connection, name)
     told = {
         "rotors": len(rotors),
         "findings": [one.to_json() | {"mendable": one.from_log} for one in found],

@@ -416,6 +416,19 @@ def test_the_exit_status_tells_sound_from_damaged_from_lost(
     assert "'nobody' does not exist" in str(error)
 
 
+def test_a_repair_that_mends_nothing_is_not_called_mended(
+    store: SqlStore,
+    worn: str,
+    run: Callable[..., tuple[int, Any]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    damage(store, "UPDATE state SET digest = 'x' WHERE version = 4")
+    nothing = rebuild.Repair(worn, (), (), None)
+    monkeypatch.setattr(rebuild, "repair", lambda *args, **given: nothing)
+    code, told = run("verify", worn, "--repair")
+    assert (code, told["sound"]) == (3, False)
+
+
 def test_a_registered_model_that_is_not_the_release_s_is_named(
     store: SqlStore, worn: str, run: Callable[..., tuple[int, Any]]
 ) -> None:
