@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
-from types import FrameType
 
 import uvicorn
 from fastapi import FastAPI
@@ -108,14 +108,18 @@ def worker_roles(settings: Settings) -> list[Role]:
 
 
 class _Server(uvicorn.Server):
-    """Lets long polls go as soon as a signal asks to stop."""
+    """Lets long polls and streams go as soon as a signal asked to stop.
+
+    Not in the signal's handler: that may run while the same thread holds the very lock that it
+    would need, and wait for ever.
+    """
 
     changes: Changes | None = None
 
-    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         if self.changes is not None:
             self.changes.begin_close()
-        super().handle_exit(sig, frame)
+        await super().shutdown(sockets)
 
 
 def serve(settings: Settings) -> None:

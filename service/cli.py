@@ -14,6 +14,7 @@ import typer
 
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
+from service.commands import register
 from service.key_commands import audit, keys
 from service.progress import bar
 from service.settings import Settings, table
@@ -33,6 +34,7 @@ app.add_typer(models, name="model")
 app.add_typer(studies, name="study")
 app.add_typer(keys, name="keys")
 app.command()(audit)
+register(app)
 
 SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
     f"{name} [{default}]: {meaning}" for name, default, meaning in table()

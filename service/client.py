@@ -11,7 +11,7 @@ with Client("http://127.0.0.1:8000") as twin:
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 from urllib.parse import quote
@@ -19,6 +19,7 @@ from urllib.parse import quote
 import httpx
 
 from core.errors import BladetwinError
+from service.sse import events
 
 Json = dict[str, Any]
 Blade = str | Mapping[str, Any]
@@ -49,6 +50,12 @@ class BlockedError(BladetwinError):
 
 def _path(*parts: str) -> str:
     return "/v1/" + "/".join(quote(part, safe="") for part in parts)
+
+
+def _which(version: int | None, at: str | None) -> dict[str, str]:
+    """The query of a version (a number) or of a moment (ISO 8601 with an offset)."""
+    told = {"version": None if version is None else str(version), "at": at}
+    return {name: value for name, value in told.items() if value is not None}
 
 
 class Client:
@@ -130,8 +137,9 @@ class Client:
         body |= {} if network is None else {"network": dict(network)}
         return self._call("POST", "/v1/rotors", json=body)
 
-    def rotor(self, rotor: str) -> Json:
-        return self._call("GET", _path("rotors", rotor))
+    def rotor(self, rotor: str, *, version: int | None = None, at: str | None = None) -> Json:
+        """The rotor as it stands; with a version or a moment, its blades and posterior then."""
+        return self._call("GET", _path("rotors", rotor), params=_which(version, at))
 
     def add_blade(self, rotor: str, blade: Blade) -> int:
         """Add a blade; the sequence number to wait for."""
@@ -177,12 +185,16 @@ class Client:
         raise TimeoutError(f"rotor {rotor} was not sealed within {patience_s:g} s")
 
     def posterior(
-        self, rotor: str, blade: str | None = None, *, version: int | None = None
+        self,
+        rotor: str,
+        blade: str | None = None,
+        *,
+        version: int | None = None,
+        at: str | None = None,
     ) -> Json:
-        """The shared parameters' posterior, or one blade's."""
+        """The shared parameters' posterior, or one blade's; of a version, or as of a moment."""
         parts = ("rotors", rotor) + (() if blade is None else ("blades", blade)) + ("posterior",)
-        params = {} if version is None else {"version": version}
-        return self._call("GET", _path(*parts), params=params)
+        return self._call("GET", _path(*parts), params=_which(version, at))
 
     def prediction(
         self,
@@ -195,6 +207,7 @@ class Client:
         probability: float = 0.95,
         instrument: str | None = None,
         version: int | None = None,
+        at: str | None = None,
     ) -> Json:
         """Bands of a quantity by source; with an instrument, of a reading by it.
 
@@ -211,11 +224,28 @@ class Client:
             params["node"] = str(node)
         if instrument is not None:
             params["instrument"] = instrument
-        if version is not None:
-            params["version"] = str(version)
+        params |= _which(version, at)
         return self._call(
             "GET", _path("rotors", rotor, "blades", blade, "prediction"), params=params
         )
+
+    def events(
+        self, rotor: str, *, after: int | None = None, silence_s: float = 60.0
+    ) -> Iterator[Json]:
+        """Hints as they come: ``{"id", "event", "rotor", "version", …}``; ends with the server.
+
+        after   id of the last event known; None: begin with the newest. An event ``reset`` says
+                that some in between are no longer kept: read the rotor again.
+        silence_s   without even a heartbeat the connection is lost: httpx.ReadTimeout
+        """
+        params = {} if after is None else {"after": str(after)}
+        with self._http.stream(
+            "GET", _path("rotors", rotor, "events"), params=params, timeout=silence_s
+        ) as answer:
+            if not answer.is_success:
+                answer.read()
+                raise ProblemError(answer)
+            yield from events(answer.iter_lines())
 
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

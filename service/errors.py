@@ -11,6 +11,9 @@
     ├── GoneError             a version that is no longer kept
     ├── PreconditionError     what a change depends on is not as the caller saw it
     ├── KeysMissingError      a server that would refuse every request
+    ├── DamagedError          a stored part that is not what was written
+    ├── DamagedLogError       an entry of the log that is not what was written
+    ├── HeldError             a rotor that a worker holds at the moment
     ├── LostLeaseError        a worker whose rotor another one has taken
     └── StoreAwayError        the database does not answer; nothing was written
 """
@@ -58,12 +61,67 @@ class NotYetError(BladetwinError):
 
 
 class GoneError(BladetwinError):
-    """A version that was thinned out."""
+    """A version that was thinned out; `kept` names the nearest that are kept, with their ends.
 
-    def __init__(self, what: str, remedy: str) -> None:
+    field   what asked for it: ``version`` or ``at``
+    kept    (version, through_seq) before it, then after it, where there is one
+    """
+
+    def __init__(
+        self, what: str, field: str, value: object, kept: tuple[tuple[int, int], ...]
+    ) -> None:
         self.what = what
-        self.remedy = remedy
-        super().__init__(f"{what} is no longer kept. To mend it: {remedy}.")
+        self.field = field
+        self.value = value
+        self.kept = kept
+        near = " or ".join(f"version {v} (through entry {seq})" for v, seq in kept)
+        self.remedy = (
+            f"ask for {near}, the nearest that are kept; BLADETWIN_KEEP_VERSIONS keeps more"
+        )
+        super().__init__(f"{what} is no longer kept. To mend it: {self.remedy}.")
+
+
+class DamagedError(BladetwinError):
+    """A stored part of a version that is not what was written; it is never used.
+
+    part   ``state`` or ``array <name>``
+    """
+
+    def __init__(self, rotor: str, version: int, part: str, problem: str) -> None:
+        self.rotor = rotor
+        self.version = version
+        self.part = part
+        self.problem = problem
+        self.remedy = f"run `bladetwin verify {rotor} --repair`, which rebuilds it from the log"
+        super().__init__(
+            f"version {version} of rotor {rotor} is damaged: {part}: {problem}. "
+            f"To mend it: {self.remedy}."
+        )
+
+
+class DamagedLogError(BladetwinError):
+    """An entry of a rotor's log that is not what was written, or is missing."""
+
+    def __init__(self, rotor: str, entry: str, problem: str) -> None:
+        self.rotor = rotor
+        self.entry = entry
+        self.problem = problem
+        super().__init__(
+            f"the log of rotor {rotor} is damaged: {entry}: {problem}. To mend it: restore the "
+            "database, or import the rotor from a file that was exported before."
+        )
+
+
+class HeldError(BladetwinError):
+    """A rotor that a worker holds: it is not touched beside the worker."""
+
+    def __init__(self, rotor: str, owner: str | None) -> None:
+        self.rotor = rotor
+        self.owner = owner
+        super().__init__(
+            f"rotor {rotor} is being updated by {owner or 'a worker'}; nothing was changed. "
+            "To mend it: try again once it is current, or wait longer with --patience."
+        )
 
 
 class PreconditionError(BladetwinError):

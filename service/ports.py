@@ -204,6 +204,7 @@ class RotorRecord:
     """A rotor with its place in the log and its worker's cursor.
 
     network   what it varies of the model's network (`service.variant`); None: nothing
+    origin    the id under which its random numbers are drawn, where it was imported under another
     """
 
     id: str
@@ -215,6 +216,7 @@ class RotorRecord:
     digest: str
     created_at: float
     network: Json | None = None
+    origin: str | None = None
     applied_seq: int = 0
     version: int = 0
     dirty: bool = True
@@ -276,6 +278,18 @@ class StateRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Which:
+    """Which version is asked for: by number, by a moment (s since 1970), or the newest."""
+
+    version: int | None = None
+    at: float | None = None
+
+    @property
+    def newest(self) -> bool:
+        return self.version is None and self.at is None
+
+
+@dataclass(frozen=True, slots=True)
 class JobRecord:
     """A piece of work that answers later."""
 
@@ -288,6 +302,42 @@ class JobRecord:
     error: str | None = None
     attempts: int = 0
     finished_at: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A row of the outbox: kind ``applied`` or ``blocked``, and what it tells."""
+
+    id: int
+    rotor_id: str
+    kind: str
+    payload: Json
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Gauges:
+    """How the service stands, over all rotors.
+
+    backlog          entries of the log that are not applied
+    applied          entries that are; versions and seals: versions written, and the sealed ones
+    takeovers        leases taken after they ran out
+    least_ess_ratio  of the newest version of any rotor; None: no version says one
+    oldest_s         age of the oldest entry that is not applied, s; 0: there is none
+    """
+
+    rotors: int
+    backlog: int
+    applied: int
+    versions: int
+    seals: int
+    takeovers: int
+    dirty: int
+    blocked: int
+    provisional: int
+    least_ess_ratio: float | None
+    oldest_s: float
+    jobs: int
 
 
 class Records(Protocol):
@@ -318,13 +368,34 @@ class Log(Protocol):
     def find(self, rotor_id: str, event_id: str) -> Event | None: ...
     def page(self, rotor_id: str, kind: str, after: int, limit: int) -> list[Event]: ...
     def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]: ...
+    def entries(self, rotor_id: str, after: int, through: int, limit: int) -> list[Event]: ...
+    def restore(self, rotor_id: str, events: Sequence[Event]) -> None:
+        """Append entries of another database to a new rotor, with their own numbers and times."""
+        ...
 
 
 class States(Protocol):
     """Versions of posteriors."""
 
     def get(self, rotor_id: str, version: int | None = None) -> StateRecord: ...
+    def as_of(self, rotor_id: str, at: float) -> StateRecord: ...
     def reader(self, state: StateRecord) -> Get: ...
+
+
+class Outbox(Protocol):
+    """Notes of what was committed."""
+
+    def after(self, rotor_id: str, number: int, limit: int) -> list[Note]:
+        """Notes with a greater number, in order."""
+        ...
+
+    def newest(self, rotor_ids: Sequence[str]) -> dict[str, int]:
+        """The number of the newest note of each rotor that has one."""
+        ...
+
+    def missing(self, rotor_id: str, number: int) -> bool:
+        """Whether notes after this number are no longer kept, or it was never given."""
+        ...
 
 
 class Transaction(Protocol):
@@ -342,6 +413,9 @@ class Transaction(Protocol):
     def audit(self) -> Audit: ...
     @property
     def answers(self) -> Answers: ...
+    @property
+    def outbox(self) -> Outbox: ...
+    def gauges(self) -> Gauges: ...
 
 
 Guard = Callable[[Transaction], None]

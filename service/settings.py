@@ -96,6 +96,12 @@ class Settings(BaseModel):
     checkpoint_every: int = Field(
         50, ge=1, description="of older versions every n-th is kept as a checkpoint"
     )
+    keep_events: int = Field(
+        1000, ge=1, description="newest events (new versions, blockings) kept of each rotor"
+    )
+    heartbeat_s: float = Field(
+        15.0, gt=0, le=3600, description="a silent stream of events gets a sign of life every, s"
+    )
     cache_mb: float = Field(256.0, ge=0, description="decoded arrays kept for reads, MiB")
     rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
     log_level: Literal["debug", "info", "warning", "error"] = Field(

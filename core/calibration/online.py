@@ -45,6 +45,7 @@ from core.calibration.target import (
     prepare,
     shared_space,
 )
+from core.digest import array_digest
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection, digest_of
@@ -285,16 +286,18 @@ class _Update:
         # a blade without a reading is drawn from its prior, wherever the nodes stand
         moved = message is not None or any(p.population for p in locals_of(self.model))
         nodes = key.hex() + "/".join(self.space.names) if moved else str(len(unit))
-        if (*name, nodes) not in found:
+        # a quick step knows the column nearly, the sealed one exactly: their draws differ
+        known = (*name, nodes, "" if column is None else array_digest(column))
+        if known not in found:
             rng = stream(rotor.seed, ALGORITHM, *name, nodes)
             if message is not None and column is not None:
-                found[*name, nodes] = message.draws(unit, per_node, rng, column)
+                found[known] = message.draws(unit, per_node, rng, column)
             else:
-                found[*name, nodes] = prior_draws(self.model, self.space, unit, per_node, rng)
+                found[known] = prior_draws(self.model, self.space, unit, per_node, rng)
             while len(found) > 3 * len(rotor.blades) + 100:
                 found.popitem(last=False)
-        found.move_to_end((*name, nodes))
-        local, log_w = found[*name, nodes]
+        found.move_to_end(known)
+        local, log_w = found[known]
         out = {f"blade/{blade}/local": local, f"blade/{blade}/log_w": log_w}
         return out if column is None else out | {f"column/{blade}": column}
 

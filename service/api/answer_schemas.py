@@ -73,6 +73,7 @@ MADE = {
     "particles": WHOLE,
     "seed": WHOLE,
     "network": maybe(ANY),
+    "origin": maybe(TEXT),
     "created_at": TEXT,
 }
 STANDING = MADE | {

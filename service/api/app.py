@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
 from fastapi import FastAPI
 
 from service.api import problems
 from service.api.describe import describe
+from service.api.feed import Feed
 from service.api.layers import add_layers
 from service.api.loopback import keys_required
-from service.api.routers import audit, inspections, models, reads, rotors, system
+from service.api.metrics import Requests
+from service.api.routers import audit, events, inspections, models, reads, rotors, system
 from service.api.services import Services
+from service.handlers.events import newest_notes
 
 PROBLEM = {
     "description": "A problem (RFC 9457)",
@@ -57,6 +61,8 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         services.changes.start()
         yield
+        services.changes.begin_close()
+        await app.state.feed.close()
         services.changes.close()
 
     app = FastAPI(
@@ -71,9 +77,11 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     )
     app.state.services = services
     app.state.revisions = revisions
-    for module in (system, models, rotors, inspections, reads, audit):
+    app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
+    app.state.requests = Requests()
+    for module in (system, models, rotors, inspections, reads, events, audit):
         app.include_router(module.router)
     problems.install(app)
-    add_layers(app, services)
+    add_layers(app, services, app.state.requests)
     describe(app, keys=keys_required(services.settings))
     return app

@@ -1,6 +1,7 @@
 """The layers around the routes, from the outside in.
 
 =============  ===========================================================================
+Measured       counts and times of requests
 Manners        request id, browsers' headers, a line in the log
 CORS           where BLADETWIN_CORS_ORIGINS names pages that may call
 Compression    gzip for large answers
@@ -21,6 +22,7 @@ from starlette.middleware.cors import CORSMiddleware
 from service.api.gate import Gate
 from service.api.limits import BodyLimit
 from service.api.manners import Manners
+from service.api.metrics import Measured, Requests
 from service.api.problems import LastResort
 from service.api.repeats import Repeats
 from service.api.services import Services
@@ -34,7 +36,7 @@ SHOWN = (
 )
 
 
-def add_layers(app: FastAPI, services: Services) -> None:
+def add_layers(app: FastAPI, services: Services, requests: Requests) -> None:
     """Put every layer around the application; the one added last is the outermost."""
     store, settings = services.store, services.settings
     app.add_middleware(EntityTags)
@@ -53,3 +55,4 @@ def add_layers(app: FastAPI, services: Services) -> None:
             expose_headers=SHOWN,
         )
     app.add_middleware(Manners)
+    app.add_middleware(Measured, requests=requests)

@@ -22,6 +22,7 @@ from core.errors import InputError, ModelError
 from service.api.visit import visit_of
 from service.errors import (
     ConflictError,
+    DamagedError,
     FaultsError,
     GoneError,
     NotFoundError,
@@ -178,7 +179,10 @@ async def _not_yet(request: Request, error: Any) -> JSONResponse:
 
 
 async def _gone(request: Request, error: Any) -> JSONResponse:
-    faults = [fault("version", error.what, "is no longer kept", error.remedy)]
+    faults = [fault(error.field, error.value, "is no longer kept", error.remedy)]
+    for version, seq in error.kept:
+        near = f"is one of the nearest kept, through entry {seq}"
+        faults.append(fault("version", version, near, f"ask for version={version}"))
     return problem(request, 410, "gone", str(error), faults)
 
 
@@ -186,6 +190,13 @@ async def _moved_on(request: Request, error: Any) -> JSONResponse:
     given = request.headers.get("if-match", "")
     faults = [fault("If-Match", given, "is not its present ETag", error.remedy)]
     return problem(request, 412, "precondition-failed", str(error), faults)
+
+
+async def _damaged(request: Request, error: Any) -> JSONResponse:
+    log.error("%s", error)
+    where = f"rotor {error.rotor}, version {error.version}"
+    faults = [fault(error.part, where, error.problem, error.remedy)]
+    return problem(request, 503, "damaged", str(error), faults)
 
 
 async def _unfit(request: Request, error: Any) -> JSONResponse:
@@ -220,6 +231,7 @@ HANDLERS = {
     NotYetError: _not_yet,
     GoneError: _gone,
     PreconditionError: _moved_on,
+    DamagedError: _damaged,
     ModelError: _unfit,
     HTTPException: _routed,
     StoreAwayError: _away,

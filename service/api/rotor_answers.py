@@ -20,6 +20,7 @@ def rotor_out(rotor: RotorRecord) -> dict[str, Any]:
         "particles": rotor.particles,
         "seed": rotor.seed,
         "network": rotor.network,
+        "origin": rotor.origin,
         "created_at": moment(rotor.created_at),
         "head_seq": rotor.head_seq,
         "applied_seq": rotor.applied_seq,

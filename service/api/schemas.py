@@ -30,12 +30,10 @@ from pydantic_core import from_json
 from core.observation import Inspection
 from service.api.problems import Fault, RequestError, fault, faults_of_validation
 from service.handlers.inspections import Item
+from service.names import ID_PATTERN, TEXT_PATTERN
 
-ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._:@+\-]*$"
 Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
-Text = Annotated[
-    str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")
-]
+Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=TEXT_PATTERN)]
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 WHOLE = re.compile(r"\d{1,9}")
 

@@ -33,6 +33,7 @@ ROTOR = "/v1/rotors/{r}"
 RULES: dict[str, Rule] = {
     "GET /healthz": Rule("open"),
     "GET /readyz": Rule("open"),
+    "GET /metrics": Rule("read"),
     "GET /openapi.json": Rule("read", beyond=True),
     "GET /v1/models": Rule("read", beyond=True),
     "GET /v1/models/{m}": Rule("read", beyond=True),
@@ -51,6 +52,7 @@ RULES: dict[str, Rule] = {
     f"GET {ROTOR}/posterior": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/posterior": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/prediction": Rule("read"),
+    f"GET {ROTOR}/events": Rule("read"),
     "GET /v1/audit": Rule("operate", beyond=True),
 }
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import Annotated, Any
 
 from fastapi import Depends, Path, Query, Request
 from fastapi.responses import JSONResponse, Response
 
 from service.api.problems import RequestError, fault
-from service.api.schemas import ID_PATTERN
 from service.api.tags import REVALIDATE, same_tag, tag
 from service.api.visit import visit_of
 from service.api.waiting import Changes
 from service.handlers.reads import Basis
+from service.moments import moment as moment  # (routes take it from here)
+from service.names import ID_PATTERN
 from service.ports import Appended, Science, Store
 from service.settings import Settings
 
@@ -50,7 +50,6 @@ Seen = Annotated[tuple[str, ...] | None, Depends(rotors_of)]
 Name = Annotated[str, Path(max_length=100, pattern=ID_PATTERN)]
 Limit = Annotated[int | None, Query(ge=1, le=2**31)]
 Cursor = Annotated[str | None, Query(max_length=100, pattern=ID_PATTERN)]
-Version = Annotated[int | None, Query(ge=1, lt=2**62)]
 
 
 def page_size(services: Services, limit: int | None) -> int:
@@ -68,18 +67,6 @@ def page(items: Sequence[Any], size: int, key: str) -> dict[str, Any]:
     """A page of items and the cursor of the next one; `items` holds one more than the page."""
     shown = list(items[:size])
     return {"items": shown, "next": str(shown[-1][key]) if len(items) > size else None}
-
-
-def moment(seconds: float | None) -> str | None:
-    """Seconds since 1970 as ISO 8601.
-
-    >>> moment(86400.25)
-    '1970-01-02T00:00:00.250Z'
-    """
-    if seconds is None:
-        return None
-    text = datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
-    return text.replace("+00:00", "Z")
 
 
 def accepted(answers: Sequence[Appended]) -> JSONResponse:

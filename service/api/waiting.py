@@ -57,9 +57,10 @@ class Changes:
         return self._closed.is_set()
 
     def begin_close(self) -> None:
-        """Let everybody who waits go; safe from a signal handler."""
+        """Let everybody who waits go; called inside the event loop, not in a signal's handler."""
         self._closed.set()
         self._busy.set()
+        self._fire()
 
     def close(self) -> None:
         self.begin_close()

@@ -3,6 +3,7 @@
 models.py       registration of a model, jobs
 rotors.py       rotors, their blades, retry
 inspections.py  readings, corrections, retractions, the list of what counts
+transfer.py     a rotor out to a file and in from one; transfer_lines.py checks the lines
 reads.py        posterior and prediction, with what they rest on
 keys.py         API keys: made, listed, revoked, recognised
 audit.py        who changed what

@@ -11,6 +11,7 @@ import numpy as np
 
 from core.errors import InputError, RangeError
 from service.errors import FaultsError, NotFoundError, NotYetError
+from service.handlers.rotors import state_of
 from service.ports import (
     BladeRecord,
     Draws,
@@ -20,6 +21,7 @@ from service.ports import (
     Science,
     StateRecord,
     Store,
+    Which,
 )
 
 LEVELS = (0.025, 0.05, 0.16, 0.5, 0.84, 0.95, 0.975)
@@ -69,17 +71,20 @@ class Basis:
 
 
 def basis(
-    store: Store, science: Science, rotor_id: str, version: int | None, blade: str | None = None
+    store: Store, science: Science, rotor_id: str, which: Which, blade: str | None = None
 ) -> Basis:
-    """The newest version, or the one asked for; the blade, if named, must exist."""
+    """The version asked for; the blade, if named, must exist in it."""
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
         found = None if blade is None else tx.records.blade(rotor_id, blade)
         if blade is not None and found is None:
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
-        state = tx.states.get(rotor_id, version)
+        state = state_of(tx, rotor_id, which)
         card = tx.records.model(rotor.model_id, state.model_version)
     if found is not None and found.added_seq > state.through_seq:
+        if not which.newest:
+            remedy = f"it joined with entry {found.added_seq}: ask for a later version"
+            raise NotFoundError(f"blade in version {state.version}", found.id, remedy)
         raise NotYetError(
             f"blade {blade} in version {state.version} of rotor {rotor_id}",
             f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={found.added_seq}&timeout=30",

@@ -20,8 +20,11 @@ from service.ports import (
     StateRecord,
     Store,
     Transaction,
+    Which,
 )
 from service.variant import check_known
+
+NEWEST = Which()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +61,25 @@ def _registered(tx: Transaction, model_id: str) -> ModelCard:
         raise FaultsError([fault]) from None
 
 
-def _told(blade: BladeRecord) -> Json:
+def told_of(blade: BladeRecord) -> Json:
     """A blade as its digest sees it, which knows no field that it does not use."""
     told = asdict(blade)
     if blade.known is None:
         del told["known"]
     return told
+
+
+def digest_of_rotor(
+    rotor_id: str,
+    model_id: str,
+    blades: Sequence[BladeRecord],
+    particles: int,
+    seed: int,
+    network: Json | None,
+) -> str:
+    """What tells a repeated creation from another one; `blades` as at the creation, by id."""
+    body = [rotor_id, model_id, [told_of(b) for b in blades], particles, seed]
+    return digest_of_json(body if network is None else [*body, network])[1]
 
 
 def create_rotor(
@@ -85,8 +101,7 @@ def create_rotor(
         fault = InputError("blades", twice, "are named twice", "give each blade its own id")
         raise FaultsError([fault])
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
-    body = [rotor_id, model_id, [_told(b) for b in ordered], particles, seed]
-    digest = digest_of_json(body if network is None else [*body, network])[1]
+    digest = digest_of_rotor(rotor_id, model_id, ordered, particles, seed, network)
     with store.write() as tx:
         card = _registered(tx, model_id)
         check_known(card.network, [(f"blades[{i}].", blade) for i, blade in enumerate(blades)])
@@ -108,10 +123,15 @@ def create_rotor(
     return stored, ordered, new
 
 
-def view_rotor(store: Store, rotor_id: str) -> RotorView:
-    """The rotor as it stands."""
+def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
+    """The rotor as it stands, with the blades and the posterior of the version asked for."""
     with store.read() as tx:
-        return view_in(tx, rotor_id)
+        if which.newest:
+            return view_in(tx, rotor_id)
+        rotor = tx.records.rotor(rotor_id)
+        blades = tuple(tx.records.blades(rotor_id))
+        state = state_of(tx, rotor_id, which)
+    return RotorView(rotor, tuple(blades_at(blades, state.through_seq)), state)
 
 
 def view_in(tx: Transaction, rotor_id: str) -> RotorView:
@@ -120,6 +140,24 @@ def view_in(tx: Transaction, rotor_id: str) -> RotorView:
     blades = tuple(tx.records.blades(rotor_id))
     state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
     return RotorView(rotor, blades, state)
+
+
+def state_of(tx: Transaction, rotor_id: str, which: Which) -> StateRecord:
+    """The version asked for."""
+    if which.at is not None:
+        return tx.states.as_of(rotor_id, which.at)
+    return tx.states.get(rotor_id, which.version)
+
+
+def blades_at(blades: Sequence[BladeRecord], seq: int) -> list[BladeRecord]:
+    """The blades as they were after entry `seq`: who joins later is left out, who leaves is on."""
+    there = [blade for blade in blades if blade.added_seq <= seq]
+    return [
+        replace(blade, retired_seq=None)
+        if blade.retired_seq is not None and blade.retired_seq > seq
+        else blade
+        for blade in there
+    ]
 
 
 def list_rotors(
@@ -139,7 +177,7 @@ def retry(store: Store, rotor_id: str) -> RotorRecord:
 
 def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
     """A blade joins the rotor; its prior is what the rotor knows."""
-    body, digest = digest_of_json(_told(blade))
+    body, digest = digest_of_json(told_of(blade))
     event = NewEvent(f"blade/{blade.id}", "blade", body, digest, blade=blade.id)
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)

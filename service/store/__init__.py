@@ -5,5 +5,7 @@ encoding.py  arrays as checked .npy bytes     log.py      the inspection log, wh
 states.py    versions of a rotor's posterior  records.py  models, jobs, rotors, blades
 keys.py      API keys                         trail.py     the audit trail
 answers.py   first answers by Idempotency-Key
+cache.py     what a process keeps          intact.py   whether a version is what was written
+audit.py     every stored part checked    outbox.py   notes of what was committed
 unit_of_work.py   one transaction with all of these
 """

@@ -96,6 +96,20 @@ def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
         raise StoreAwayError(type(getattr(error, "orig", None) or error).__name__) from error
 
 
+@contextmanager
+def snapshot(engine: Engine) -> Iterator[Connection]:
+    """A reading transaction that sees the database as it was at its first statement.
+
+    SQLite's readers always do; PostgreSQL's does at REPEATABLE READ.
+    """
+    if is_sqlite(engine):
+        with transaction(engine, write=False) as connection:
+            yield connection
+        return
+    with transaction(engine.execution_options(isolation_level="REPEATABLE READ"), write=False) as c:
+        yield c
+
+
 def is_sqlite(engine: Engine) -> bool:
     """Whether the engine is the embedded database."""
     return engine.dialect.name == "sqlite"

@@ -17,6 +17,7 @@ from service.store import tables as t
 from service.store.engine import now_s
 
 COLUMNS = [column for column in t.entry.c if column.name != "rotor_id"]
+NAMES = [column.name for column in COLUMNS]
 CHUNK = 500
 
 
@@ -142,12 +143,24 @@ class SqlLog:
             wanted = wanted[CHUNK:] + [e.event_id for e in fresh if e.kind == "inspection"]
         return list(found.values())
 
+    def entries(self, rotor_id: str, after: int, through: int, limit: int) -> list[Event]:
+        """At most `limit` entries of every kind with after < seq <= through, in order."""
+        return read_entries(self._connection, rotor_id, after, through, limit)
 
-def read_entries(connection: Connection, rotor_id: str, after: int, through: int) -> list[Event]:
-    """The entries with after < seq <= through, in order."""
+    def restore(self, rotor_id: str, events: Sequence[Event]) -> None:
+        rows = [{name: getattr(e, name) for name in NAMES} | {"rotor_id": rotor_id} for e in events]
+        if rows:
+            self._connection.execute(insert(t.entry), rows)
+
+
+def read_entries(
+    connection: Connection, rotor_id: str, after: int, through: int, limit: int | None = None
+) -> list[Event]:
+    """The entries with after < seq <= through, in order; at most `limit` of them."""
     query = (
         select(*COLUMNS)
         .where(t.entry.c.rotor_id == rotor_id, t.entry.c.seq > after, t.entry.c.seq <= through)
         .order_by(t.entry.c.seq)
+        .limit(limit)
     )
     return [Event(**row._mapping) for row in connection.execute(query)]

@@ -3,72 +3,69 @@
 Only an array whose SHA-256 changed is written, under the version that changed it. Reading name n
 at version v takes the row with the greatest version <= v. Decoded arrays are cached by (rotor,
 version, name), so that a read of one blade loads what that blade needs and no more.
+
+A version is compared with its digest when a process first loads it (`service.store.intact`), and
+each array with the SHA-256 that the digest was made from: what was damaged is never used.
 """
 
 from __future__ import annotations
 
 import json
-import threading
-from collections import OrderedDict
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
+from typing import Any
 
-from sqlalchemy import Connection, Engine, delete, exists, func, insert, select, tuple_
+from sqlalchemy import (
+    Column,
+    Connection,
+    Engine,
+    Row,
+    Select,
+    delete,
+    exists,
+    func,
+    insert,
+    select,
+    true,
+    tuple_,
+)
 
-from core.errors import ModelError
-from service.errors import GoneError, NotFoundError, NotYetError
+from core.errors import ModelError, RangeError
+from service.errors import DamagedError, GoneError, NotFoundError, NotYetError
+from service.moments import moment
 from service.ports import Array, Get, StateRecord
+from service.store import intact
 from service.store import tables as t
-from service.store.encoding import Encoded, decode
+from service.store.cache import ArrayCache, Checked, Key
+from service.store.encoding import DamagedArrayError, Encoded, decode
 from service.store.engine import now_s, transaction
 
-Key = tuple[str, int, str]
 ENDED = Encoded("npy", "", "", "", b"")
-
-
-class ArrayCache:
-    """Decoded arrays, least recently used ones dropped above `limit_mb`; safe between threads."""
-
-    def __init__(self, limit_mb: float) -> None:
-        self._limit = int(limit_mb * 2**20)
-        self._size = 0
-        self._arrays: OrderedDict[Key, Array] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, key: Key) -> Array | None:
-        with self._lock:
-            if key in self._arrays:
-                self._arrays.move_to_end(key)
-            return self._arrays.get(key)
-
-    def put(self, key: Key, array: Array) -> None:
-        with self._lock:
-            if key in self._arrays or array.nbytes > self._limit:
-                return
-            self._arrays[key] = array
-            self._size += array.nbytes
-            while self._size > self._limit:
-                _, dropped = self._arrays.popitem(last=False)
-                self._size -= dropped.nbytes
 
 
 class SqlStates:
     """The `States` of one transaction."""
 
-    def __init__(self, connection: Connection, cache: ArrayCache) -> None:
+    def __init__(self, connection: Connection, cache: ArrayCache, checked: Checked) -> None:
         self._connection = connection
         self._cache = cache
+        self._checked = checked
 
     def get(self, rotor_id: str, version: int | None = None) -> StateRecord:
-        """The newest version, or the one asked for."""
-        query = select(t.state).where(t.state.c.rotor_id == rotor_id)
+        """The newest version, or the one asked for; DamagedError: it is not what was written."""
+        query = stored(rotor_id)
         if version is not None:
             query = query.where(t.state.c.version == version)
         row = self._connection.execute(query.order_by(t.state.c.version.desc()).limit(1)).first()
-        if row is not None:
-            return StateRecord(**dict(row._mapping) | {"meta": json.loads(row.meta)})
+        if row is not None and version is None and row.version < row.newest:
+            row = None
+        if row is not None and (found := self._record(row)) is not None:
+            return found
         newest = select(t.cursor.c.version).where(t.cursor.c.rotor_id == rotor_id)
         last = self._connection.execute(newest).scalar()
+        if last and version in (None, last):
+            raise DamagedError(rotor_id, last, "state", "its row is missing")
         if last is None:
             raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
         if version is None or last == 0:
@@ -77,11 +74,81 @@ class SqlStates:
                 f"wait for it with GET /v1/rotors/{rotor_id}?wait_for=0&timeout=30",
             )
         if 1 <= version <= last:
-            raise GoneError(
-                f"version {version} of rotor {rotor_id}",
-                f"ask for the newest, {last}, or raise BLADETWIN_KEEP_VERSIONS",
-            )
+            near = self._nearest(rotor_id, t.state.c.version, version)
+            raise GoneError(f"version {version} of rotor {rotor_id}", "version", version, near)
         raise NotFoundError("version", str(version), f"the newest one is {last}")
+
+    def as_of(self, rotor_id: str, at: float) -> StateRecord:
+        """The newest version that rests on exactly the entries received by a moment.
+
+        at   seconds since 1970, as the log's `received_at`; told to the millisecond, so that an
+             entry of that very millisecond counts
+        Raises RangeError for a moment before the rotor or in the future, NotYetError where it is
+        still to be computed, GoneError with the nearest versions where it is not kept.
+        """
+        through, applied = self._received_by(rotor_id, at)
+        query = select(func.max(t.state.c.version)).where(
+            t.state.c.rotor_id == rotor_id, t.state.c.through_seq == through
+        )
+        version = self._connection.execute(query).scalar()
+        if version is not None:
+            return self.get(rotor_id, version)
+        if through > applied:
+            raise NotYetError(
+                f"the posterior of rotor {rotor_id} through entry {through}",
+                f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={through}&timeout=30",
+            )
+        what = f"a version of rotor {rotor_id} that ends with entry {through}, as of then,"
+        near = self._nearest(rotor_id, t.state.c.through_seq, through)
+        raise GoneError(what, "at", moment(at), near)
+
+    def _received_by(self, rotor_id: str, at: float) -> tuple[int, int]:
+        """(the last of the entries that all came by a moment, the cursor)."""
+        end = (math.floor(1000.0 * at + 1e-3) + 1) / 1000.0
+        c, e = t.cursor.c, t.entry.c
+        rotor = select(
+            t.rotor.c.head_seq, t.rotor.c.created_at, c.applied_seq, now_s().label("now")
+        )
+        row = self._connection.execute(
+            rotor.join(t.cursor, c.rotor_id == t.rotor.c.id).where(t.rotor.c.id == rotor_id)
+        ).one_or_none()
+        if row is None:
+            raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
+        times = select(func.min(e.received_at)).where(e.rotor_id == rotor_id)
+        first = self._connection.execute(times).scalar()
+        begun = row.created_at if first is None else min(row.created_at, first)
+        if not (begun < end and at <= row.now):
+            problem = f"lies outside {moment(begun)} … {moment(row.now)}, the rotor's time till now"
+            raise RangeError("at", moment(at), problem, "ask for a moment inside, or leave it out")
+        later = select(func.min(e.seq)).where(e.rotor_id == rotor_id, e.received_at >= end)
+        after = self._connection.execute(later).scalar()
+        return (row.head_seq if after is None else after - 1), row.applied_seq
+
+    def _nearest(
+        self, rotor_id: str, column: Column[Any], value: int
+    ) -> tuple[tuple[int, int], ...]:
+        """(version, through_seq) of the kept versions next to a value, before it and after it."""
+        s = t.state.c
+        query = select(s.version, s.through_seq).where(s.rotor_id == rotor_id).limit(1)
+        before = query.where(column < value).order_by(s.version.desc())
+        after = query.where(column > value).order_by(s.version)
+        rows = [self._connection.execute(one).one_or_none() for one in (before, after)]
+        return tuple((row.version, row.through_seq) for row in rows if row is not None)
+
+    def _record(self, row: Row[Any]) -> StateRecord | None:
+        """The version, compared with its digest; None: it was thinned out meanwhile."""
+        told = intact.told(row)
+        if self._checked.get(row.rotor_id, row.version, told) is None:
+            names = digests(self._connection, row.rotor_id, row.version)
+            try:
+                intact.check(row, names)
+            except DamagedError:
+                again = stored(row.rotor_id).where(t.state.c.version == row.version)
+                if self._connection.execute(again).first() is None:
+                    return None
+                raise
+            self._checked.put(row.rotor_id, row.version, told, names)
+        return record_of(row)
 
     def reader(self, state: StateRecord) -> Get:
         """The arrays of a version by name, inside this transaction."""
@@ -91,7 +158,16 @@ class SqlStates:
         """One array of one version, from the cache or the database."""
         array = self._cache.get(key)
         if array is None:
-            array = decode(key[2], self._row(key))
+            rotor_id, version, name = key
+            row = self._row(key)
+            names = self._checked.get(rotor_id, version)
+            if names is not None and names.get(name) != row.sha256:
+                problem = f"its sha256 {row.sha256[:12]}… is not the one that the version has"
+                raise DamagedError(rotor_id, version, f"array {name}", problem)
+            try:
+                array = decode(name, row)
+            except DamagedArrayError as error:
+                raise DamagedError(rotor_id, version, f"array {name}", str(error)) from None
             self._cache.put(key, array)
         return array
 
@@ -110,12 +186,29 @@ class SqlStates:
         return Encoded(**row._mapping)
 
 
-def digests(connection: Connection, rotor_id: str) -> dict[str, str]:
-    """name -> SHA-256 of each array of the newest version."""
+def stored(rotor_id: str) -> Select[Any]:
+    """The rotor's versions as they stand in the table, each with where the cursor is."""
+    cursor = (t.cursor.c.version.label("newest"), t.cursor.c.applied_seq)
+    return (
+        select(t.state, *cursor)
+        .join(t.cursor, t.cursor.c.rotor_id == t.state.c.rotor_id)
+        .where(t.state.c.rotor_id == rotor_id)
+    )
+
+
+def record_of(row: Row[Any]) -> StateRecord:
+    """A row of `stored`, compared before."""
+    values = {name: getattr(row, name) for name in t.state.c.keys()}  # noqa: SIM118
+    return StateRecord(**values | {"meta": json.loads(row.meta)})
+
+
+def digests(connection: Connection, rotor_id: str, version: int | None = None) -> dict[str, str]:
+    """name -> SHA-256 of each array of a version; None: of the newest."""
     a = t.state_array.c
+    until = a.version <= version if version is not None else true()
     newest = (
         select(a.name, func.max(a.version).label("version"))
-        .where(a.rotor_id == rotor_id)
+        .where(a.rotor_id == rotor_id, until)
         .group_by(a.name)
         .subquery()
     )

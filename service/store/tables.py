@@ -11,6 +11,8 @@ ended there.
 
 `audit` has a row for each state-changing request and is never thinned; `first_answer` holds what
 requests with an Idempotency-Key were answered, until it expires.
+`rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
+its own. `cursor.outbox_dropped` is the newest note of the outbox that is no longer kept.
 """
 
 from __future__ import annotations
@@ -87,6 +89,7 @@ rotor = Table(
     Column("digest", String(64), nullable=False),
     Column("created_at", Double, nullable=False),
     Column("network", Text),
+    Column("origin", NAME),
     ForeignKeyConstraint(["model_id", "model_version"], ["model.id", "model.version"]),
 )
 
@@ -121,6 +124,7 @@ entry = Table(
     Column("posted_by", String(40)),
     UniqueConstraint("rotor_id", "event_id"),
     Index("ix_event_rotor_id_replaces", "rotor_id", "replaces"),
+    Index("ix_event_received", "rotor_id", "received_at", "seq"),
 )
 
 cursor = Table(
@@ -141,6 +145,10 @@ cursor = Table(
     Column("blocked", Boolean, nullable=False),
     Column("last_error", Text),
     Column("last_error_event", NAME),
+    Column("takeovers", BIG, nullable=False, server_default="0"),
+    Column("seals", BIG, nullable=False, server_default="0"),
+    Column("ess_ratio", Double),
+    Column("outbox_dropped", BIG, nullable=False, server_default="0"),
     Index("ix_cursor_dirty_dirty_since", "dirty", "dirty_since"),
 )
 
@@ -171,6 +179,8 @@ state_array = Table(
     Column("shape", String(100), nullable=False),
     Column("sha256", String(64), nullable=False),
     Column("data", LargeBinary, nullable=False),
+    # what a version is made of is read without touching its bytes
+    Index("ix_state_array_digests", "rotor_id", "name", "version", "sha256"),
 )
 
 outbox = Table(

@@ -9,29 +9,40 @@ from copy import copy
 from sqlalchemy import Connection, Engine
 
 from service.access import EXPECTED, Act
-from service.ports import Array, Get, Guard
+from service.ports import Array, Gauges, Get, Guard
 from service.store.answers import SqlAnswers
+from service.store.cache import ArrayCache, Checked
 from service.store.engine import transaction
+from service.store.gauges import read_gauges
 from service.store.keys import SqlKeys
 from service.store.log import SqlLog
+from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
-from service.store.states import ArrayCache, SqlStates
+from service.store.states import SqlStates
 from service.store.trail import SqlAudit
 
 
 class SqlTransaction:
-    """Models, rotors, log, states, keys and trail of one connection's open transaction."""
+    """Models, rotors, log, states, notes, keys and trail of one connection's open transaction."""
 
     def __init__(
-        self, connection: Connection, cache: ArrayCache, posted_by: str | None = None
+        self,
+        connection: Connection,
+        cache: ArrayCache,
+        checked: Checked,
+        posted_by: str | None = None,
     ) -> None:
         self.connection = connection
         self.records = SqlRecords(connection)
         self.log = SqlLog(connection, posted_by)
-        self.states = SqlStates(connection, cache)
+        self.states = SqlStates(connection, cache, checked)
+        self.outbox = SqlOutbox(connection)
         self.keys = SqlKeys(connection)
         self.audit = SqlAudit(connection)
         self.answers = SqlAnswers(connection)
+
+    def gauges(self) -> Gauges:
+        return read_gauges(self.connection)
 
 
 class SqlStore:
@@ -40,6 +51,7 @@ class SqlStore:
     def __init__(self, engine: Engine, cache_mb: float = 64.0) -> None:
         self.engine = engine
         self.cache = ArrayCache(cache_mb)
+        self.checked = Checked()
         self._act: Act | None = None
         self._guard: Guard | None = None
 
@@ -52,13 +64,14 @@ class SqlStore:
     @contextmanager
     def read(self) -> Iterator[SqlTransaction]:
         with transaction(self.engine, write=False) as connection:
-            yield SqlTransaction(connection, self.cache)
+            yield SqlTransaction(connection, self.cache, self.checked)
 
     @contextmanager
     def write(self) -> Iterator[SqlTransaction]:
         act, row = self._act, None
         with transaction(self.engine, write=True) as connection:
-            tx = SqlTransaction(connection, self.cache, None if act is None else act.poster)
+            poster = None if act is None else act.poster
+            tx = SqlTransaction(connection, self.cache, self.checked, poster)
             if self._guard is not None:
                 self._guard(tx)
             yield tx

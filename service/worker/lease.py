@@ -11,6 +11,9 @@ sealing worker's commit is one that came too late. But a stream without a pause 
 for ever: a rotor that has been provisional for `overdue_s` is sealed before anything more is
 applied, as far as it was applied, and what comes meanwhile waits for that one sealing.
 
+A rotor is also claimed by name, to rebuild what was damaged (`claim_rotor`): under the same fence,
+and never from a worker whose lease still runs.
+
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
 
@@ -26,6 +29,7 @@ from sqlalchemy import (
     Connection,
     Engine,
     and_,
+    case,
     false,
     func,
     insert,
@@ -76,9 +80,19 @@ def overdue(overdue_s: float) -> ColumnElement[bool]:
     return and_(c.provisional_since.is_not(None), c.provisional_since <= now_s() - overdue_s)
 
 
+def unheld() -> ColumnElement[bool]:
+    """Nobody alive holds the rotor."""
+    return or_(c.lease_until.is_(None), c.lease_until <= now_s())
+
+
+def ran_out() -> ColumnElement[bool]:
+    """Somebody held the rotor and did not give it back."""
+    return c.lease_until <= now_s()
+
+
 def claimable(kind: Kind, *, quiet_s: float, overdue_s: float) -> ColumnElement[bool]:
     """There is work of this kind, nobody alive holds it, and no pause is running."""
-    free = or_(c.lease_until.is_(None), c.lease_until <= now_s())
+    free = unheld()
     late = overdue(overdue_s)
     due = {
         "late": and_(late, free),
@@ -147,11 +161,47 @@ def _claim(
                 owner=owner,
                 lease_until=now_s() + lease_s,
                 sealing=sealing,
+                takeovers=c.takeovers + case((ran_out(), 1), else_=0),
             )
             .returning(c.fence, c.applied_seq, c.version, c.attempts)
         )
         row = connection.execute(take).one()
     return Lease(rotor_id, owner, row.fence, row.applied_seq, row.version, row.attempts, sealing)
+
+
+def claim_rotor(engine: Engine, rotor_id: str, owner: str, lease_s: float) -> Lease | None:
+    """Take this rotor to rebuild what it has; None: a worker holds it.
+
+    No attempt is counted, and entries wait until the lease is given back.
+    """
+    take = (
+        update(t.cursor)
+        .where(c.rotor_id == rotor_id, unheld())
+        .values(fence=c.fence + 1, owner=owner, lease_until=now_s() + lease_s, sealing=False)
+        .returning(c.fence, c.applied_seq, c.version, c.attempts)
+    )
+    with transaction(engine, write=True) as connection:
+        row = connection.execute(take).one_or_none()
+    if row is None:
+        return None
+    return Lease(rotor_id, owner, row.fence, row.applied_seq, row.version, row.attempts, True)
+
+
+def keep(connection: Connection, lease: Lease) -> None:
+    """Lock the rotor for a change beside its cursor; LostLeaseError: roll everything back."""
+    lock_rotor(connection, lease.rotor_id)
+    own = select(c.rotor_id).where(c.rotor_id == lease.rotor_id, holds(lease))
+    if connection.execute(own.with_for_update()).first() is None:
+        raise LostLeaseError(lease.rotor_id, lease.fence)
+
+
+def give_back(engine: Engine, lease: Lease) -> None:
+    """End a claim that changed nothing of the cursor; entries that came meanwhile go on."""
+    own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)
+    with transaction(engine, write=True) as connection:
+        freed = update(t.cursor).where(own).values(owner=None, lease_until=None)
+        if connection.execute(freed).rowcount:
+            notify(connection, "bladetwin_work")
 
 
 def heartbeat(engine: Engine, lease: Lease, lease_s: float) -> bool:
@@ -162,11 +212,19 @@ def heartbeat(engine: Engine, lease: Lease, lease_s: float) -> bool:
         return connection.execute(beat).rowcount == 1
 
 
-def advance(connection: Connection, lease: Lease, through: int, *, sealed: bool) -> int:
+def advance(
+    connection: Connection,
+    lease: Lease,
+    through: int,
+    *,
+    sealed: bool,
+    ess_ratio: float | None = None,
+) -> int:
     """Move the cursor to `through` in the caller's transaction; the number of the new version.
 
     The rotor's row is locked first, in the same order as ingest does. The rotor stays dirty when
-    its head moved on, or when a sealing pass has to follow. LostLeaseError: roll everything back.
+    its head moved on, or when a sealing pass has to follow; a blocked one (whose old versions are
+    rebuilt) stays blocked, with its error. LostLeaseError: roll everything back.
     """
     head = lock_rotor(connection, lease.rotor_id)
     dirty = not sealed or (head or 0) > through
@@ -179,20 +237,23 @@ def advance(connection: Connection, lease: Lease, through: int, *, sealed: bool)
             dirty=dirty,
             dirty_since=now_s() if dirty else None,
             provisional_since=None if sealed else func.coalesce(c.provisional_since, now_s()),
-            attempts=0,
+            seals=c.seals + int(sealed),
+            ess_ratio=ess_ratio,
+            attempts=case((c.blocked == true(), c.attempts), else_=0),
             owner=None,
             lease_until=None,
             sealing=False,
             not_before=None,
-            last_error=None,
-            last_error_event=None,
+            last_error=case((c.blocked == true(), c.last_error), else_=None),
+            last_error_event=case((c.blocked == true(), c.last_error_event), else_=None),
         )
         .returning(c.version)
     )
     version = connection.execute(move).scalar()
     if version is None:
         raise LostLeaseError(lease.rotor_id, lease.fence)
-    post(connection, lease.rotor_id, "applied", {"version": version, "through_seq": through})
+    told = {"version": version, "through_seq": through, "sealed": sealed}
+    post(connection, lease.rotor_id, "applied", told)
     if dirty:
         notify(connection, "bladetwin_work")
     return int(version)

@@ -6,15 +6,17 @@ as such and the rotor stays dirty: the next pass finds nothing pending and seals
 
 The worker keeps the last state that it wrote. It is used only while its version is the one that
 the claim read, so that another worker's commit in between makes this one read the database.
+
+A state that turns out damaged when it is loaded, or when one of its arrays is, is left alone: the
+next version is computed from the log without it, and every array is written anew.
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from time import perf_counter
@@ -23,13 +25,22 @@ from sqlalchemy import Engine
 
 from core.digest import state_digest
 from core.errors import CalibrationError
-from core.observation import Entry, Inspection, effective
-from service.errors import LostLeaseError, StoreAwayError
-from service.ports import Event, ModelCard, RotorSpec, RotorState, Science, StateRecord
+from core.observation import Entry, effective
+from service.entries import entries_of
+from service.errors import DamagedError, LostLeaseError, StoreAwayError
+from service.ports import (
+    ModelCard,
+    RotorRecord,
+    RotorSpec,
+    RotorState,
+    Science,
+    StateRecord,
+)
 from service.settings import Settings
 from service.store.encoding import Encoded, encode
 from service.store.engine import transaction
 from service.store.log import read_entries
+from service.store.outbox import trim
 from service.store.states import digests, thin, write_state
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker import lease as leases
@@ -43,13 +54,17 @@ Change = tuple[dict[str, str], dict[str, Encoded | None]]
 
 @dataclass(slots=True)
 class Memory:
-    """What a worker remembers of a rotor: valid for one version only."""
+    """What a worker remembers of a rotor: valid for one version only.
+
+    anew   the stored state is not used, and all that replaces it is written
+    """
 
     version: int
     through: int
     state: RotorState | None
     sha256: dict[str, str]
     entries: list[Entry]
+    anew: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,17 +79,12 @@ class Task:
     memory: Memory
 
 
-def entry_of(event: Event) -> Entry:
-    """The log's row as the science knows it."""
-    if event.kind == "inspection":
-        reading = Inspection.from_json(json.loads(event.body))
-        return Entry(event.seq, "inspection", event.event_id, reading)
-    return Entry(event.seq, "retraction", event.replaces or "")
-
-
-def entries_of(events: Sequence[Event]) -> list[Entry]:
-    """Those of the log's rows that concern readings."""
-    return [entry_of(e) for e in events if e.kind in ("inspection", "retraction")]
+def spec_of(tx: SqlTransaction, rotor: RotorRecord, through: int) -> RotorSpec:
+    """The rotor as an update through entry `through` sees it."""
+    blades = [b for b in tx.records.blades(rotor.id) if b.added_seq <= through]
+    known = {b.id: b.known for b in blades if b.known is not None}
+    name = rotor.origin or rotor.id
+    return RotorSpec(name, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)
 
 
 class Updater:
@@ -115,6 +125,7 @@ class Updater:
         if lease.attempts > self.settings.max_attempts:
             error = f"{lease.attempts - 1} workers died or lost their lease during the update"
             leases.fail(self.engine, lease, error, None, 0.0, block=True)
+            trim(self.engine, lease.rotor_id, self.settings.keep_events)
             return True
         with self.heartbeats(lease):
             task: Task | None = None
@@ -161,9 +172,7 @@ class Updater:
                 memory = self._restore(tx, lease, memory)
             through = lease.applied_seq if lease.sealing else rotor.head_seq
             fresh = read_entries(tx.connection, rotor.id, memory.through, through)
-            blades = [b for b in tx.records.blades(rotor.id) if b.added_seq <= through]
-        known = {b.id: b.known for b in blades if b.known is not None}
-        spec = RotorSpec(rotor.id, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)
+            spec = spec_of(tx, rotor, through)
         readings = entries_of(fresh)
         return Task(
             card=self.science.vary(card, rotor.network),
@@ -183,16 +192,39 @@ class Updater:
         entries = entries + entries_of(events)
         if lease.version == 0:
             return Memory(0, 0, None, {}, entries)
-        record = tx.states.get(lease.rotor_id, lease.version)
         sha256 = digests(tx.connection, lease.rotor_id)
-        arrays = self.store.arrays(lease.rotor_id, lease.version)
-        state = self.science.restore(record.meta, arrays)
-        return Memory(lease.version, lease.applied_seq, state, sha256, entries)
+        memory = Memory(lease.version, lease.applied_seq, None, sha256, entries, anew=True)
+        try:
+            record = tx.states.get(lease.rotor_id, lease.version)
+            arrays = self.store.arrays(lease.rotor_id, lease.version)
+            memory.state, memory.anew = self.science.restore(record.meta, arrays), False
+        except DamagedError as error:
+            log.error("%s The worker rebuilds it from the log now.", error)
+        return memory
+
+    def anew(self, lease: Lease) -> Task:
+        """The rotor's entries up to the cursor, and no state: all is computed and written."""
+        with self.store.read() as tx:
+            rotor = tx.records.rotor(lease.rotor_id)
+            card = tx.records.model(rotor.model_id, rotor.model_version)
+            through = lease.applied_seq
+            entries = entries_of(read_entries(tx.connection, rotor.id, 0, through))
+            spec = spec_of(tx, rotor, through)
+            names = digests(tx.connection, rotor.id)
+        memory = Memory(lease.version, through, None, names, entries, anew=True)
+        varied = self.science.vary(card, rotor.network)
+        return Task(varied, spec, through, entries, 0, memory)
 
     def compute(self, task: Task, *, quick: bool) -> RotorState:
         """The new posterior: quick when entries were pending, else sealed."""
-        readings = effective(task.entries)
-        return self.science.update(task.card, task.spec, readings, task.memory.state, quick=quick)
+        readings, memory = effective(task.entries), task.memory
+        try:
+            quick = quick and not memory.anew
+            return self.science.update(task.card, task.spec, readings, memory.state, quick=quick)
+        except DamagedError as error:
+            log.error("%s The worker rebuilds it from the log now.", error)
+        memory.state, memory.anew = None, True
+        return self.science.update(task.card, task.spec, readings, None, quick=False)
 
     def change(self, task: Task, state: RotorState) -> Change:
         """The arrays that the new version has to write, and the digest of each that it has."""
@@ -205,7 +237,7 @@ class Updater:
                 continue
             encoded = encode(state.arrays[name])
             sha256[name] = encoded.sha256
-            if before.get(name) != encoded.sha256:
+            if task.memory.anew or before.get(name) != encoded.sha256:
                 changed[name] = encoded
         return sha256, changed | dict.fromkeys(before.keys() - sha256.keys())
 
@@ -214,13 +246,17 @@ class Updater:
         if version - self._thinned.get(rotor_id, 0) >= THIN_EVERY:
             self._thinned[rotor_id] = version
             thin(self.engine, rotor_id, self.settings.keep_versions, self.settings.checkpoint_every)
+            trim(self.engine, rotor_id, self.settings.keep_events)
 
     def commit(self, lease: Lease, task: Task, state: RotorState, change: Change) -> int:
         """State and cursor in one transaction; LostLeaseError leaves the database as it was."""
         sha256, changed = change
         sealed = bool(state.meta["sealed"])
         with transaction(self.engine, write=True) as connection:
-            version = leases.advance(connection, lease, task.through, sealed=sealed)
+            ratio = state.meta["health"].get("ess_ratio")
+            version = leases.advance(
+                connection, lease, task.through, sealed=sealed, ess_ratio=ratio
+            )
             record = StateRecord(
                 rotor_id=lease.rotor_id,
                 version=version,
@@ -253,6 +289,8 @@ class Updater:
         )
         text = f"{type(error).__name__}: {error}"
         leases.fail(self.engine, lease, text, event, pause, block=block)
+        if block:
+            trim(self.engine, lease.rotor_id, self.settings.keep_events)
         self._memory.pop(lease.rotor_id, None)
         log.error("rotor %s: attempt %d failed: %s", lease.rotor_id, lease.attempts, text)
 

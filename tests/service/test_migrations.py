@@ -15,7 +15,7 @@ from service.bootstrap import make_worker
 from service.fake import FakeScience
 from service.handlers import reads
 from service.handlers.rotors import add_blade, create_rotor, view_rotor
-from service.ports import BladeRecord, ModelCard
+from service.ports import BladeRecord, ModelCard, Which
 from service.settings import Settings
 from service.store import migrate as migrations
 from service.store.engine import is_sqlite, open_engine, transaction
@@ -120,7 +120,7 @@ def test_a_rotor_of_the_first_release_goes_on_after_the_migration(bare_url: str)
     again = create_rotor(store, "r1", "rotor-blade", [BladeRecord("B1")], 64, 7)
     assert again[2] is False, "the same body still gets the same answer"
     assert add_blade(store, "r1", BladeRecord("B1")).new is False
-    found = reads.basis(store, science, "r1", None, "B1")
+    found = reads.basis(store, science, "r1", Which(), "B1")
     asked = reads.question(found.card, "elongation", [25_000.0], None, 0.95)
     assert reads.predict(store, science, found, asked)["mean"][0] > 0
     store.close()

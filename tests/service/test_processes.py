@@ -114,9 +114,9 @@ def check_undisturbed(store: SqlStore, rotor: str) -> None:
     from sqlalchemy import select
 
     from core.observation import effective
+    from service.entries import entry_of
     from service.store import tables as t
     from service.store.log import read_entries
-    from service.worker.update import entry_of
 
     view = view_rotor(store, rotor)
     with store.read() as tx:

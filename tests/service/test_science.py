@@ -17,7 +17,7 @@ from service.handlers import reads
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor, view_rotor
-from service.ports import BladeRecord, RotorSpec
+from service.ports import BladeRecord, RotorSpec, Which
 from service.science import CoreScience
 from service.settings import Settings
 from service.store.engine import open_engine
@@ -56,7 +56,7 @@ def test_any_order_of_arrival_ends_in_the_same_sealed_posterior_and_a_band_that_
     assert state is not None
     assert state.sealed
     science = formula_science()
-    basis = reads.basis(real_store, science, "r1", None, "B1")
+    basis = reads.basis(real_store, science, "r1", Which(), "B1")
     spec = RotorSpec("r1", ("B1", "B2"), 512, 5)
     alone = science.update(basis.card, spec, readings, None, quick=False)
     assert state.digest == alone.digest

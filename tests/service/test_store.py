@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select, text
 
+from core.digest import state_digest
 from core.errors import InputError, ModelError
 from core.observation import Inspection
 from service.errors import (
     ConflictError,
+    DamagedError,
     GoneError,
     NotFoundError,
     NotYetError,
@@ -22,9 +24,10 @@ from service.errors import (
 from service.handlers.inspections import list_inspections, retract
 from service.ports import StateRecord
 from service.store import tables as t
+from service.store.cache import ArrayCache
 from service.store.encoding import DamagedArrayError, decode, encode
 from service.store.engine import open_engine, transaction
-from service.store.states import ArrayCache, digests, thin, write_state
+from service.store.states import digests, thin, write_state
 from service.store.unit_of_work import SqlStore
 
 Make = Callable[..., Inspection]
@@ -107,12 +110,17 @@ def _write(store: SqlStore, version: int, **arrays: float | None) -> None:
     changed = {
         name: None if value is None else encode(np.array([value])) for name, value in arrays.items()
     }
-    record = StateRecord(
-        "r1", version, version, "rotor-blade", "1", "a-1", True, "d", "e", {"v": version}, 0.0
-    )
+    meta = {"v": version, "sealed": True, "events_digest": "e", "algorithm_version": "a-1"}
     with store.write() as tx:
+        sha256 = digests(tx.connection, "r1")
+        sha256 |= {name: one.sha256 for name, one in changed.items() if one is not None}
+        sha256 = {name: sha256[name] for name in sha256 if changed.get(name, True) is not None}
+        digest = state_digest(meta, sha256)
+        record = StateRecord(
+            "r1", version, version, "rotor-blade", "1", "a-1", True, digest, "e", meta, 0.0
+        )
         write_state(tx.connection, record, changed)
-        tx.connection.execute(t.cursor.update().values(version=version))
+        tx.connection.execute(t.cursor.update().values(version=version, applied_seq=version))
 
 
 def test_a_version_is_read_with_the_arrays_that_it_had(store: SqlStore, rotor: str) -> None:
@@ -125,7 +133,7 @@ def test_a_version_is_read_with_the_arrays_that_it_had(store: SqlStore, rotor: s
         store.arrays(rotor, 3)("b")
     with store.read() as tx:
         assert set(digests(tx.connection, rotor)) == {"a"}
-        assert tx.states.get(rotor).meta == {"v": 3}
+        assert tx.states.get(rotor).meta["v"] == 3
         assert tx.states.get(rotor, 1).version == 1
 
 
@@ -163,7 +171,7 @@ def test_a_damaged_row_is_named_and_not_used(store: SqlStore, rotor: str) -> Non
     _write(store, 1, a=1.5)
     with transaction(store.engine, write=True) as connection:
         connection.execute(text("UPDATE state_array SET sha256 = 'other'"))
-    with pytest.raises(DamagedArrayError, match="array a"):
+    with pytest.raises(DamagedError, match="array a"):
         store.arrays(rotor, 1)("a")
 
 

@@ -8,9 +8,9 @@ from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
 
 from service.access import AuditRecord
-from service.api.schemas import ID_PATTERN
 from service.api.services import Limit, Seen, Wired, moment, page, page_size
 from service.handlers.audit import list_audit
+from service.names import ID_PATTERN
 
 router = APIRouter(prefix="/v1/audit", tags=["audit"])
 Named = Annotated[str | None, Query(max_length=100, pattern=ID_PATTERN)]

@@ -9,29 +9,29 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
 from service.api.problems import RequestError, fault
-from service.api.services import Name, Version, Wired, tag_of_basis, tagged, unchanged
+from service.api.services import Name, Wired, tag_of_basis, tagged, unchanged
+from service.api.which import Asked
 from service.handlers import reads as use
+from service.ports import Which
 
 router = APIRouter(prefix="/v1/rotors/{r}", tags=["reads"])
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
 @router.get("/posterior", summary="The shared parameters of the rotor")
-def get_posterior(r: Name, request: Request, services: Wired, version: Version = None) -> Response:
-    return _posterior(request, services, r, None, version)
+def get_posterior(r: Name, request: Request, services: Wired, which: Asked) -> Response:
+    return _posterior(request, services, r, None, which)
 
 
 @router.get("/blades/{b}/posterior", summary="The parameters of one blade")
 def get_blade_posterior(
-    r: Name, b: Name, request: Request, services: Wired, version: Version = None
+    r: Name, b: Name, request: Request, services: Wired, which: Asked
 ) -> Response:
-    return _posterior(request, services, r, b, version)
+    return _posterior(request, services, r, b, which)
 
 
-def _posterior(
-    request: Request, services: Wired, r: str, b: str | None, version: int | None
-) -> Response:
-    found = use.basis(services.store, services.science, r, version, b)
+def _posterior(request: Request, services: Wired, r: str, b: str | None, which: Which) -> Response:
+    found = use.basis(services.store, services.science, r, which, b)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:
         return same
@@ -46,6 +46,7 @@ def get_prediction(
     b: Name,
     request: Request,
     services: Wired,
+    which: Asked,
     quantity: Annotated[
         str | None, Query(max_length=100, description="default: the model's first one")
     ] = None,
@@ -60,9 +61,8 @@ def get_prediction(
             description="whose noise a reading has, where noises are by it",
         ),
     ] = None,
-    version: Version = None,
 ) -> Response:
-    found = use.basis(services.store, services.science, r, version, b)
+    found = use.basis(services.store, services.science, r, which, b)
     asked = use.question(found.card, quantity, read_times(times), node, probability, instrument)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:

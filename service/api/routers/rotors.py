@@ -29,6 +29,7 @@ from service.api.services import (
     tagged,
     unchanged,
 )
+from service.api.which import Asked
 from service.handlers import rotors as use
 
 router = APIRouter(prefix="/v1/rotors", tags=["rotors"])
@@ -71,18 +72,32 @@ def get_rotors(
     return page([rotor_out(rotor) for rotor in rotors], size, "id")
 
 
-@router.get("/{r}", summary="A rotor as it stands; wait_for=SEQ waits until SEQ is applied")
+@router.get(
+    "/{r}", summary="A rotor as it stands, or stood; wait_for=SEQ waits until SEQ is applied"
+)
 async def get_rotor(
     r: Name,
     request: Request,
     services: Wired,
+    which: Asked,
     wait_for: Annotated[int | None, Query(ge=0, lt=2**62)] = None,
     timeout: Annotated[float, Query(ge=0)] = 30.0,
 ) -> Response:
-    view = await _wait(services, r, wait_for, timeout)
+    if which.newest:
+        view = await _wait(services, r, wait_for, timeout)
+    elif wait_for is None:
+        view = await run_in_threadpool(use.view_rotor, services.store, r, which)
+    else:
+        raise _both(wait_for)
     body = view_out(view)
     tag = rotor_tag(view)
     return unchanged(request, tag) or tagged(body, tag)
+
+
+def _both(wait_for: int) -> RequestError:
+    problem, remedy = "is given beside `version` or `at`", "wait first, then ask for the version"
+    faults = [fault("wait_for", wait_for, problem, remedy)]
+    return RequestError(422, "invalid-input", f"wait_for {problem}. To mend it: {remedy}", faults)
 
 
 async def _wait(services: Services, r: str, wait_for: int | None, timeout: float) -> use.RotorView:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import APIRouter, Request
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 
+from service.api.metrics import page
+from service.api.services import Wired
 from service.errors import StoreAwayError
+from service.prometheus import MEDIA_TYPE
 
 router = APIRouter(tags=["system"])
 
@@ -31,3 +34,14 @@ def readyz(request: Request) -> JSONResponse:
         ready = False
         checks["database"] = error.cause
     return JSONResponse({"ready": ready} | checks, 200 if ready else 503)
+
+
+@router.get("/metrics", summary="Metrics, as Prometheus reads them", response_class=Response)
+def metrics(request: Request, services: Wired) -> Response:
+    try:
+        with services.store.read() as tx:
+            found = tx.gauges()
+    except StoreAwayError:
+        found = None
+    state = request.app.state
+    return Response(page(found, state.requests, state.feed), media_type=MEDIA_TYPE)

@@ -142,6 +142,25 @@ def test_draws_of_a_provisional_blade_are_not_sealed_in(before: RotorState) -> N
     assert update(MODEL, SPEC, readings, mutant).digest != alone.digest
 
 
+def test_draws_that_a_workspace_keeps_from_a_quick_step_are_not_sealed_in(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The quick step has as many draws here, of a column that it knows only nearly."""
+    few = replace(SPEC, particles=online.PROVISIONAL // 2)
+    readings = [*READINGS, replace(LATE, sigma=0.5)]
+    first, alone = update(MODEL, few, READINGS), update(MODEL, few, readings)
+
+    def sealed_over_a_quick_step() -> RotorState:
+        work = Workspace()
+        quick = update(MODEL, few, readings, first, quick=True, workspace=work)
+        assert quick.meta["placement"] == alone.meta["placement"], "the case needs unmoved nodes"
+        return update(MODEL, few, readings, quick, workspace=work)
+
+    assert sealed_over_a_quick_step().digest == alone.digest
+    monkeypatch.setattr(online, "array_digest", lambda column: "")
+    assert sealed_over_a_quick_step().digest != alone.digest, "mutant"
+
+
 def test_a_reading_that_too_few_nodes_carry_is_sealed_at_once(before: RotorState) -> None:
     far = [replace(r, values=r.values * 1.12) for r in measured(BLADES, (24e3,), 0)]
     state = update(MODEL, SPEC, [*READINGS, *far], before, quick=True)

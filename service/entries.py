@@ -1,0 +1,57 @@
+"""Entries of the log as the science knows them, and whether one is what was written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from hashlib import sha256
+
+from core.errors import CalibrationError
+from core.observation import Entry, Inspection
+from service.ports import Event
+
+
+def entry_of(event: Event) -> Entry:
+    """The log's row as the science knows it; CalibrationError: it is not what was written."""
+    if event.kind == "inspection":
+        try:
+            reading = Inspection.from_json(json.loads(event.body))
+            found = reading.digest()
+        except (ValueError, TypeError, KeyError) as error:
+            found = f"unreadable: {error}"
+        if found != event.digest:
+            raise CalibrationError(
+                f"entry {event.seq} of the log, {event.event_id}, is damaged ({found[:60]}). To "
+                "mend it: restore the database, or import the rotor from an exported file.",
+                event=event.event_id,
+            )
+        return Entry(event.seq, "inspection", event.event_id, reading)
+    return Entry(event.seq, "retraction", event.replaces or "")
+
+
+def entries_of(events: Sequence[Event]) -> list[Entry]:
+    """Those of the log's rows that concern readings."""
+    return [entry_of(e) for e in events if e.kind in ("inspection", "retraction")]
+
+
+def body_problem(event: Event) -> str | None:
+    """What in an entry does not agree with its digest or its own columns; None: nothing."""
+    try:
+        if event.kind == "inspection":
+            reading = Inspection.from_json(json.loads(event.body))
+            digest = reading.digest()
+            columns = (reading.id, reading.replaces, reading.blade, float(reading.time_h))
+            if columns != (event.event_id, event.replaces, event.blade, event.time_h):
+                return "its body and its columns name another id, blade, time or reading replaced"
+        elif event.kind in ("retraction", "blade", "retirement"):
+            digest = sha256(event.body.encode()).hexdigest()
+            named = event.replaces if event.kind == "retraction" else event.blade
+            if event.event_id != f"{event.kind}/{named}":
+                return f"it is called {event.event_id!r} and names {named!r}"
+        else:
+            return f"its kind, {event.kind!r}, is none that this release knows"
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        return f"its body cannot be read: {type(error).__name__}: {error}"
+    if digest != event.digest:
+        return f"its body has digest {digest[:12]}…, written was {event.digest[:12]}…"
+    return None

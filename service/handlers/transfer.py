@@ -1,0 +1,217 @@
+"""A rotor leaves as one file and comes back in another database, entry for entry.
+
+The file holds what the posterior is a function of (blades, network, seed, the whole log with the
+moments of arrival), not the posterior: the importing service computes it from the log, and its
+sealed state is bit-identical to the original's. Under another id the rotor keeps the old one as its
+`origin`, by which its random numbers are drawn.
+
+Every line is held against the log's own digests before the one transaction that writes it all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from core.errors import InputError
+from service import bundle
+from service.entries import body_problem
+from service.errors import ConflictError, DamagedError, DamagedLogError, NotFoundError, NotYetError
+from service.handlers.rotors import blades_at, digest_of_rotor
+from service.handlers.transfer_lines import (
+    EntryLine,
+    NamedLine,
+    RotorLine,
+    checked_log,
+    parsed,
+    read_blades,
+    read_events,
+)
+from service.ports import (
+    BladeRecord,
+    Event,
+    Json,
+    ModelCard,
+    RotorRecord,
+    Science,
+    Store,
+    Transaction,
+)
+
+CHUNK = 500
+
+
+def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
+    """Write a rotor as it stands into a file; its manifest. Later entries are left out."""
+    with store.read() as tx:
+        rotor = tx.records.rotor(rotor_id)
+        card = tx.records.model(rotor.model_id, rotor.model_version)
+        head = rotor.head_seq
+        blades = blades_at(tx.records.blades(rotor_id), head)
+        state = _newest_sealed(tx, rotor_id)
+    line = RotorLine(
+        id=rotor.id,
+        model=rotor.model_id,
+        model_version=rotor.model_version,
+        model_digest=card.digest,
+        particles=rotor.particles,
+        seed=rotor.seed,
+        network=rotor.network,
+        origin=rotor.origin,
+        digest=rotor.digest,
+    )
+    model = {"id": card.id, "version": card.version, "digest": card.digest}
+    facts: Json = {"release": release, "rotor": rotor.id, "model": model, "head_seq": head}
+    log = (_told_entry(event) for event in _entries(store, rotor_id, head))
+    present = (asdict(blade) for blade in blades)
+    return bundle.write(path, facts | {"state": state}, line.model_dump(), present, log)
+
+
+def _newest_sealed(tx: Transaction, rotor_id: str) -> Json | None:
+    """Digests of the newest version, if it is sealed and sound, to compare an import with."""
+    try:
+        state = tx.states.get(rotor_id)
+    except (NotYetError, DamagedError):
+        return None
+    if not state.sealed:
+        return None
+    names = ("through_seq", "events_digest", "digest", "algorithm_version")
+    return {name: getattr(state, name) for name in names}
+
+
+def _entries(store: Store, rotor_id: str, head: int) -> Iterator[Event]:
+    after = 0
+    while after < head:
+        with store.read() as tx:
+            page = tx.log.entries(rotor_id, after, head, CHUNK)
+        for event in page:
+            problem = body_problem(event)
+            if problem is not None or event.seq != after + 1:
+                problem = problem or f"entry {after + 1} is missing"
+                raise DamagedLogError(rotor_id, event.event_id, problem)
+            after = event.seq
+            yield event
+        if not page:
+            raise DamagedLogError(rotor_id, str(after + 1), "is missing")
+
+
+def _told_entry(event: Event) -> Json:
+    return {name: getattr(event, name) for name in EntryLine.model_fields}
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """The rotor as it now stands; `new` is False where it had been there before."""
+
+    rotor: RotorRecord
+    blades: int
+    entries: int
+    state: Json | None
+    new: bool
+
+    def to_json(self) -> Json:
+        return {
+            "rotor": self.rotor.id,
+            "origin": self.rotor.origin,
+            "model": self.rotor.model_id,
+            "model_version": self.rotor.model_version,
+            "blades": self.blades,
+            "entries": self.entries,
+            "state": self.state,
+            "new": self.new,
+        }
+
+
+def import_rotor(store: Store, science: Science, path: Path, as_id: str | None = None) -> Imported:
+    """Write the rotor of a file; the same file again gives the same answer.
+
+    as_id   its id here; default: the one it had
+    Raises BundleError for a file that is damaged or contradicts itself, ConflictError where the id
+    is taken by another rotor, InputError for a model that is not registered here.
+    """
+    with open(path, "rb") as handle:
+        file = bundle.opened(path, handle)
+        told = parsed(file, RotorLine, next(file.rows("rotor.json"), {}), "rotor.json")
+        card = _registered(store, science, told)
+        varied = science.vary(card, told.network)
+        blades = read_blades(file, told, varied)
+        count = checked_log(file, blades, varied)
+        name = told.id if as_id is None else _named(as_id)
+        origin = told.origin or told.id
+        first = [replace(b, retired_seq=None) for b in blades if b.added_seq == 0]
+        digest = digest_of_rotor(name, told.model, first, told.particles, told.seed, told.network)
+        record = RotorRecord(
+            name,
+            told.model,
+            told.model_version,
+            told.particles,
+            told.seed,
+            head_seq=count,
+            digest=digest,
+            created_at=0.0,
+            network=told.network,
+            origin=None if origin == name else origin,
+        )
+        with store.write() as tx:
+            new = tx.records.put_rotor(record, blades)
+            if new:
+                for chunk in _chunks(read_events(file)):
+                    tx.log.restore(name, chunk)
+            else:
+                _same(tx, record, blades, read_events(file))
+            stored = tx.records.rotor(name)
+    return Imported(stored, len(blades), count, file.manifest.get("state"), new)
+
+
+def _named(text: str) -> str:
+    try:
+        return NamedLine(id=text).id
+    except ValidationError:
+        remedy = "use letters, digits and . _ : @ + - (no slash, no space), at most 100"
+        raise InputError("--as", text, "is no id", remedy) from None
+
+
+def _registered(store: Store, science: Science, told: RotorLine) -> ModelCard:
+    """The model's card, registered here if this release has that very version."""
+    remedy = "run the release that has it, or set BLADETWIN_MODEL_DIR to the folder of that model"
+    with store.read() as tx:
+        try:
+            card = tx.records.model(told.model, told.model_version)
+        except NotFoundError:
+            card = science.builtin(told.model)
+    if (card.version, card.digest) != (told.model_version, told.model_digest):
+        problem = f"is not the model here, which is {card.version} ({card.digest[:12]}…)"
+        asked = f"{told.model} {told.model_version} ({told.model_digest[:12]}…)"
+        raise InputError("model of the file", asked, problem, remedy)
+    with store.write() as tx:
+        tx.records.put_model(card, {"builtin": card.id})
+    return card
+
+
+def _chunks(events: Iterable[Event]) -> Iterator[list[Event]]:
+    going = iter(events)
+    while chunk := list(islice(going, CHUNK)):
+        yield chunk
+
+
+def _same(
+    tx: Transaction, record: RotorRecord, blades: list[BladeRecord], events: Iterable[Event]
+) -> None:
+    """ConflictError unless the rotor that is there begins with the file's."""
+    stored = tx.records.rotor(record.id)
+    remedy = "import it under another id, with --as"
+    if (stored.digest, stored.origin) != (record.digest, record.origin):
+        raise ConflictError("rotor", record.id, remedy)
+    if stored.head_seq < record.head_seq:
+        have = f"{record.id} (here {stored.head_seq} entries, in the file {record.head_seq})"
+        raise ConflictError("rotor", have, remedy)
+    key: Callable[[Event], tuple[Any, ...]] = lambda e: (e.seq, e.event_id, e.digest)  # noqa: E731
+    for chunk in _chunks(events):
+        there = tx.log.entries(record.id, chunk[0].seq - 1, chunk[-1].seq, CHUNK)
+        if list(map(key, there)) != list(map(key, chunk)):
+            raise ConflictError("rotor", record.id, remedy)

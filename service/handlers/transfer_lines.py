@@ -1,0 +1,160 @@
+"""The lines of a rotor's file, each held against its own digest and against those before it.
+
+What comes out of here could have been written by the service itself: blades that the creation and
+the log's own entries give, readings that the model can use, numbers without a gap.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Annotated, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints, ValidationError
+
+from core.errors import InputError
+from core.observation import Inspection, check
+from service.bundle import Bundle, BundleError
+from service.entries import body_problem
+from service.handlers.rotors import digest_of_json, digest_of_rotor, told_of
+from service.names import ID_PATTERN, TEXT_PATTERN
+from service.ports import BladeRecord, Event, Json, ModelCard
+from service.variant import check_known
+
+Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
+Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=TEXT_PATTERN)]
+Name = Annotated[str, StringConstraints(max_length=200, pattern=TEXT_PATTERN)]
+Seq = Annotated[int, Field(ge=0, lt=2**62)]
+
+
+class Line(BaseModel):
+    """A line of the file."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+L = TypeVar("L", bound=Line)
+
+
+class RotorLine(Line):
+    id: Id
+    model: Id
+    model_version: Name
+    model_digest: Name
+    particles: Annotated[int, Field(ge=16, le=1_000_000)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    network: Json | None
+    origin: Id | None
+    digest: Name
+
+
+class BladeLine(Line):
+    id: Id
+    slot: Text | None
+    lot: Text | None
+    coating_lot: Text | None
+    installed_at: Text | None
+    time_h0: FiniteFloat | None
+    added_seq: Seq
+    retired_seq: Seq | None
+    known: dict[Id, FiniteFloat] | None
+
+
+class EntryLine(Line):
+    seq: Seq
+    event_id: Annotated[str, StringConstraints(max_length=240, pattern=TEXT_PATTERN)]
+    kind: Annotated[str, StringConstraints(max_length=20)]
+    replaces: Id | None
+    blade: Id | None
+    time_h: FiniteFloat | None
+    body: str
+    digest: Annotated[str, StringConstraints(max_length=64, pattern=r"^[0-9a-f]+$")]
+    received_at: Annotated[FiniteFloat, Field(ge=0, lt=1e11)]
+
+
+class NamedLine(Line):
+    id: Id
+
+
+def parsed(file: Bundle, kind: type[L], row: Json, where: str) -> L:
+    try:
+        return kind.model_validate(row)
+    except ValidationError as error:
+        first = error.errors(include_input=False, include_url=False)[0]
+        field = ".".join(map(str, first["loc"]))
+        raise BundleError(file.path, f"{where}: {field}: {first['msg']}") from None
+
+
+def read_events(file: Bundle) -> Iterator[Event]:
+    for number, row in enumerate(file.rows("log.jsonl"), 1):
+        yield Event(**parsed(file, EntryLine, row, f"log.jsonl, line {number}").model_dump())
+
+
+def read_blades(file: Bundle, told: RotorLine, card: ModelCard) -> list[BladeRecord]:
+    blades = []
+    for number, row in enumerate(file.rows("blades.jsonl"), 1):
+        line = parsed(file, BladeLine, row, f"blades.jsonl, line {number}")
+        blades.append(BladeRecord(**line.model_dump() | {"known": line.known or None}))
+    names = [blade.id for blade in blades]
+    if names != sorted(set(names)):
+        raise BundleError(file.path, "blades.jsonl is not ordered by id, or names a blade twice")
+    check_known(card.network, [(f"blade {blade.id}: ", blade) for blade in blades])
+    first = [replace(b, retired_seq=None) for b in blades if b.added_seq == 0]
+    made = digest_of_rotor(told.id, told.model, first, told.particles, told.seed, told.network)
+    if made != told.digest:
+        raise BundleError(file.path, "rotor.json and blades.jsonl do not have the rotor's digest")
+    return blades
+
+
+def checked_log(file: Bundle, blades: list[BladeRecord], card: ModelCard) -> int:
+    """The number of entries, each of which agrees with its digest and with what came before."""
+    by_id = {blade.id: blade for blade in blades}
+    seen: dict[str, str] = {}
+    moved: set[tuple[str, str]] = set()
+    count = 0
+    for count, event in enumerate(read_events(file), 1):
+        problem = body_problem(event) or _unfit(event, by_id, seen, card)
+        if event.seq != count:
+            problem = f"it has number {event.seq}"
+        if problem is not None:
+            raise BundleError(file.path, f"log.jsonl, line {count}, {event.event_id}: {problem}")
+        seen[event.event_id] = event.kind
+        if event.kind in ("blade", "retirement"):
+            moved.add((event.kind, event.blade or ""))
+    told = {("blade", b.id) for b in blades if b.added_seq > 0}
+    told |= {("retirement", b.id) for b in blades if b.retired_seq is not None}
+    if told != moved or count != file.manifest.get("head_seq"):
+        raise BundleError(file.path, "blades.jsonl or the manifest does not agree with the log")
+    return count
+
+
+def _unfit(
+    event: Event, blades: dict[str, BladeRecord], seen: dict[str, str], card: ModelCard
+) -> str | None:
+    """Why an entry cannot stand where it does; None: it can."""
+    if event.event_id in seen:
+        return "an entry before it has the same id"
+    if event.kind == "retraction":
+        return None if seen.get(event.replaces or "") == "inspection" else "it retracts nothing"
+    blade = blades.get(event.blade or "")
+    if blade is None:
+        return f"its blade, {event.blade!r}, is not in blades.jsonl"
+    if event.kind == "blade":
+        alone = replace(blade, added_seq=0, retired_seq=None)
+        same = blade.added_seq == event.seq and digest_of_json(told_of(alone))[1] == event.digest
+        return None if same else "blades.jsonl says something else of the blade"
+    if event.kind == "retirement":
+        return None if blade.retired_seq == event.seq else "blades.jsonl says otherwise"
+    if blade.added_seq > event.seq:
+        return f"its blade joined later, with entry {blade.added_seq}"
+    reading = Inspection.from_json(json.loads(event.body))
+    texts = (reading.unit, reading.instrument, reading.campaign, reading.observed_at)
+    if not all(text is None or isinstance(text, str) for text in texts):
+        return "unit, instrument, campaign and observed_at are texts"
+    try:
+        NamedLine(id=reading.id)
+        check(reading, card.network, card)
+    except (InputError, ValidationError) as error:
+        return str(error)
+    return None

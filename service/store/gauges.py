@@ -1,0 +1,53 @@
+"""What a database says of its service at one moment, in one reading transaction.
+
+Counters are kept in the tables, for the workers that count are other processes, perhaps on other
+machines: `cursor.takeovers` and `cursor.seals` rise in the transactions that they count.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import Connection, and_, func, select, true
+
+from service.ports import Gauges
+from service.store import tables as t
+from service.store.engine import now_s
+
+
+def read_gauges(connection: Connection) -> Gauges:
+    """The gauges of all rotors together."""
+    c, r, e, j = t.cursor.c, t.rotor.c, t.entry.c, t.job.c
+    of_rotors = (
+        select(
+            func.count().label("rotors"),
+            func.sum(r.head_seq - c.applied_seq).label("backlog"),
+            func.sum(c.applied_seq).label("applied"),
+            func.sum(c.version).label("versions"),
+            func.sum(c.seals).label("seals"),
+            func.sum(c.takeovers).label("takeovers"),
+            func.count().filter(c.dirty == true()).label("dirty"),
+            func.count().filter(c.blocked == true()).label("blocked"),
+            func.count().filter(c.provisional_since.is_not(None)).label("provisional"),
+            func.min(c.ess_ratio).label("ess_ratio"),
+        )
+        .select_from(t.rotor)
+        .join(t.cursor, c.rotor_id == r.id)
+    )
+    row = connection.execute(of_rotors).one()
+    # the first entry that a rotor has not applied is the one after its cursor
+    first = and_(e.rotor_id == c.rotor_id, e.seq == c.applied_seq + 1)
+    waiting = select(now_s() - func.min(e.received_at)).select_from(t.cursor).join(t.entry, first)
+    queued = select(func.count()).where(j.status.in_(("queued", "running")))
+    return Gauges(
+        rotors=row.rotors,
+        backlog=int(row.backlog or 0),
+        applied=int(row.applied or 0),
+        versions=int(row.versions or 0),
+        seals=int(row.seals or 0),
+        takeovers=int(row.takeovers or 0),
+        dirty=row.dirty,
+        blocked=row.blocked,
+        provisional=row.provisional,
+        least_ess_ratio=row.ess_ratio,
+        oldest_s=max(0.0, connection.execute(waiting).scalar() or 0.0),
+        jobs=int(connection.execute(queued).scalar_one()),
+    )

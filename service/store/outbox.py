@@ -1,0 +1,55 @@
+"""Notes of what was committed: one for each new version and each blocking of a rotor.
+
+A note is written in the transaction that it tells of, after the rotor's cursor was locked, so that
+the numbers of a rotor's notes are in the order of its commits; between rotors they need not be.
+Only the newest notes of a rotor are kept; `cursor.outbox_dropped` is the last that is not, so that
+a reader who asks from before it can be told.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+from sqlalchemy import Connection, Engine, delete, func, select, update
+
+from service.ports import Note
+from service.store import tables as t
+from service.store.engine import transaction
+
+o = t.outbox.c
+
+
+class SqlOutbox:
+    """The `Outbox` of one transaction."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def after(self, rotor_id: str, number: int, limit: int) -> list[Note]:
+        query = select(t.outbox).where(o.rotor_id == rotor_id, o.id > number)
+        rows = self._connection.execute(query.order_by(o.id).limit(limit))
+        return [Note(row.id, rotor_id, row.kind, json.loads(row.payload), row.at) for row in rows]
+
+    def newest(self, rotor_ids: Sequence[str]) -> dict[str, int]:
+        query = select(o.rotor_id, func.max(o.id)).where(o.rotor_id.in_(rotor_ids))
+        return {row[0]: row[1] for row in self._connection.execute(query.group_by(o.rotor_id))}
+
+    def missing(self, rotor_id: str, number: int) -> bool:
+        dropped = select(t.cursor.c.outbox_dropped).where(t.cursor.c.rotor_id == rotor_id)
+        last = self._connection.execute(select(func.max(o.id))).scalar() or 0
+        return number < (self._connection.execute(dropped).scalar() or 0) or number > last
+
+
+def trim(engine: Engine, rotor_id: str, keep: int) -> None:
+    """Keep the `keep` newest notes of a rotor, at least one, so that numbers never come again."""
+    query = select(o.id).where(o.rotor_id == rotor_id).order_by(o.id.desc())
+    query = query.offset(max(1, keep)).limit(1)
+    with transaction(engine, write=False) as connection:
+        last = connection.execute(query).scalar()
+    if last is None:
+        return
+    with transaction(engine, write=True) as connection:
+        note = update(t.cursor).where(t.cursor.c.rotor_id == rotor_id)
+        connection.execute(note.values(outbox_dropped=last))
+        connection.execute(delete(t.outbox).where(o.rotor_id == rotor_id, o.id <= last))
