@@ -74,6 +74,8 @@ def answered(
     seen: dict[str, dict[int, int]] = {}
     for found in schema.get_all_operations():
         operation = found.ok()
+        if operation.label in ("GET /v1/rotors/{r}/events", "GET /metrics"):
+            continue  # a stream does not end, and neither is JSON: see test_events, test_metrics
         told = seen.setdefault(operation.label, {})
         takes = any(operation.iter_parameters()) or operation.body
         for mode in [GenerationMode.POSITIVE] + [GenerationMode.NEGATIVE] * bool(takes):

@@ -182,7 +182,8 @@ READS = {
 def test_everything_that_is_stored_is_read_with_a_tag(
     api: httpx.Client, rotor: str, worker: Worker
 ) -> None:
-    gets = [name for name, rule in RULES.items() if name[:3] == "GET" and rule.scope != "open"]
+    gets = {name for name, rule in RULES.items() if name[:3] == "GET" and rule.scope != "open"}
+    gets -= {"GET /metrics", "GET /v1/rotors/{r}/events"}  # a moment's figures, and a stream
     assert len(READS) == len(gets), "every route is read here"
     api.headers["Accept-Encoding"] = "identity"
     api.post(URL, json=READING)
