@@ -14,6 +14,7 @@ import typer
 
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
+from service.diagnose_command import diagnose
 from service.key_commands import audit, keys
 from service.progress import bar
 from service.settings import Settings, table
@@ -33,6 +34,7 @@ app.add_typer(models, name="model")
 app.add_typer(studies, name="study")
 app.add_typer(keys, name="keys")
 app.command()(audit)
+app.command()(diagnose)
 
 SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
     f"{name} [{default}]: {meaning}" for name, default, meaning in table()
@@ -46,6 +48,7 @@ class WorkerRole(StrEnum):
     ALL = "all"
     APPLY = "apply"
     SEAL = "seal"
+    DIAGNOSE = "diagnose"
 
 
 def say(data: dict[str, Any], text: str, *, as_json: bool) -> None:
@@ -74,7 +77,7 @@ def serve(
 def worker(
     role: Annotated[
         WorkerRole,
-        typer.Option(help="apply entries, seal provisional posteriors, or all of it."),
+        typer.Option(help="apply entries, seal provisional posteriors, both (all), or diagnose."),
     ] = WorkerRole.ALL,
     owner: Annotated[str | None, typer.Option(hidden=True)] = None,
     end_with_parent: Annotated[bool, typer.Option("--end-with-parent", hidden=True)] = False,

@@ -11,7 +11,7 @@ with Client("http://127.0.0.1:8000") as twin:
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 from urllib.parse import quote
@@ -212,6 +212,45 @@ class Client:
         return self._call(
             "GET", _path("rotors", rotor, "blades", blade, "prediction"), params=params
         )
+
+    def diagnose(
+        self,
+        rotor: str,
+        *,
+        families: Sequence[Mapping[str, Any]] = (),
+        compare: bool = True,
+        horizon_h: float | None = None,
+    ) -> Json:
+        """Begin to look for effects that the model lacks; the diagnosis as it stands.
+
+        families    beside the built-in ones (`core.diagnosis.Family.to_json`)
+        compare     whether both models are held against readings that neither used
+        horizon_h   hour of the forecasts that are compared [h]; None: 50,000
+        """
+        body: Json = {"compare": compare}
+        body |= {"families": [dict(one) for one in families]} if families else {}
+        body |= {} if horizon_h is None else {"horizon_h": horizon_h}
+        path = _path("rotors", rotor, "diagnoses")
+        found: Json = self._call("POST", path, json=body)["diagnosis"]
+        return found
+
+    def diagnoses(self, rotor: str) -> Iterator[Json]:
+        """Every diagnosis of a rotor, the newest first, page by page."""
+        cursor: str | None = None
+        while True:
+            params = {} if cursor is None else {"cursor": cursor}
+            page = self._call("GET", _path("rotors", rotor, "diagnoses"), params=params)
+            yield from page["items"]
+            cursor = page["next"]
+            if cursor is None:
+                return
+
+    def diagnosis(self, rotor: str, diagnosis: str) -> Json:
+        return self._call("GET", _path("rotors", rotor, "diagnoses", diagnosis))
+
+    def cancel_diagnosis(self, rotor: str, diagnosis: str) -> Json:
+        """End a diagnosis that is queued or running; one that has ended stays as it is."""
+        return self._call("DELETE", _path("rotors", rotor, "diagnoses", diagnosis))
 
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

@@ -12,7 +12,7 @@ from service.api import problems
 from service.api.describe import describe
 from service.api.layers import add_layers
 from service.api.loopback import keys_required
-from service.api.routers import audit, inspections, models, reads, rotors, system
+from service.api.routers import audit, diagnoses, inspections, models, reads, rotors, system
 from service.api.services import Services
 
 PROBLEM = {
@@ -71,7 +71,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     )
     app.state.services = services
     app.state.revisions = revisions
-    for module in (system, models, rotors, inspections, reads, audit):
+    for module in (system, models, rotors, inspections, reads, diagnoses, audit):
         app.include_router(module.router)
     problems.install(app)
     add_layers(app, services)
