@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
 from sqlalchemy import update
 from typer.testing import CliRunner
@@ -21,19 +20,16 @@ from service.cli import app as commands
 from service.client import Client, ProblemError
 from service.fake import FakeScience
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
-from service.handlers.inspections import Item, post_inspections
-from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord, Json, ModelCard, Progress, RotorSpec
 from service.settings import Settings
 from service.store import tables as t
-from service.store.engine import open_engine, transaction
+from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import jobs
 from service.worker.jobs import Jobs, beat_job, claim_job
 from service.worker.lease import release
 from service.worker.loop import Worker
-from tests.service.smooth import elongation, formula_science
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
@@ -478,50 +474,3 @@ def test_the_command_says_why_a_diagnosis_failed(
     assert "post inspections" in str(done.exception)
     with pytest.raises(ProblemError, match="404"):
         Client(http=api).diagnose("zz")
-
-
-BLADES, VISITS, NOISE = 6, (8000.0, 16_000.0, 24_000.0), 0.004
-
-
-@pytest.fixture
-def fleet(settings: Settings) -> Iterator[SqlStore]:
-    opened = SqlStore(open_engine(settings.database_url))
-    register_builtins(opened, formula_science())
-    yield opened
-    opened.close()
-
-
-def visits(off: float) -> list[Item]:
-    """Readings of six blades at three visits; the second one is `off` noises too long."""
-    rng = np.random.default_rng(20310504)
-    found = []
-    for b in range(BLADES):
-        x = np.array([[1.0 + 0.05 * rng.normal(), 0.87, 0.3 * rng.normal(), 0.3 * rng.normal()]])
-        for k, h in enumerate(VISITS):
-            y = float(elongation(x, h)[0]) + NOISE * rng.normal() + NOISE * off * (k == 1)
-            found.append(
-                Inspection(
-                    f"{b}-{k}", f"B{b}", "elongation", h, np.array([y]), sigma=NOISE,
-                    campaign=f"visit {k}",
-                )
-            )  # fmt: skip
-    return [Item("", one) for one in found]
-
-
-def test_the_real_science_finds_a_campaign_that_read_five_noises_too_long(
-    fleet: SqlStore, settings: Settings
-) -> None:
-    science = formula_science()
-    blades = [BladeRecord(f"B{b}", lot=f"L{b % 2}") for b in range(BLADES)]
-    create_rotor(fleet, "r1", "rotor-blade", blades, 400, 7)
-    post_inspections(fleet, "r1", visits(5.0))
-    job, _ = request_diagnosis(fleet, science, "r1", (), compare=True, horizon_h=None)
-    make_worker(fleet, science, settings, "d", "diagnose").drain()
-    ended = find_diagnosis(fleet, "r1", job.id)
-    assert ended.status == "done", ended.error
-    found = ended.result
-    assert found is not None
-    print(json.dumps({k: found[k] for k in ("verdict", "names", "reasons", "p", "effects")}))
-    assert found["p"] < 0.05
-    assert found["verdict"] != "adequate"
-    assert found["readings"] == {"delivered": 18, "used": 18}
