@@ -29,7 +29,8 @@ from service.worker.loop import Worker
 Headers = dict[str, str]
 Key = Callable[..., Headers]
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
-NAMES = {"{r}": "r1", "{b}": "B1", "{i}": "i1", "{m}": "rotor-blade", "{id}": "none"}
+NAMES = {"{r}": "r1", "{b}": "B1", "{i}": "i1", "{m}": "rotor-blade"}
+NAMES |= {"{id}": "none", "{d}": "none"}
 READING = {"blade": "B1", "quantity": "elongation", "time_h": 8000.0, "value": 0.11}
 BODIES: dict[str, Any] = {
     "POST /v1/models": {"builtin": "rotor-blade"},
