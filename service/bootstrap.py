@@ -98,13 +98,19 @@ def worker_command(owner: str, role: Role) -> list[str]:
 
 
 def worker_roles(settings: Settings) -> list[Role]:
-    """What each worker of `serve` does: without sealers every worker does both."""
-    both: list[Role] = ["all"] * settings.workers
-    if settings.workers == 0 or settings.sealers == 0:
-        return both
+    """What each worker of `serve` does: without sealers every worker applies and seals.
+
+    Without workers `serve` is the API alone.
+    """
+    if settings.workers == 0:
+        return []
+    diagnose: list[Role] = ["diagnose"] * settings.diagnosers
+    if settings.sealers == 0:
+        both: list[Role] = ["all"] * settings.workers
+        return both + diagnose
     apply: list[Role] = ["apply"] * settings.workers
     seal: list[Role] = ["seal"] * settings.sealers
-    return apply + seal
+    return apply + seal + diagnose
 
 
 class _Server(uvicorn.Server):
@@ -168,7 +174,8 @@ def step_back() -> None:
 
 
 def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool) -> None:
-    """One worker in this process until it is stopped; one that only seals lets others go first."""
+    """One worker in this process until it is stopped; one that only seals or only diagnoses lets
+    others go first."""
     if with_parent:
         end_with_parent()
     configure_logs(settings.log_level)
@@ -176,7 +183,7 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
     try:
         if not with_parent:
             prepare(store, settings)
-        if role == "seal":
+        if role in ("seal", "diagnose"):
             step_back()
         run_worker(make_worker(store, make_science(settings), settings, owner, role))
     finally:

@@ -15,6 +15,7 @@ import typer
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
 from service.commands import register
+from service.diagnose_command import diagnose
 from service.key_commands import audit, keys
 from service.progress import bar
 from service.settings import Settings, table
@@ -35,6 +36,7 @@ app.add_typer(studies, name="study")
 app.add_typer(keys, name="keys")
 app.command()(audit)
 register(app)
+app.command()(diagnose)
 
 SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
     f"{name} [{default}]: {meaning}" for name, default, meaning in table()
@@ -48,6 +50,7 @@ class WorkerRole(StrEnum):
     ALL = "all"
     APPLY = "apply"
     SEAL = "seal"
+    DIAGNOSE = "diagnose"
 
 
 def say(data: dict[str, Any], text: str, *, as_json: bool) -> None:
@@ -76,7 +79,7 @@ def serve(
 def worker(
     role: Annotated[
         WorkerRole,
-        typer.Option(help="apply entries, seal provisional posteriors, or all of it."),
+        typer.Option(help="apply entries, seal provisional posteriors, both (all), or diagnose."),
     ] = WorkerRole.ALL,
     owner: Annotated[str | None, typer.Option(hidden=True)] = None,
     end_with_parent: Annotated[bool, typer.Option("--end-with-parent", hidden=True)] = False,

@@ -247,5 +247,44 @@ class Client:
                 raise ProblemError(answer)
             yield from events(answer.iter_lines())
 
+    def diagnose(
+        self,
+        rotor: str,
+        *,
+        families: Sequence[Mapping[str, Any]] = (),
+        compare: bool = True,
+        horizon_h: float | None = None,
+    ) -> Json:
+        """Begin to look for effects that the model lacks; the diagnosis as it stands.
+
+        families    beside the built-in ones (`core.diagnosis.Family.to_json`)
+        compare     whether both models are held against readings that neither used
+        horizon_h   hour of the forecasts that are compared [h]; None: 50,000
+        """
+        body: Json = {"compare": compare}
+        body |= {"families": [dict(one) for one in families]} if families else {}
+        body |= {} if horizon_h is None else {"horizon_h": horizon_h}
+        path = _path("rotors", rotor, "diagnoses")
+        found: Json = self._call("POST", path, json=body)["diagnosis"]
+        return found
+
+    def diagnoses(self, rotor: str) -> Iterator[Json]:
+        """Every diagnosis of a rotor, the newest first, page by page."""
+        cursor: str | None = None
+        while True:
+            params = {} if cursor is None else {"cursor": cursor}
+            page = self._call("GET", _path("rotors", rotor, "diagnoses"), params=params)
+            yield from page["items"]
+            cursor = page["next"]
+            if cursor is None:
+                return
+
+    def diagnosis(self, rotor: str, diagnosis: str) -> Json:
+        return self._call("GET", _path("rotors", rotor, "diagnoses", diagnosis))
+
+    def cancel_diagnosis(self, rotor: str, diagnosis: str) -> Json:
+        """End a diagnosis that is queued or running; one that has ended stays as it is."""
+        return self._call("DELETE", _path("rotors", rotor, "diagnoses", diagnosis))
+
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

@@ -7,6 +7,8 @@ Each blade elongates at a rate of its own around the rotor's::
 
 with sigma given by the reading or 0.02 mm. All is conjugate, so posterior and prediction are exact:
 with n = Σ h²/sigma² and s = Σ h y/sigma² of a blade, its message about m is N(s/n, 1/n + 0.2²).
+A diagnosis asks by chi-square whether each blade's elongations lie on a line through zero; it knows
+no effects, so that what it finds is unattributed.
 A deformation at node k of N is (0, 0, r_b h (k+1)/N); ceeq there is r_b h (k+1)/(100 N).
 """
 
@@ -21,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import chdtrc, ndtri
 
 from core.digest import array_digest, state_digest
 from core.errors import InputError
@@ -29,10 +31,22 @@ from core.network import Network, Parameter, Quantity
 from core.observation import Inspection, digest_of
 from core.prior import Prior
 from core.rng import stream
-from service.ports import Array, Draws, Get, Json, ModelCard, NoiseFrom, Output, RotorSpec
+from service.ports import (
+    Array,
+    BladeRecord,
+    Draws,
+    Get,
+    Json,
+    ModelCard,
+    NoiseFrom,
+    Output,
+    Progress,
+    RotorSpec,
+)
 
 MEAN, SD, SCATTER, SIGMA = 0.5, 0.1, 0.2, 0.02
 HORIZON_H = 50_000.0
+ALARM = 0.05
 LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 
@@ -120,6 +134,57 @@ class FakeScience:
 
     def warm(self, card: ModelCard) -> None:
         """Nothing is compiled here."""
+
+    def check_families(self, card: ModelCard, families: Sequence[Json]) -> None:
+        from service.effects import read_families
+
+        names = [parameter.name for parameter in card.network.parameters]
+        read_families(families, names, list(card.outputs))
+
+    def diagnose(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        facts: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        families: Sequence[Json],
+        compare_h: float | None,
+        progress: Progress,
+    ) -> Json:
+        """Chi-square of the residuals of each blade's line, n - 1 degrees of freedom each."""
+        chi2, freedom = 0.0, 0
+        for done, blade in enumerate(rotor.blades):
+            progress(f"blade {blade}", done, len(rotor.blades))
+            time.sleep(self.delay_s)
+            own = [r for r in readings if (r.blade, r.quantity) == (blade, "elongation")]
+            h = np.array([r.time_h / HORIZON_H for r in own])
+            y = np.array([float(r.values[0]) for r in own])
+            w = np.array([1.0 / (r.sigma or SIGMA) ** 2 for r in own])
+            n, s = float(w @ h**2), float(w @ (h * y))
+            if len(own) > 1 and n > 0:
+                chi2 += float(w @ (y - s / n * h) ** 2)
+                freedom += len(own) - 1
+        p = float(chdtrc(freedom, chi2)) if freedom else 1.0
+        why = f"chi-square {chi2:.1f} of {freedom} degrees of freedom: p = {p:.3g}"
+        return {
+            "verdict": "adequate" if p > ALARM else "unattributed",
+            "names": [],
+            "reasons": [why],
+            "p": p,
+            "p_after": None,
+            "effects": [],
+            "claimed": False,
+            "gained_nat": 0.0,
+            "evidence": {},
+            "calibrated": [],
+            "no_room": [],
+            "tried": [],
+            "holds": [],
+            "parameters": {"before": {}, "after": {}},
+            "readings": {"delivered": len(readings), "used": len(readings)},
+            "models": {"before": card.digest, "after": card.digest},
+            "before_after": None,
+        }
 
     def update(
         self,

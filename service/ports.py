@@ -23,6 +23,7 @@ Array = np.ndarray[Any, np.dtype[Any]]
 Json = dict[str, Any]
 Get = Callable[[str], Array]
 NoiseFrom = Literal["readings", "prior"]
+Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +180,32 @@ class Science(Protocol):
         known: Mapping[str, float] | None,
     ) -> Prediction: ...
     def warm(self, card: ModelCard) -> None: ...
+    def check_families(self, card: ModelCard, families: Sequence[Json]) -> None:
+        """Refuse families of effects (`core.diagnosis.Family`) that the model cannot be asked for.
+
+        Raises InputError.
+        """
+        ...
+
+    def diagnose(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        facts: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        families: Sequence[Json],
+        compare_h: float | None,
+        progress: Progress,
+    ) -> Json:
+        """What the model lacks, by the readings that count (`core.diagnosis`), as plain JSON.
+
+        families    beside the built-in ones, checked by `check_families`
+        compare_h   hour of the forecast before and after [h]; None: no comparison
+        progress    called with (what, done, total) before each step; what it raises ends the work
+
+        Raises InputError where there is nothing to diagnose.
+        """
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,7 +318,11 @@ class Which:
 
 @dataclass(frozen=True, slots=True)
 class JobRecord:
-    """A piece of work that answers later."""
+    """A piece of work that answers later.
+
+    rotor_id   of a job that belongs to a rotor
+    progress   ``{"what", "done", "total", "seconds_left"}`` as its worker told last
+    """
 
     id: str
     kind: str
@@ -302,6 +333,8 @@ class JobRecord:
     error: str | None = None
     attempts: int = 0
     finished_at: float | None = None
+    rotor_id: str | None = None
+    progress: Json | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,8 +379,15 @@ class Records(Protocol):
     def put_model(self, card: ModelCard, source: Json) -> None: ...
     def model(self, model_id: str, version: str | None = None) -> ModelCard: ...
     def models(self, after: str, limit: int) -> list[ModelCard]: ...
-    def put_job(self, job_id: str, kind: str, request: Json) -> JobRecord: ...
+    def put_job(
+        self, job_id: str, kind: str, request: Json, rotor_id: str | None = None
+    ) -> JobRecord: ...
     def job(self, job_id: str) -> JobRecord: ...
+    def jobs_of(
+        self, rotor_id: str, kind: str, before: str | None, limit: int
+    ) -> list[JobRecord]: ...
+    def unfinished(self, rotor_id: str, kind: str) -> list[JobRecord]: ...
+    def cancel_job(self, job_id: str) -> None: ...
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool: ...
     def rotor(self, rotor_id: str) -> RotorRecord: ...
     def rotors(

@@ -27,7 +27,18 @@ from core.network import rotor_blade_network
 from core.observation import Inspection
 from core.prediction import predict
 from core.surrogate.artefact import load
-from service.ports import Array, Draws, Get, Json, ModelCard, NoiseFrom, Output, RotorSpec
+from service.ports import (
+    Array,
+    BladeRecord,
+    Draws,
+    Get,
+    Json,
+    ModelCard,
+    NoiseFrom,
+    Output,
+    Progress,
+    RotorSpec,
+)
 from service.variant import named, vary
 
 SHIPPED = Path(core.builtin.__file__).with_name("rotor_blade_model")
@@ -235,6 +246,27 @@ class CoreScience:
         )
         state = self.update(card, spec, [first], None, quick=False)
         self.update(card, spec, [first, later], state, quick=True)
+
+    def check_families(self, card: ModelCard, families: Sequence[Json]) -> None:
+        from service.effects import families_of
+
+        families_of(self._model(card), families)
+
+    def diagnose(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        facts: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        families: Sequence[Json],
+        compare_h: float | None,
+        progress: Progress,
+    ) -> Json:
+        from core.calibration import online
+        from service.effects import diagnosed
+
+        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
+        return diagnosed(self._model(card), spec, facts, readings, families, compare_h, progress)
 
 
 def _draws(posterior: Posterior) -> Draws:

@@ -46,6 +46,13 @@ class Settings(BaseModel):
     sealers: int = Field(
         1, ge=0, le=256, description="processes that only seal; 0 = the workers do it themselves"
     )
+    diagnosers: int = Field(
+        1,
+        ge=0,
+        le=256,
+        description="processes that only diagnose; 0 = diagnoses wait for "
+        "`bladetwin worker --role diagnose`",
+    )
     seal_after_s: float = Field(
         0.3, ge=0, le=3600, description="a provisional posterior is sealed when quiet for, s"
     )

@@ -172,6 +172,48 @@ JOB = having(
     created_at=TEXT,
     finished_at=maybe(TEXT),
 )
+VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]}
+FOUND = having(
+    verdict=VERDICT,
+    names=each(TEXT),
+    reasons=each(TEXT),
+    p=maybe(NUMBER),
+    p_after=maybe(NUMBER),
+    effects=each(ANY),
+    claimed=YES,
+    gained_nat=maybe(NUMBER),
+    evidence=named(maybe(NUMBER)),
+    calibrated=each(having(names=each(TEXT), gained_nat=maybe(NUMBER))),
+    no_room=each(having(names=each(TEXT), why=TEXT)),
+    tried=each(having(what=TEXT, log_bf=maybe(NUMBER))),
+    holds=each(ANY),
+    parameters=having(before=ANY, after=ANY),
+    readings=having(delivered=WHOLE, used=WHOLE),
+    models=having(before=TEXT, after=TEXT),
+    before_after=maybe(ANY),
+    rests_on=having(
+        rotor=TEXT,
+        through_seq=WHOLE,
+        events_digest=TEXT,
+        model=TEXT,
+        model_version=TEXT,
+        model_digest=TEXT,
+        particles=WHOLE,
+        seed=WHOLE,
+    ),
+)
+DIAGNOSIS_LISTED = {
+    "id": TEXT,
+    "rotor": TEXT,
+    "status": {"enum": ["queued", "running", "done", "failed", "cancelled"]},
+    "request": having(families=each(ANY), compare=YES, horizon_h=NUMBER, through_seq=WHOLE),
+    "progress": maybe(having(what=TEXT, done=WHOLE, total=WHOLE, seconds_left=maybe(NUMBER))),
+    "error": maybe(TEXT),
+    "attempts": WHOLE,
+    "created_at": TEXT,
+    "finished_at": maybe(TEXT),
+}
+DIAGNOSIS = having(**DIAGNOSIS_LISTED, result=maybe(FOUND))
 MODEL = having(
     id=TEXT,
     version=TEXT,
@@ -224,5 +266,11 @@ ANSWERS: dict[str, Json] = {
     f"GET {ROTOR}/posterior": having(**SUMMARY),
     f"GET {ROTOR}/blades/{{b}}/posterior": having(**SUMMARY, blade=TEXT),
     f"GET {ROTOR}/blades/{{b}}/prediction": PREDICTION,
+    f"POST {ROTOR}/diagnoses": having(diagnosis=DIAGNOSIS),
+    f"GET {ROTOR}/diagnoses": paged(
+        having(**DIAGNOSIS_LISTED, verdict={"type": ["string", "null"]}, names=maybe(each(TEXT)))
+    ),
+    f"GET {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
+    f"DELETE {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
     "GET /v1/audit": paged(AUDIT),
 }

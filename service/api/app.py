@@ -15,7 +15,16 @@ from service.api.feed import Feed
 from service.api.layers import add_layers
 from service.api.loopback import keys_required
 from service.api.metrics import Requests
-from service.api.routers import audit, events, inspections, models, reads, rotors, system
+from service.api.routers import (
+    audit,
+    diagnoses,
+    events,
+    inspections,
+    models,
+    reads,
+    rotors,
+    system,
+)
 from service.api.services import Services
 from service.handlers.events import newest_notes
 
@@ -79,7 +88,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     app.state.revisions = revisions
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
-    for module in (system, models, rotors, inspections, reads, events, audit):
+    for module in (system, models, rotors, inspections, reads, events, diagnoses, audit):
         app.include_router(module.router)
     problems.install(app)
     add_layers(app, services, app.state.requests)

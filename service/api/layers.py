@@ -50,7 +50,7 @@ def add_layers(app: FastAPI, services: Services, requests: Requests) -> None:
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.origins,
-            allow_methods=["GET", "POST"],
+            allow_methods=["GET", "POST", "DELETE"],
             allow_headers=SENT,
             expose_headers=SHOWN,
         )

@@ -53,6 +53,10 @@ RULES: dict[str, Rule] = {
     f"GET {ROTOR}/blades/{{b}}/posterior": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/prediction": Rule("read"),
     f"GET {ROTOR}/events": Rule("read"),
+    f"GET {ROTOR}/diagnoses": Rule("read"),
+    f"POST {ROTOR}/diagnoses": Rule("operate"),
+    f"GET {ROTOR}/diagnoses/{{d}}": Rule("read"),
+    f"DELETE {ROTOR}/diagnoses/{{d}}": Rule("operate"),
     "GET /v1/audit": Rule("operate", beyond=True),
 }
 

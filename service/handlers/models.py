@@ -42,9 +42,12 @@ def _known(store: Store, name: str, version: str | None = None) -> bool:
 
 
 def find_job(store: Store, job_id: str) -> JobRecord:
-    """The job and how far it is."""
+    """The job and how far it is. A rotor's job is found below its rotor alone."""
     with store.read() as tx:
-        return tx.records.job(job_id)
+        job = tx.records.job(job_id)
+    if job.rotor_id is not None:
+        raise NotFoundError("job", job_id, "use the id of the answer to the POST")
+    return job
 
 
 def find_model(store: Store, model_id: str) -> ModelCard:

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, insert, select, update
+from sqlalchemy import Connection, Row, RowMapping, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from service.errors import NotFoundError
@@ -22,6 +22,7 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("applied_seq", "version", "dirty", "attempts", "blocked")),
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
+UNFINISHED = ("queued", "running")
 BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
 
 
@@ -62,7 +63,9 @@ class SqlRecords:
         ids = select(t.model.c.id).where(t.model.c.id > after).distinct().order_by(t.model.c.id)
         return [self.model(name) for name in self._connection.execute(ids.limit(limit)).scalars()]
 
-    def put_job(self, job_id: str, kind: str, request: Json) -> JobRecord:
+    def put_job(
+        self, job_id: str, kind: str, request: Json, rotor_id: str | None = None
+    ) -> JobRecord:
         statement = insert(t.job).values(
             id=job_id,
             kind=kind,
@@ -71,6 +74,7 @@ class SqlRecords:
             attempts=0,
             fence=0,
             created_at=now_s(),
+            rotor_id=rotor_id,
         )
         self._connection.execute(statement)
         notify(self._connection, "bladetwin_work")
@@ -81,17 +85,39 @@ class SqlRecords:
         row = self._connection.execute(query).mappings().one_or_none()
         if row is None:
             raise NotFoundError("job", job_id, "use the id of the answer to the POST")
-        return JobRecord(
-            id=row["id"],
-            kind=row["kind"],
-            status=row["status"],
-            request=json.loads(row["request"]),
-            created_at=row["created_at"],
-            result=_read(row["result"]),
-            error=row["error"],
-            attempts=row["attempts"],
-            finished_at=row["finished_at"],
+        return _job(row)
+
+    def jobs_of(self, rotor_id: str, kind: str, before: str | None, limit: int) -> list[JobRecord]:
+        """Jobs of a rotor whose ids lie below one, the greatest first."""
+        query = select(t.job).where(t.job.c.rotor_id == rotor_id, t.job.c.kind == kind)
+        if before is not None:
+            query = query.where(t.job.c.id < before)
+        query = query.order_by(t.job.c.id.desc()).limit(limit)
+        return [_job(row) for row in self._connection.execute(query).mappings()]
+
+    def unfinished(self, rotor_id: str, kind: str) -> list[JobRecord]:
+        """Jobs of a rotor that are queued or running, the oldest first."""
+        query = select(t.job).where(
+            t.job.c.rotor_id == rotor_id, t.job.c.kind == kind, t.job.c.status.in_(UNFINISHED)
         )
+        rows = self._connection.execute(query.order_by(t.job.c.id)).mappings()
+        return [_job(row) for row in rows]
+
+    def cancel_job(self, job_id: str) -> None:
+        """End a job that is queued or running; its worker's fence holds no longer."""
+        own = (t.job.c.id == job_id) & t.job.c.status.in_(UNFINISHED)
+        end = (
+            update(t.job)
+            .where(own)
+            .values(
+                status="cancelled",
+                fence=t.job.c.fence + 1,
+                owner=None,
+                lease_until=None,
+                finished_at=now_s(),
+            )
+        )
+        self._connection.execute(end)
 
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool:
         """Write a new rotor with its blades and a dirty cursor; False: the id is taken."""
@@ -155,6 +181,22 @@ class SqlRecords:
 def _card(text: str) -> ModelCard:
     """Cards never change, and every read looks at one."""
     return ModelCard.from_json(json.loads(text))
+
+
+def _job(row: RowMapping) -> JobRecord:
+    return JobRecord(
+        id=row["id"],
+        kind=row["kind"],
+        status=row["status"],
+        request=json.loads(row["request"]),
+        created_at=row["created_at"],
+        result=_read(row["result"]),
+        error=row["error"],
+        attempts=row["attempts"],
+        finished_at=row["finished_at"],
+        rotor_id=row["rotor_id"],
+        progress=_read(row["progress"]),
+    )
 
 
 def _rotor(row: Row[Any]) -> RotorRecord:

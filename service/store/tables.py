@@ -9,6 +9,9 @@ worker's claim never blocks ingest. Times are seconds since 1970 (UTC) by the da
 each name, the row with the greatest version <= v. A row with an empty dtype says that the name
 ended there.
 
+`job` is long work; `rotor_id` names the rotor of a job that belongs to one (a diagnosis), and
+`progress` is what its worker wrote last.
+
 `audit` has a row for each state-changing request and is never thinned; `first_answer` holds what
 requests with an Idempotency-Key were answered, until it expires.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
@@ -74,7 +77,10 @@ job = Table(
     Column("not_before", Double),
     Column("created_at", Double, nullable=False),
     Column("finished_at", Double),
+    Column("rotor_id", NAME),
+    Column("progress", Text),
     Index("ix_job_status_created_at", "status", "created_at"),
+    Index("ix_job_rotor_id_id", "rotor_id", "id"),
 )
 
 rotor = Table(

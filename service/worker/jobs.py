@@ -1,27 +1,43 @@
-"""Work that belongs to no rotor, e.g. the registration of a model.
+"""Work that answers later: the registration of a model, a diagnosis.
 
 A job is claimed, fenced and finished like a rotor's update: its result is written only while the
-fence of the claim still holds.
+fence of the claim still holds. While it runs, a heartbeat prolongs its lease every third of it, and
+each step writes how far it is; there a worker stops that lost its lease or whose job was cancelled.
+Diagnoses take minutes and belong to workers of their own (role `diagnose`); the others take the
+short jobs.
 """
 
 from __future__ import annotations
 
 import logging
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from json import dumps, loads
+from time import monotonic
 
-from sqlalchemy import Connection, Engine, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Engine, or_, select, update
 
-from core.errors import InputError
-from service.errors import LostLeaseError, NotFoundError
-from service.ports import Json, ModelCard, Science
+from core.errors import BladetwinError, InputError
+from service.errors import LostLeaseError, NotFoundError, StoreAwayError
+from service.handlers.diagnoses import KIND as DIAGNOSE
+from service.ports import Json, Progress, Science
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
-from service.store.unit_of_work import SqlStore
+from service.store.unit_of_work import SqlStore, SqlTransaction
+from service.worker.diagnosing import diagnose
+from service.worker.lease import Role
 
 log = logging.getLogger("bladetwin.worker")
 c = t.job.c
+# What a job comes to, and what is written together with it.
+Outcome = tuple[Json, Callable[[SqlTransaction], None]]
+
+
+class StoppedError(BladetwinError):
+    """The worker is to end: the job goes back as if it had not been begun."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +49,24 @@ class JobLease:
     request: Json
     fence: int
     attempts: int
+    rotor_id: str | None
 
 
-def claim_job(engine: Engine, owner: str, lease_s: float) -> JobLease | None:
-    """Take the oldest job that nobody alive holds."""
+def takes(role: Role) -> ColumnElement[bool]:
+    """The kinds of jobs that a worker of this role takes."""
+    return c.kind == DIAGNOSE if role == "diagnose" else c.kind != DIAGNOSE
+
+
+def holds(lease: JobLease) -> ColumnElement[bool]:
+    """The fence: no one has claimed or cancelled the job since."""
+    return c.fence == lease.fence
+
+
+def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") -> JobLease | None:
+    """Take the oldest job of the role's kinds that nobody alive holds."""
     free = or_(c.lease_until.is_(None), c.lease_until <= now_s())
     rested = or_(c.not_before.is_(None), c.not_before <= now_s())
-    first = select(c.id).where(c.status.in_(("queued", "running")), free, rested)
+    first = select(c.id).where(c.status.in_(("queued", "running")), takes(role), free, rested)
     first = first.order_by(c.created_at).limit(1)
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
@@ -59,29 +86,58 @@ def claim_job(engine: Engine, owner: str, lease_s: float) -> JobLease | None:
                 lease_until=now_s() + lease_s,
             )
         )
-        row = connection.execute(take.returning(c.kind, c.request, c.fence, c.attempts)).one()
-        return JobLease(job_id, row.kind, loads(row.request), row.fence, row.attempts)
+        told = take.returning(c.kind, c.request, c.fence, c.attempts, c.rotor_id)
+        row = connection.execute(told).one()
+        request = loads(row.request)
+        return JobLease(job_id, row.kind, request, row.fence, row.attempts, row.rotor_id)
+
+
+def beat_job(engine: Engine, lease: JobLease, lease_s: float) -> bool:
+    """Prolong the lease; False: the job is no longer the caller's."""
+    own = (c.id == lease.id) & holds(lease)
+    with transaction(engine, write=True) as connection:
+        beat = update(t.job).where(own).values(lease_until=now_s() + lease_s)
+        return connection.execute(beat).rowcount == 1
+
+
+def tell_progress(engine: Engine, lease: JobLease, progress: Json) -> None:
+    """Write how far a job is. LostLeaseError: it was cancelled, or another worker has it."""
+    own = (c.id == lease.id) & holds(lease)
+    with transaction(engine, write=True) as connection:
+        told = update(t.job).where(own).values(progress=dumps(progress))
+        if connection.execute(told).rowcount != 1:
+            raise LostLeaseError(f"job {lease.id}", lease.fence)
 
 
 def _close(connection: Connection, lease: JobLease, **values: object) -> None:
-    own = (c.id == lease.id) & (c.fence == lease.fence)
+    own = (c.id == lease.id) & holds(lease)
     close = update(t.job).where(own).values(owner=None, lease_until=None, **values)
     if connection.execute(close).rowcount != 1:
         raise LostLeaseError(f"job {lease.id}", lease.fence)
 
 
 class Jobs:
-    """Runs jobs, one at a time."""
+    """Runs jobs, one at a time. `stopping` says that the worker is to end."""
 
-    def __init__(self, store: SqlStore, science: Science, settings: Settings, owner: str) -> None:
+    def __init__(
+        self,
+        store: SqlStore,
+        science: Science,
+        settings: Settings,
+        owner: str,
+        role: Role = "all",
+        stopping: Callable[[], bool] = lambda: False,
+    ) -> None:
         self.store = store
         self.science = science
         self.settings = settings
         self.owner = owner
+        self.role = role
+        self.stopping = stopping
 
     def run_once(self) -> bool:
         """Claim a job and finish it; False: there was none."""
-        lease = claim_job(self.store.engine, self.owner, self.settings.lease_s)
+        lease = claim_job(self.store.engine, self.owner, self.settings.lease_s, self.role)
         if lease is None:
             return False
         try:
@@ -89,28 +145,76 @@ class Jobs:
                 raise NotFoundError(
                     "worker that survives job", lease.id, "see the log of the workers"
                 )
-            card = self._card(lease)
+            with self.heartbeats(lease):
+                result, write = self.work(lease)
             with self.store.write() as tx:
-                tx.records.put_model(card, lease.request)
-                result = {"model": card.id, "version": card.version, "digest": card.digest}
+                write(tx)
                 _close(
                     tx.connection,
                     lease,
                     status="done",
-                    result=dumps(result),
+                    result=dumps(result, allow_nan=False),
                     error=None,
+                    progress=None,
                     finished_at=now_s(),
                 )
         except LostLeaseError as error:
             log.warning("%s", error)
+        except StoppedError:
+            self._give_back(lease)
         except Exception as error:
             self._failed(lease, error)
         return True
 
-    def _card(self, lease: JobLease) -> ModelCard:
+    def work(self, lease: JobLease) -> Outcome:
+        """The result of a job, computed outside any transaction."""
         if lease.kind == "register-model":
-            return self.science.builtin(lease.request["builtin"])
+            card = self.science.builtin(lease.request["builtin"])
+            result = {"model": card.id, "version": card.version, "digest": card.digest}
+            return result, lambda tx: tx.records.put_model(card, lease.request)
+        if lease.kind == DIAGNOSE and lease.rotor_id is not None:
+            told = self.progress(lease)
+            found = diagnose(self.store, self.science, lease.rotor_id, lease.request, told)
+            return found, lambda tx: None
         raise NotFoundError("kind of job", lease.kind, "run a worker of the release that wrote it")
+
+    def progress(self, lease: JobLease) -> Progress:
+        """Writes each step with the time left, judged by the steps before, and ends a lost job."""
+        begun = monotonic()
+
+        def tell(what: str, done: int, total: int) -> None:
+            if self.stopping():
+                raise StoppedError(f"job {lease.id} goes back: its worker ends")
+            left = round((monotonic() - begun) * (total - done) / done, 1) if done else None
+            told = {"what": what, "done": done, "total": total, "seconds_left": left}
+            with suppress(StoreAwayError):
+                tell_progress(self.store.engine, lease, told)
+
+        return tell
+
+    @contextmanager
+    def heartbeats(self, lease: JobLease) -> Iterator[None]:
+        """Prolong the lease every third of it, while the block runs."""
+        stop = threading.Event()
+
+        def beat() -> None:
+            while not stop.wait(self.settings.lease_s / 3):
+                with suppress(StoreAwayError):
+                    if not beat_job(self.store.engine, lease, self.settings.lease_s):
+                        return
+
+        thread = threading.Thread(target=beat, name="heartbeat", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()
+
+    def _give_back(self, lease: JobLease) -> None:
+        """To the queue; the attempt does not count."""
+        with suppress(LostLeaseError), transaction(self.store.engine, write=True) as connection:
+            _close(connection, lease, status="queued", attempts=c.attempts - 1, progress=None)
 
     def _failed(self, lease: JobLease, error: Exception) -> None:
         final = isinstance(error, (InputError, NotFoundError))
@@ -124,6 +228,7 @@ class Jobs:
                     lease,
                     status="failed" if final else "queued",
                     error=f"{type(error).__name__}: {error}"[:4000],
+                    progress=None,
                     not_before=now_s() + min(pause, self.settings.retry_max_s),
                     finished_at=now_s() if final else None,
                 )

@@ -46,12 +46,13 @@ from service.store.engine import now_s, transaction
 from service.store.log import lock_rotor, notify
 
 c = t.cursor.c
-Role = Literal["all", "apply", "seal"]
+Role = Literal["all", "apply", "seal", "diagnose"]
 Kind = Literal["late", "apply", "quiet"]
 KINDS: dict[Role, tuple[Kind, ...]] = {
     "all": ("late", "apply", "quiet"),
     "apply": ("apply",),
     "seal": ("late", "quiet"),
+    "diagnose": (),
 }
 FOREVER = 1e12  # s
 

@@ -45,16 +45,22 @@ class Worker:
         self.store = store
         self.science = science
         self.updater = Updater(store, science, settings, owner, role)
-        self.jobs = Jobs(store, science, settings, owner)
+        self.role = role
         self.settings = settings
         self._stop = threading.Event()
+        self.jobs = Jobs(store, science, settings, owner, role, self._stop.is_set)
 
     def stop(self, signum: int | None = None, frame: FrameType | None = None) -> None:
-        """Finish the update at hand, then end; fits `signal.signal`."""
+        """Finish the update at hand, or the step of a diagnosis, then end; fits `signal.signal`."""
         self._stop.set()
 
     def warm(self) -> None:
-        """Load the models and compile what they need, so that the first update is as fast."""
+        """Load the models and compile what they need, so that the first update is as fast.
+
+        A worker that only diagnoses loads them when it has something to do.
+        """
+        if self.role == "diagnose":
+            return
         with self.store.read() as tx:
             cards = tx.records.models("", 100)
         for card in cards:

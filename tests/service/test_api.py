@@ -563,7 +563,7 @@ def test_every_route_answers_an_unknown_thing_and_a_wrong_method_with_a_problem(
     assert len(routes) == 19
     for path, methods in routes.items():
         url = path.replace("{r}", "zz").replace("{b}", "zz").replace("{i}", "zz")
-        url = url.replace("{m}", "zz").replace("{id}", "zz")
+        url = url.replace("{m}", "zz").replace("{id}", "zz").replace("{d}", "zz")
         refuse(api.request("PATCH", url), 405)
         for method in methods:
             if "{" in path:
@@ -571,7 +571,7 @@ def test_every_route_answers_an_unknown_thing_and_a_wrong_method_with_a_problem(
                 body = {"json": {"id": "B1"}} if url.endswith("blades") else body
                 refuse(api.request(method, url, **body), 404)
         spaced = path.replace("{r}", "a%20b").replace("{m}", "a%00b").replace("{id}", "a%00")
-        spaced = spaced.replace("{b}", "x").replace("{i}", "x")
+        spaced = spaced.replace("{b}", "x").replace("{i}", "x").replace("{d}", "x")
         if spaced != path and "get" in methods:
             refuse(api.get(spaced), 422)
     refuse(api.get("/nowhere"), 404)

@@ -29,7 +29,8 @@ from service.worker.loop import Worker
 Headers = dict[str, str]
 Key = Callable[..., Headers]
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
-NAMES = {"{r}": "r1", "{b}": "B1", "{i}": "i1", "{m}": "rotor-blade", "{id}": "none"}
+NAMES = {"{r}": "r1", "{b}": "B1", "{i}": "i1", "{m}": "rotor-blade"}
+NAMES |= {"{id}": "none", "{d}": "none"}
 READING = {"blade": "B1", "quantity": "elongation", "time_h": 8000.0, "value": 0.11}
 BODIES: dict[str, Any] = {
     "POST /v1/models": {"builtin": "rotor-blade"},
@@ -48,7 +49,12 @@ def ask(
     for place, value in (NAMES | {f"{{{k}}}": v for k, v in names.items()}).items():
         path = path.replace(place, value)
     body = {"json": BODIES[name]} if name in BODIES else {}
-    return client.request(method, path, headers=headers, **body)
+    if not path.endswith("/events"):
+        return client.request(method, path, headers=headers, **body)
+    with client.stream(method, path, headers=headers) as answer:  # which does not end by itself
+        if answer.is_error:
+            answer.read()
+        return answer
 
 
 @pytest.fixture

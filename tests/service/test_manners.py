@@ -19,6 +19,7 @@ from sqlalchemy import text
 from service.api import repeats
 from service.api.rate import MOST_BUCKETS, Buckets
 from service.api.scopes import RULES
+from service.bootstrap import make_worker
 from service.client import Client
 from service.fake import FakeScience
 from service.handlers import models
@@ -175,6 +176,8 @@ READS = {
     "/v1/rotors/r1/posterior": "reading",
     "/v1/rotors/r1/blades/B1/posterior": "reading",
     "/v1/rotors/r1/blades/B1/prediction": "reading",
+    "/v1/rotors/r1/diagnoses": "diagnosis",
+    "/v1/rotors/r1/diagnoses/{diagnosis}": "diagnosis",
     "/v1/audit": "reading",
 }
 
@@ -189,7 +192,8 @@ def test_everything_that_is_stored_is_read_with_a_tag(
     api.post(URL, json=READING)
     worker.drain()
     job = api.post("/v1/models", json=BUILTIN).json()["job"]["id"]
-    paths = {path.format(job=job): change for path, change in READS.items()}
+    asked = api.post("/v1/rotors/r1/diagnoses").json()["diagnosis"]["id"]
+    paths = {path.format(job=job, diagnosis=asked): change for path, change in READS.items()}
     tags = {path: api.get(path).headers["etag"] for path in paths}
     for path, tag in tags.items():
         assert api.get(path).headers["etag"] == tag, path
@@ -204,6 +208,7 @@ def test_everything_that_is_stored_is_read_with_a_tag(
     api.post(URL, json=READING | {"id": "i2", "value": 0.13})
     api.post(f"{URL}/i1/retraction")
     worker.drain()
+    make_worker(worker.store, worker.science, worker.settings, "d", "diagnose").drain()
     changed = {path for path, tag in tags.items() if api.get(path).headers["etag"] != tag}
     assert changed == {path for path, change in paths.items() if change is not None}
     assert "etag" not in api.get("/readyz").headers

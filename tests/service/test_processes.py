@@ -20,11 +20,13 @@ from core.observation import Inspection
 from service.bootstrap import SEALER_NICENESS
 from service.client import Client
 from service.fake import FakeScience
+from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
+from service.worker.lease import Role
 from service.worker.supervise import Supervisor
 
 ROOT = Path(__file__).parents[2]
@@ -143,6 +145,47 @@ def check_undisturbed(store: SqlStore, rotor: str) -> None:
     assert told == view.rotor.version
 
 
+def test_a_diagnosis_outlives_its_killed_worker_and_holds_nothing_up(
+    store: SqlStore, settings: Settings, reading: Make, post: Post
+) -> None:
+    create_rotor(store, "r1", "rotor-blade", [BladeRecord(f"B{i}") for i in range(4)], 64, 7)
+    seq = post("r1", *(reading(f"i{i}", blade=f"B{i}") for i in range(4)))
+    job, _ = request_diagnosis(store, FakeScience(), "r1", (), compare=True, horizon_h=None)
+
+    def command(owner: str, role: Role) -> list[str]:
+        delay = "1.5" if role == "diagnose" else "0.0"
+        return [sys.executable, "-m", "tests.service.slow_worker", owner, role, delay]
+
+    environ = {**settings.environ(), "PYTHONPATH": str(ROOT)}
+    diagnoser = Supervisor(store.engine, ["diagnose"], command, environ)
+    others = Supervisor(store.engine, ["apply", "seal"], command, environ)
+    diagnoser.start()
+    others.start()
+    try:
+        until(
+            "a step of the diagnosis",
+            lambda: (find_diagnosis(store, "r1", job.id).progress or {}).get("done", 0) >= 1,
+        )
+        until("sealing", lambda: sealed(store, "r1", seq))
+        os.kill(diagnoser.pids()[0], signal.SIGKILL)
+        until("a second worker", lambda: find_diagnosis(store, "r1", job.id).attempts == 2)
+        seq = post("r1", reading("later", blade="B1", time_h=16e3, value=0.2))
+        until("applying beside it", lambda: view_rotor(store, "r1").rotor.applied_seq == seq)
+        assert find_diagnosis(store, "r1", job.id).status == "running"
+        until("its end", lambda: find_diagnosis(store, "r1", job.id).status == "done")
+    finally:
+        diagnoser.stop()
+        others.stop()
+    ended = find_diagnosis(store, "r1", job.id)
+    assert ended.attempts == 2
+    assert (ended.result or {})["readings"]["delivered"] == 4
+
+
+def sealed(store: SqlStore, rotor: str, seq: int) -> bool:
+    view = view_rotor(store, rotor)
+    return view.state is not None and view.state.sealed and view.rotor.applied_seq >= seq
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -194,23 +237,23 @@ def test_serve_applies_readings_replaces_a_dead_worker_and_ends_cleanly(
         client.create_rotor("r1", blades=["B1"])
         client.wait_for("r1", client.post_inspections("r1", [body("a")]), PATIENCE_S)
         first = set(children(process.pid))
-        assert len(first) == 2, "one applies and one seals"
+        assert len(first) == 3, "one applies, one seals and one diagnoses"
         for worker in first:
             os.kill(worker, signal.SIGKILL)
         client.wait_for("r1", client.post_inspections("r1", [body("b")]), PATIENCE_S)
 
-        def two_others() -> bool:  # one that took idle time only needs some to die, too
+        def three_others() -> bool:  # one that took idle time only needs some to die, too
             found = children(process.pid)
-            return len(found) == 2 and first.isdisjoint(found)
+            return len(found) == 3 and first.isdisjoint(found)
 
-        until("two successors", two_others)
+        until("three successors", three_others)
         successors = children(process.pid)
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE_S) == 0
         assert not any(alive(pid) for pid in successors)
 
 
-def test_a_sealer_lets_others_go_first_but_not_for_ever(tmp_path: Path) -> None:
+def test_sealer_and_diagnoser_let_others_go_first_but_not_for_ever(tmp_path: Path) -> None:
     """With idle time only, a rotor on a machine that others keep busy was never sealed."""
     own = os.getpriority(os.PRIO_PROCESS, 0)
     bare_url = f"sqlite:///{tmp_path / 'bladetwin.db'}"
@@ -218,10 +261,10 @@ def test_a_sealer_lets_others_go_first_but_not_for_ever(tmp_path: Path) -> None:
         client.create_rotor("r1", blades=["B1"])
         client.wait_for("r1", client.post_inspections("r1", [body("a")]), PATIENCE_S)
         until(
-            "a sealer of low priority",
+            "a sealer and a diagnoser of low priority",
             lambda: (
                 sorted(os.getpriority(os.PRIO_PROCESS, p) for p in children(process.pid))
-                == [own, max(own, SEALER_NICENESS)]
+                == [own] + 2 * [max(own, SEALER_NICENESS)]
             ),
         )
         assert {os.sched_getscheduler(p) for p in children(process.pid)} == {os.SCHED_OTHER}
@@ -234,7 +277,7 @@ def test_no_worker_outlives_a_server_that_was_killed(tmp_path: Path) -> None:
         client.create_rotor("r1", blades=["B1"])
         client.wait_for("r1", 0, PATIENCE_S)
         workers = children(process.pid)
-        assert len(workers) == 3
+        assert len(workers) == 4
         process.kill()
         process.wait()
         until("the end of the workers", lambda: not any(alive(pid) for pid in workers))

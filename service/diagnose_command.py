@@ -1,0 +1,160 @@
+"""``bladetwin diagnose``: which effects a rotor's model lacks, asked over HTTP.
+
+Exit status 0: the model is adequate. 3: it is not, whatever the verdict names (effect, not
+separable, unattributed). 1: the diagnosis failed, was cancelled, or could not be asked for. An
+interrupted command leaves the diagnosis running; the same command finds it again.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import httpx
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from core.errors import BladetwinError, InputError
+from service.client import Client
+
+Told = dict[str, Any]
+LOOK_S = 1.0
+LACKS = 3  # exit status where the model lacks something
+SHOWN = 10
+
+
+class DiagnosisError(BladetwinError):
+    """A diagnosis that ended without a verdict."""
+
+
+class AwayError(BladetwinError):
+    """The service does not answer."""
+
+
+@contextmanager
+def shown(*, quiet: bool) -> Iterator[Callable[[Told], None]]:
+    """Progress and time left on a terminal's stderr; call what it yields with a diagnosis."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description:<40.40}"),
+        BarColumn(),
+        TextColumn("{task.fields[left]}"),
+    )
+    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bars:
+        task = bars.add_task("queued", total=None, left="")
+
+        def show(told: Told) -> None:
+            now = told["progress"]
+            if now is None:
+                bars.update(task, description=told["status"])
+                return
+            left = now["seconds_left"]
+            text = f"{now['done']}/{now['total']}" + (
+                "" if left is None else f", ≤ {left:.0f} s left"
+            )
+            bars.update(
+                task,
+                description=now["what"],
+                completed=now["done"],
+                total=now["total"],
+                left=text,
+            )
+
+        yield show
+
+
+def awaited(twin: Client, told: Told, show: Callable[[Told], None], look_s: float) -> Told:
+    """The diagnosis once it has ended."""
+    while told["status"] in ("queued", "running"):
+        show(told)
+        time.sleep(look_s)
+        told = twin.diagnosis(told["rotor"], told["id"])
+    return told
+
+
+def lines_of(told: Told) -> Iterator[str]:
+    """A diagnosis that has a result, as a short table."""
+    found = told["result"]
+    readings, rests = found["readings"], found["rests_on"]
+    p = "" if found["p"] is None else f" (p = {found['p']:.2g})"
+    yield f"rotor {told['rotor']}: {found['verdict']}{p}"
+    for reason in found["reasons"]:
+        yield f"  {reason}"
+    if found["verdict"] == "not separable":
+        yield "  one of: " + ", ".join(found["names"])
+    if found["effects"]:
+        yield "effects" if found["claimed"] else "effects that were calibrated, not claimed"
+    for effect in found["effects"]:
+        size = effect["amplitude"]
+        yield f"  {effect['name']}: {size['mean']:.3g} ± {size['sd']:.2g} {size['of']}"
+    if (compared := found["before_after"]) is not None:
+        yield f"{compared['before']['count']} readings that neither model used, before → after"
+        for key in ("rmse", "bias", "log_score", "within_95", "width"):
+            before, after = compared["before"][key], compared["after"][key]
+            if before is not None and after is not None:
+                yield f"  {key:<10} {before:>9.4g} → {after:.4g}"
+    if found["calibrated"]:
+        yield "calibrated: log evidence gained [nat]"
+    for one in found["calibrated"]:
+        yield f"  {one['gained_nat']:>8.1f}  {' and '.join(one['names'])}"
+    if found["tried"]:
+        yield f"tried: {len(found['tried'])}, by log Bayes factor; the first {SHOWN} at most"
+    for one in found["tried"][:SHOWN]:
+        gain = "-" if one["log_bf"] is None else f"{one['log_bf']:.1f}"
+        yield f"  {gain:>8}  {one['what']}"
+    yield (
+        f"rests on {readings['used']} of {readings['delivered']} readings through entry "
+        f"{rests['through_seq']}"
+    )
+
+
+def read_families(file: Path) -> list[Told]:
+    """A list of families, or ``{"families": […]}``. InputError: it is neither."""
+    try:
+        told = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(
+            "--families", str(file), f"cannot be read: {error}", "give a JSON file"
+        ) from None
+    told = told.get("families") if isinstance(told, dict) else told
+    if not isinstance(told, list) or not all(isinstance(one, dict) for one in told):
+        raise InputError("--families", str(file), "holds no list of families", "see the README")
+    return told
+
+
+def diagnose(
+    rotor: Annotated[str, typer.Argument(help="The rotor.")],
+    url: Annotated[str, typer.Option(help="The service.")] = "http://127.0.0.1:8000",
+    key: Annotated[str | None, typer.Option(help="An API key with read and operate.")] = None,
+    families: Annotated[
+        Path | None, typer.Option(help="JSON file of families of effects to try as well.")
+    ] = None,
+    no_compare: Annotated[
+        bool, typer.Option("--no-compare", help="Leave out the comparison before and after.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Which effects a rotor's model lacks. Exit status 0: none; 3: some, named or not; 1: error."""
+    own = [] if families is None else read_families(families)
+    try:
+        with Client(url, key=key) as twin, shown(quiet=as_json) as show:
+            told = twin.diagnose(rotor, families=own, compare=not no_compare)
+            told = awaited(twin, told, show, LOOK_S)
+    except httpx.TransportError as error:
+        raise AwayError(
+            f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."
+        ) from None
+    if as_json:
+        typer.echo(json.dumps(told))
+    if told["status"] != "done":
+        why = told["error"] or "somebody cancelled it"
+        raise DiagnosisError(f"diagnosis {told['id']} of {rotor} is {told['status']}: {why}")
+    if not as_json:
+        typer.echo("\n".join(lines_of(told)))
+    if told["result"]["verdict"] != "adequate":
+        raise typer.Exit(LACKS)

@@ -1,0 +1,110 @@
+"""Effects that a model lacks, behind the `Science` port: `core.diagnosis` of the service's rotors.
+
+A diagnosis calibrates the rotor itself, from the readings that count. That is the sealed posterior
+of the same number of particles, for a sealed posterior is a function of readings, seed and
+algorithm alone.
+
+Which hour of the rotor a reading was taken at is told by campaigns alone (`core.diagnosis.clock`).
+A blade's `time_h0` is kept as given, but whose hours it counts is said nowhere, and a wrong offset
+would move every effect of the rotor's clock.
+
+Imported when it is first needed, with the compiled kernels of the calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from core.calibration.online import Workspace, update
+from core.calibration.state import RotorSpec
+from core.diagnosis import (
+    FAMILIES,
+    BeforeAfter,
+    Case,
+    Facts,
+    Family,
+    before_after,
+    diagnose,
+    to_json,
+)
+from core.diagnosis.clock import with_offsets
+from core.diagnosis.diagnose import MOST, RIVALS
+from core.diagnosis.report import held_out
+from core.errors import InputError
+from core.model import Model
+from core.observation import Inspection
+from core.surrogate.driven import Driven
+from service.ports import BladeRecord, Json, Progress
+
+QUANTITY = "elongation"
+STEPS = 1 + MOST * (RIVALS + 1)  # of core.diagnosis at most
+
+
+def read_families(
+    told: Sequence[Json], inputs: Sequence[str], quantities: Sequence[str]
+) -> tuple[Family, ...]:
+    """Families as a request tells them.
+
+    Raises InputError for one that is none, that has the name of another, built-in ones included,
+    or that concerns an input or a quantity that the model has not.
+    """
+    found: list[Family] = []
+    for i, one in enumerate(told):
+        family = Family.from_json(one)
+        if family.name in {known.name for known in (*FAMILIES, *found)}:
+            raise InputError(
+                f"families[{i}].name", family.name, "is there already", "choose another name"
+            )
+        known = sorted(inputs if family.target == "input" else quantities)
+        if family.of not in known:
+            what = f"is no {family.target} of the model"
+            raise InputError(f"families[{i}].of", family.of, what, f"use {', '.join(known)}")
+        found.append(family)
+    return tuple(found)
+
+
+def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
+    """Families that a model may be asked for; see `read_families`."""
+    surrogate = model.surrogate
+    base = surrogate.base if isinstance(surrogate, Driven) else surrogate
+    inputs = [i.name for i in getattr(base, "inputs", ())]
+    return read_families(told, inputs, [q.name for q in model.network.quantities])
+
+
+def diagnosed(
+    model: Model,
+    spec: RotorSpec,
+    blades: Sequence[BladeRecord],
+    readings: Sequence[Inspection],
+    families: Sequence[Json],
+    compare_h: float | None,
+    progress: Progress,
+) -> Json:
+    """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`)."""
+    total = STEPS + 3
+    own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
+    facts = with_offsets(own, readings, {})
+    every = (*FAMILIES, *families_of(model, families))
+    case = Case(spec, tuple(readings), facts, every)
+    work = Workspace()
+    progress("calibration", 0, total)
+    state = update(model, spec, case.readings, workspace=work)
+
+    def during(what: str, done: int, _: int) -> None:
+        progress(what, 1 + done, total)
+
+    found = diagnose(model, state, case, during, work)
+    compared: BeforeAfter | None = None
+    claimed = found.verdict.word == "effect"
+    if claimed and compare_h is not None and held_out(readings, QUANTITY):
+        steps = iter(range(STEPS + 1, total))
+        compared = before_after(
+            (found.before[0], found.after[0]),
+            spec,
+            case.readings,
+            compare_h,
+            QUANTITY,
+            lambda what: progress(what, next(steps), total),
+            work,
+        )
+    return to_json(found, case, compared)
