@@ -12,10 +12,10 @@ from typing import Any
 
 from core.errors import InputError
 from core.observation import digest_of, effective
+from service.entries import entries_of
 from service.ports import Json, Progress, RotorSpec, Science
 from service.store.log import read_entries
 from service.store.unit_of_work import SqlStore
-from service.worker.update import entries_of
 
 MOST_PARTICLES = 2000  # a diagnosis calibrates about ten models
 
