@@ -213,16 +213,17 @@ def pooled(
     parameters whose correlations are 0.97: 3–8 % of the nodes effective, with these 54 %.
 
     base    points of the unit cube (n, d) of each round; n several times d²
-    enough  share of effective nodes at which it ends
+    enough  share of effective nodes at which it ends; after `most` rounds the best of them counts
     """
     n, d = base.shape
-    proposals, units, log_ps = [start], list[Array](), list[Array]()
-    for _ in range(most):
+    proposals, units, log_ps, shares = [start], list[Array](), list[Array](), list[float]()
+    while True:
         unit, log_q = proposals[-1].nodes(base)
         units.append(unit)
         log_ps.append(target(unit))
-        if ess(floored(log_ps[-1]) - log_q) >= enough * n:
-            break
+        shares.append(ess(floored(log_ps[-1]) - log_q) / n)
+        if shares[-1] >= enough or len(shares) == most:
+            return proposals[int(np.argmax(shares))]
         every, log_p = np.concatenate(units), floored(np.concatenate(log_ps))
         densities = np.array([one.log_density(every) for one in proposals])
         log_w = log_p - (np.logaddexp.reduce(densities, axis=0) - np.log(len(proposals)))
@@ -230,7 +231,6 @@ def pooled(
         if ess(log_w) < wanted:
             log_w = tempering_exponent(log_w, wanted) * log_w
         proposals.append(_finely_rounded(*moments(every, normalised(log_w))))
-    return proposals[-1]
 
 
 def _finely_rounded(mean: Array, covariance: Array) -> Proposal:
