@@ -259,7 +259,8 @@ def weigh(
         place = pooled(
             lambda unit: space.log_prior(unit) + seen(unit, "exact", everyone),
             best[1],
-            sobol(POOLED, d, seed + 1),
+            sobol(max(POOLED, n), d, seed),
+            n,
             enough=WELL,
         )
         best = (enough, place)
