@@ -75,6 +75,7 @@ CIRCLE = 4  # placements at most that are looked at together
 IDLE = 4  # turns without a better placement after which no more are tried
 PANEL = 12  # blades of a kind whose exact messages place the nodes
 CHEAP_TURNS = 3  # placements tried where messages are cheap, before all nodes met are pooled
+WELL = 0.4  # share of effective nodes that is enough then
 POOLED = 512  # nodes of a round of those
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
@@ -179,7 +180,9 @@ def weigh(
     """Place and weight the shared nodes for these messages."""
     d, n = space.dim, max(node_count(space.dim), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
-    fitting = min(0.3, 1.2 / d)
+    fitting, cheap = min(0.3, 1.2 / d), all(m.cheap for m in messages.values())
+    if cheap:
+        enough = max(enough, WELL)
     base = sobol(n, d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
@@ -249,7 +252,6 @@ def weigh(
         nearer = nearer and mended(nearer, everyone)
         if nearer is not None:
             best = settled(nearer, 3, ASTRAY)
-    cheap = all(m.cheap for m in messages.values())
     if best[0] < enough:
         turns = CHEAP_TURNS if cheap else rounds
         best = max(best, settled(exactly(place, everyone), turns), key=lambda found: found[0])
@@ -257,7 +259,9 @@ def weigh(
         place = pooled(
             lambda unit: space.log_prior(unit) + seen(unit, "exact", everyone),
             best[1],
-            sobol(POOLED, d, seed + 1),
+            sobol(max(POOLED, n), d, seed),
+            n,
+            enough=WELL,
         )
         best = (enough, place)
     unit, log_q = best[1].nodes(base[:n])

@@ -200,6 +200,7 @@ def pooled(
     target: Callable[[Array], Array],
     start: Proposal,
     base: Array,
+    nodes: int,
     *,
     enough: float = 0.4,
     most: int = 10,
@@ -213,24 +214,29 @@ def pooled(
     parameters whose correlations are 0.97: 3–8 % of the nodes effective, with these 54 %.
 
     base    points of the unit cube (n, d) of each round; n several times d²
-    enough  share of effective nodes at which it ends
+    nodes   so many of them, the first ones, will be the nodes in the end
+    enough  share of these that is effective at which it ends, once as many nodes as a round has are
+            effective over all rounds (fewer know no tails, and flatter the moments fitted to
+            them); after `most` rounds the best of them counts
     """
     n, d = base.shape
-    proposals, units, log_ps = [start], list[Array](), list[Array]()
-    for _ in range(most):
+    proposals, units, log_ps, shares = [start], list[Array](), list[Array](), list[float]()
+    while True:
         unit, log_q = proposals[-1].nodes(base)
         units.append(unit)
         log_ps.append(target(unit))
-        if ess(floored(log_ps[-1]) - log_q) >= enough * n:
-            break
+        shares.append(ess((floored(log_ps[-1]) - log_q)[:nodes]) / nodes)
         every, log_p = np.concatenate(units), floored(np.concatenate(log_ps))
         densities = np.array([one.log_density(every) for one in proposals])
         log_w = log_p - (np.logaddexp.reduce(densities, axis=0) - np.log(len(proposals)))
-        wanted = min(float(d * d + 16), 0.5 * n)
-        if ess(log_w) < wanted:
+        effective, wanted = ess(log_w), min(float(d * d + 16), 0.5 * n)
+        if shares[-1] >= enough and effective >= n:
+            return proposals[-1]
+        if len(shares) == most:
+            return proposals[int(np.argmax(shares))]
+        if effective < wanted:
             log_w = tempering_exponent(log_w, wanted) * log_w
         proposals.append(_finely_rounded(*moments(every, normalised(log_w))))
-    return proposals[-1]
 
 
 def _finely_rounded(mean: Array, covariance: Array) -> Proposal:

@@ -15,8 +15,8 @@ from tests.claims.make_specimens import FREED, OUT, calibrated, errors, kept, mo
 from tests.claims.specimen_data import EVERY, LARGEST, specimens
 
 
-def rmse(network: str, which: str, kind: str = "mean_square") -> float:
-    return make_specimens.rmse(kept(network), which, kind)
+def rmse(network: str, which: str, *stresses: float) -> float:
+    return make_specimens.rmse(kept(network), which, *stresses)
 
 
 def noise(network: str) -> float:
@@ -67,9 +67,17 @@ def test_primary_creep_alone_gains_nothing_tertiary_much_and_both_by_far_the_mos
     assert rmse("both", "fit") < 0.11
 
 
-def test_specimens_and_stresses_that_were_not_seen_are_forecast_better_by_both() -> None:
+@pytest.mark.parametrize("which", ["new_specimen", "new_stress"])
+def test_up_to_200_mpa_what_was_not_seen_is_forecast_better_by_both(which: str) -> None:
+    for stress in (140.0, 170.0, 200.0):
+        assert rmse("both", which, stress) < 0.85 * rmse("norton", which, stress)
+
+
+def test_at_230_mpa_both_forecasts_worse_than_norton_alone() -> None:
+    """Not to be hidden: n falls from 8 to 6 between 140 and 230 MPa, one n for all is 0.2 off in
+    ln r at the end, and where exp(c x) is 1,000 that is a factor of three in strain."""
     for which in ("new_specimen", "new_stress"):
-        assert rmse("both", which, "median_square") < 0.8 * rmse("norton", which, "median_square")
+        assert rmse("both", which, 230.0) > 2 * rmse("norton", which, 230.0)
 
 
 def test_the_kept_results_come_out_of_this_code_on_the_middle_stresses() -> None:

@@ -92,7 +92,7 @@ def test_pooled_nodes_find_a_ridge_of_seven_parameters_that_single_placements_do
         return ess(target(u) - log_q) / 512
 
     assert share(start, 2) < 0.01
-    found = pooled(target, start, base)
+    found = pooled(target, start, base, 256)
     assert share(found, 2) > 0.35
     single = start
     for _ in range(10):
