@@ -245,7 +245,7 @@ def test_a_silent_stream_gives_signs_of_life(api: httpx.Client, worker: Worker, 
 @contextmanager
 def raw_clients(server: RunningServer, count: int) -> Iterator[list[socket.socket]]:
     """Connections that asked for the stream and got its beginning."""
-    request = b"GET /v1/rotors/r1/events HTTP/1.1\r\nHost: here\r\n\r\n"
+    request = b"GET /v1/rotors/r1/events HTTP/1.1\r\nHost: localhost\r\n\r\n"
     sockets = []
     try:
         for _ in range(count):
@@ -255,7 +255,8 @@ def raw_clients(server: RunningServer, count: int) -> Iterator[list[socket.socke
         for one in sockets:
             seen = b""
             while b"event: applied" not in seen:
-                seen += one.recv(4096)
+                seen += (more := one.recv(4096))
+                assert more, f"ended after {seen!r}"
         yield sockets
     finally:
         for one in sockets:
