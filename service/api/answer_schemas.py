@@ -73,10 +73,10 @@ MADE = {
     "particles": WHOLE,
     "seed": WHOLE,
     "network": maybe(ANY),
-    "origin": maybe(TEXT),
     "created_at": TEXT,
 }
 STANDING = MADE | {
+    "origin": maybe(TEXT),
     "head_seq": WHOLE,
     "applied_seq": WHOLE,
     "version": WHOLE,
