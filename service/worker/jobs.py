@@ -10,9 +10,8 @@ short jobs.
 from __future__ import annotations
 
 import logging
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from json import dumps, loads
 from time import monotonic
@@ -28,6 +27,7 @@ from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.diagnosing import diagnose
+from service.worker.heartbeat import heartbeats
 from service.worker.lease import Role
 
 log = logging.getLogger("bladetwin.worker")
@@ -192,24 +192,10 @@ class Jobs:
 
         return tell
 
-    @contextmanager
-    def heartbeats(self, lease: JobLease) -> Iterator[None]:
+    def heartbeats(self, lease: JobLease) -> AbstractContextManager[None]:
         """Prolong the lease every third of it, while the block runs."""
-        stop = threading.Event()
-
-        def beat() -> None:
-            while not stop.wait(self.settings.lease_s / 3):
-                with suppress(StoreAwayError):
-                    if not beat_job(self.store.engine, lease, self.settings.lease_s):
-                        return
-
-        thread = threading.Thread(target=beat, name="heartbeat", daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            thread.join()
+        lease_s = self.settings.lease_s
+        return heartbeats(lambda: beat_job(self.store.engine, lease, lease_s), lease_s)
 
     def _give_back(self, lease: JobLease) -> None:
         """To the queue; the attempt does not count."""

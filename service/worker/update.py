@@ -14,10 +14,8 @@ next version is computed from the log without it, and every array is written ane
 from __future__ import annotations
 
 import logging
-import threading
 from collections import OrderedDict
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -27,7 +25,7 @@ from core.digest import state_digest
 from core.errors import CalibrationError
 from core.observation import Entry, effective
 from service.entries import entries_of
-from service.errors import DamagedError, LostLeaseError, StoreAwayError
+from service.errors import DamagedError, LostLeaseError
 from service.ports import (
     ModelCard,
     RotorRecord,
@@ -44,6 +42,7 @@ from service.store.outbox import trim
 from service.store.states import digests, thin, write_state
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker import lease as leases
+from service.worker.heartbeat import heartbeats
 from service.worker.lease import Lease
 
 log = logging.getLogger("bladetwin.worker")
@@ -309,21 +308,7 @@ class Updater:
                 works = middle
         return task.entries[fails - 1].target
 
-    @contextmanager
-    def heartbeats(self, lease: Lease) -> Iterator[None]:
+    def heartbeats(self, lease: Lease) -> AbstractContextManager[None]:
         """Prolong the lease every third of it, while the block runs."""
-        stop = threading.Event()
-
-        def beat() -> None:
-            while not stop.wait(self.settings.lease_s / 3):
-                with suppress(StoreAwayError):
-                    if not leases.heartbeat(self.engine, lease, self.settings.lease_s):
-                        return
-
-        thread = threading.Thread(target=beat, name="heartbeat", daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            thread.join()
+        lease_s = self.settings.lease_s
+        return heartbeats(lambda: leases.heartbeat(self.engine, lease, lease_s), lease_s)
