@@ -28,7 +28,7 @@ from core.diagnosis import (
     to_json,
 )
 from core.diagnosis.clock import with_offsets
-from core.diagnosis.diagnose import MOST, RIVALS
+from core.diagnosis.diagnose import STEPS
 from core.diagnosis.report import held_out
 from core.errors import InputError
 from core.model import Model
@@ -37,7 +37,6 @@ from core.surrogate.driven import Driven
 from service.ports import BladeRecord, Json, Progress
 
 QUANTITY = "elongation"
-STEPS = 1 + MOST * (RIVALS + 1)  # of core.diagnosis at most
 
 
 def read_families(

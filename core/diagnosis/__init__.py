@@ -8,6 +8,7 @@ scan        every cell and pair against the residuals, with a null of their own
 verdict     adequate | effect | not separable | unattributed
 adopt       an effect in the model, as a calibrated amplitude
 diagnose    all of it in turn
+conclude    the word, every name on its own turn
 report      before and after, on readings that neither model used
 tell        as JSON
 """

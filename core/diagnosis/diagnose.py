@@ -5,8 +5,10 @@
     2. The weightiest hypotheses, `RIVALS` of them at most, go into the model as calibrated effects
        and the rotor is calibrated anew: their evidence is the particle filter's, not the scan's.
     3. With the best of them in the model the readings are scanned again. What is still missing
-       joins, up to `MOST` effects; each has to earn `EARNED` nats.
-    4. The amplitudes have to hold (`verdict`), and what is left has to be chance.
+       joins, up to `MOST` turns; each effect has to earn `EARNED` nats.
+    4. An effect that was taken early can turn out to have imitated a later one: each has to earn
+       its place beside all others, or it leaves.
+    5. The amplitudes have to hold (`verdict`), and what is left has to be chance (`conclude`).
 
 Everything is a function of the readings that count, the facts of the blades and the seed.
 """
@@ -14,7 +16,7 @@ Everything is a function of the readings that count, the facts of the blades and
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +25,12 @@ from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
 from core.diagnosis.adopt import parameter_name, typical_noise, with_effects
 from core.diagnosis.clock import readers
+from core.diagnosis.conclude import Rival, Turn, apart, conclude, reweighed
 from core.diagnosis.grammar import FAMILIES, Cell, Facts, Family, cells
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import scores
 from core.diagnosis.signature import Physics, signatures, unnamed
-from core.diagnosis.verdict import (
-    CREDIBLE,
-    DEALT,
-    LEFT,
-    MOST_NAMES,
-    NAMED,
-    Held,
-    Hypothesis,
-    Verdict,
-    Word,
-    evidence_of,
-    holds,
-    judge,
-)
+from core.diagnosis.verdict import DEALT, LEFT, Held, Verdict, holds, judge
 from core.errors import InputError
 from core.model import Model, Stacked
 from core.observation import Inspection
@@ -51,12 +41,13 @@ Progress = Callable[[str, int, int], None]
 RIVALS = 3
 MOST = 3
 EARNED = 2.0
+STEPS = 1 + MOST * (RIVALS + 2)  # of a diagnosis, at most; of few more where effects leave again
 NOTICEABLE = 0.03  # share of the evidence from which a rival is calibrated
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect that is claimed: its cell, and its amplitude as calibrated."""
+    """An effect that is in the model: its cell, and its amplitude as calibrated."""
 
     cell: Cell
     mean: float
@@ -72,6 +63,7 @@ class Diagnosis:
     gained    log evidence of the effects by the particle filter
     tried     every calibrated hypothesis: names and log evidence against the model as it was
     refused   hypotheses that the runs have no room for, with the reason: the scan's word alone
+    turns     what each turn weighed and took
     """
 
     verdict: Verdict
@@ -82,20 +74,22 @@ class Diagnosis:
     gained: float
     tried: tuple[tuple[tuple[str, ...], float], ...]
     refused: tuple[tuple[tuple[str, ...], str], ...] = ()
+    turns: tuple[Turn, ...] = ()
+
+    @property
+    def open(self) -> Turn | None:
+        """The first turn that took something and does not settle on its name."""
+        return next((t for t in self.turns if t.took and not t.settled), None)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A rotor to be diagnosed.
-
-    physics   a surrogate with more inputs, where the model's own has too few (signatures only)
-    """
+    """A rotor to be diagnosed."""
 
     spec: RotorSpec
     readings: tuple[Inspection, ...]
     facts: Mapping[str, Facts]
     families: Sequence[Family] = FAMILIES
-    physics: Physics | None = None
     dealt: int = DEALT
 
     def noise(self, model: Model, state: RotorState) -> dict[str, float]:
@@ -107,14 +101,11 @@ class Case:
     def scan(self, model: Model, state: RotorState, taken: Sequence[Cell] = ()) -> Scan:
         """Of a state; effects that are in the model already are left out."""
         seen = scores(model, state, self.readings, self.spec.known)
-        answers = self.physics.answers if self.physics else model.surrogate
+        answers = model.surrogate
         if isinstance(answers, Stacked):
             raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
         base = answers.base if isinstance(answers, Driven) else answers
         facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
-        rest = dict(self.physics.rest) if self.physics else {}
-        if isinstance(answers, Driven):
-            rest |= answers.fixed
         every = cells(
             self.families,
             [i.name for i in base.inputs],
@@ -124,10 +115,67 @@ class Case:
         )
         gone = {one.name for one in taken}
         every = [c for c in every if c.name not in gone]
-        physics = Physics(answers, rest)
-        noise = self.noise(model, state)
-        g = signatures(model, seen, every, facts, noise, physics)
+        physics = Physics(answers, dict(answers.fixed) if isinstance(answers, Driven) else {})
+        g = signatures(model, seen, every, facts, self.noise(model, state), physics)
         return Scan.of(every, seen, g, unnamed(seen, facts))
+
+
+@dataclass
+class _Search:
+    """What was calibrated so far, and what could not be."""
+
+    model: Model
+    state: RotorState
+    case: Case
+    work: Workspace
+    progress: Progress
+    known: dict[frozenset[Cell], Rival] = field(default_factory=dict)
+    refused: dict[tuple[str, ...], str] = field(default_factory=dict)
+    done: int = 0
+
+    def say(self, what: str) -> None:
+        self.progress(what, min(self.done, STEPS), STEPS)
+        self.done += 1
+
+    def calibrated(self, effects: tuple[Cell, ...]) -> Rival | None:
+        """The rotor with these effects in its model; none where the runs have no room."""
+        names = tuple(c.name for c in effects)
+        if not effects:
+            return Rival((), self.model, self.state, 0.0)
+        if (key := frozenset(effects)) not in self.known:
+            self.say(" and ".join(names))
+            noise = self.case.noise(self.model, self.state)
+            try:
+                bigger = with_effects(self.model, effects, self.case.facts, noise)
+            except InputError as error:
+                self.refused[names] = str(error)
+                return None
+            made = update(bigger, self.case.spec, self.case.readings, workspace=self.work)
+            gained = made.meta["log_evidence"] - self.state.meta["log_evidence"]
+            self.known[key] = Rival(effects, bigger, made, gained)
+        return self.known[key]
+
+    def turn(self, scan: Scan, found: Verdict, taken: Rival) -> Turn:
+        """Calibrate the weightiest of what a scan found, beside what is taken already."""
+        weighed = apart(found.hypotheses)
+        rivals: dict[tuple[str, ...], Rival] = {}
+        for one in [h for h in weighed if h.weight >= NOTICEABLE][:RIVALS]:
+            made = self.calibrated((*taken.effects, *(scan.cells[i] for i in one.cells)))
+            if made is not None:
+                rivals[one.names] = made
+        weighed = reweighed(weighed, {n: r.gained for n, r in rivals.items()})
+        best = max(rivals, key=lambda n: rivals[n].gained, default=None)
+        if best and rivals[best].gained < taken.gained + EARNED * len(best):
+            best = None
+        return Turn(weighed, best or (), rivals)
+
+    def needed(self, taken: Rival) -> Rival:
+        """Without the effects that do not earn their place beside the others."""
+        for out in taken.effects if len(taken.effects) > 1 else ():
+            rest = self.calibrated(tuple(c for c in taken.effects if c != out))
+            if rest is not None and taken.gained < rest.gained + EARNED:
+                return self.needed(rest)
+        return taken
 
 
 def diagnose(
@@ -143,109 +191,52 @@ def diagnose(
     """
     if not state.sealed:
         raise InputError("state", "provisional", "cannot be diagnosed", "wait until it is sealed")
-    work = workspace or Workspace()
-    say = progress or (lambda what, done, total: None)
-    steps, done = 1 + MOST * (RIVALS + 1), 0
-    say("scan", done, steps)
-    scan = case.scan(model, state)
-    first = judge(scan, case.spec.seed, dealt=case.dealt)
+    quiet: Progress = lambda what, done, total: None  # noqa: E731
+    search = _Search(model, state, case, workspace or Workspace(), progress or quiet)
+    search.say("scan")
+    asis = scan = case.scan(model, state)
+    first = found = judge(scan, case.spec.seed, dealt=case.dealt)
+    nothing = taken = Rival((), model, state, 0.0)
     if first.word == "adequate":
         return Diagnosis(first, first, (model, state), (model, state), (), 0.0, ())
-    noise = case.noise(model, state)
-    base = state.meta["log_evidence"]
-    taken: tuple[Cell, ...] = ()
-    now: tuple[Model, RotorState] = (model, state)
-    found, tried = first, list[tuple[tuple[str, ...], float]]()
-    refused: dict[tuple[str, ...], str] = {}
-    after = first.p
-    rivals: tuple[Hypothesis, ...] = ()
-    for turn in range(MOST):
-        candidates = [h for h in _apart(found) if h.weight >= NOTICEABLE][:RIVALS]
-        known: list[tuple[float, Hypothesis, Model, RotorState, tuple[Cell, ...]]] = []
-        weights = {h.names: h.weight for h in _apart(found)}
-        for one in candidates:
-            done += 1
-            say(" and ".join(one.names), done, steps)
-            more = (*taken, *(scan.cells[i] for i in one.cells))
-            try:
-                bigger = with_effects(model, more, case.facts, noise)
-            except InputError as error:
-                refused[tuple(c.name for c in more)] = str(error)
-                continue
-            made = update(bigger, case.spec, case.readings, workspace=work)
-            gain = made.meta["log_evidence"] - base
-            tried.append((tuple(c.name for c in more), gain))
-            known.append((gain, one, bigger, made, more))
-        if not known:
+    turns: list[Turn] = []
+    while found.word != "adequate" and len(turns) < MOST:
+        turns.append(search.turn(scan, found, taken))
+        if not turns[-1].took:
             break
-        rivals = _reweighed(found, {one.names: gain for gain, one, *_ in known}, weights)
-        gain, one, bigger, made, more = max(known, key=lambda k: k[0])
-        before = now[1].meta["log_evidence"] - base
-        if gain < before + EARNED * len(one.cells):
-            break
-        taken, now = more, (bigger, made)
-        done += 1
-        say("scan", done, steps)
-        scan = case.scan(*now, taken=taken)
-        found = judge(scan, case.spec.seed + turn + 1, alarm=LEFT, dealt=case.dealt)
-        after = found.p
-        if found.word == "adequate":
-            break
-    gained = now[1].meta["log_evidence"] - base
-    effects = tuple(_effect(c, *now) for c in taken)
-    verdict = _final(first, effects, after, rivals, gained, _held(case, model, state, taken))
+        taken = turns[-1].rivals[turns[-1].took]
+        scan, found = _left(search, taken, len(turns))
+    if (kept := search.needed(taken)) is not taken:
+        taken = kept
+        scan, found = _left(search, taken, len(turns) + 1)
+    verdict = conclude(
+        first,
+        [c.name for c in taken.effects],
+        found.p,
+        turns,
+        taken.gained,
+        _held(asis, taken.effects),
+        search.refused,
+    )
     return Diagnosis(
         verdict,
         first,
-        (model, state),
-        now,
-        effects,
-        gained,
-        tuple(tried),
-        tuple(refused.items()),
+        (nothing.model, nothing.state),
+        (taken.model, taken.state),
+        tuple(_effect(c, taken.model, taken.state) for c in taken.effects),
+        taken.gained,
+        tuple((tuple(c.name for c in r.effects), r.gained) for r in search.known.values()),
+        tuple(search.refused.items()),
+        tuple(turns),
     )
 
 
-def _apart(found: Verdict) -> list[Hypothesis]:
-    """The weightiest hypothesis of each set of names, with the weight of all of that set."""
-    best: dict[tuple[str, ...], Hypothesis] = {}
-    for one in found.hypotheses:
-        key = tuple(sorted(one.names))
-        if key in best:
-            best[key] = replace(best[key], weight=best[key].weight + one.weight)
-        else:
-            best[key] = one
-    return sorted(best.values(), key=lambda h: -h.weight)
-
-
-def _reweighed(
-    found: Verdict,
-    gains: Mapping[tuple[str, ...], float],
-    weights: Mapping[tuple[str, ...], float],
-) -> tuple[Hypothesis, ...]:
-    """Hypotheses with the filter's evidence where it is known; of the others, the scan's.
-
-    The scan's scale is brought to the filter's at the best that both know.
-    """
-    every = _apart(found)
-    known = [h for h in every if h.names in gains]
-    top = max(known, key=lambda h: h.weight)
-    shift = gains[top.names] - top.log_bf
-    log_w = np.array(
-        [
-            np.log(h.weight) + ((gains[h.names] - h.log_bf - shift) if h.names in gains else 0.0)
-            for h in every
-        ]
-    )
-    weight = np.exp(log_w - log_w.max())
-    weight /= weight.sum()
-    order = np.argsort(-weight, kind="stable")
-    return tuple(
-        replace(
-            every[i], weight=float(weight[i]), log_bf=gains.get(every[i].names, every[i].log_bf)
-        )
-        for i in order
-    )
+def _left(search: _Search, taken: Rival, turn: int) -> tuple[Scan, Verdict]:
+    """What is still there with effects in the model."""
+    search.say("scan")
+    case = search.case
+    scan = case.scan(taken.model, taken.state, taken.effects)
+    return scan, judge(scan, case.spec.seed + turn, alarm=LEFT, dealt=case.dealt)
 
 
 def _effect(cell: Cell, model: Model, state: RotorState) -> Effect:
@@ -255,56 +246,7 @@ def _effect(cell: Cell, model: Model, state: RotorState) -> Effect:
     return Effect(cell, mean, float(np.sqrt(w @ (a - mean) ** 2)))
 
 
-def _held(case: Case, model: Model, state: RotorState, taken: Sequence[Cell]) -> tuple[Held, ...]:
+def _held(scan: Scan, taken: Sequence[Cell]) -> tuple[Held, ...]:
     """Between halves, by the scan of the model as it was, each with the others in it."""
-    scan = case.scan(model, state)
     places = tuple(scan.cells.index(c) for c in taken if c in scan.cells)
     return tuple(one for c in places for one in holds(scan, places, c))
-
-
-def _final(
-    first: Verdict,
-    effects: tuple[Effect, ...],
-    after: float,
-    rivals: tuple[Hypothesis, ...],
-    gained: float,
-    held: tuple[Held, ...],
-) -> Verdict:
-    """The word, from all that was seen."""
-    reasons: list[str] = []
-    if not effects:
-        reasons.append("no effect of the grammar earns its place in the model")
-    if effects and after <= LEFT:
-        reasons.append(f"what is left has a p of {after:.3g}: more is there than they explain")
-    reasons += [
-        f"its amplitude is {h.amplitudes[0]:.2g} and {h.amplitudes[1]:.2g} times the expected one "
-        f"{h.by}: three sd of the difference are {3 * h.sd:.2g}"
-        for h in held
-        if not h.agrees
-    ]
-    names = tuple(sorted(e.cell.name for e in effects))
-    if reasons:
-        return replace(
-            first, word="unattributed", after=after, names=(), held=held, reasons=tuple(reasons)
-        )
-    evidence = evidence_of(rivals)
-    last = rivals[0]
-    if all(evidence.get(n, 0.0) >= NAMED for n in last.names):
-        why = f"{' and '.join(names)} gains {gained:.1f} nat and leaves nothing behind"
-        return replace(
-            first, word="effect", after=after, names=names, hypotheses=rivals, evidence=evidence,
-            held=held, reasons=(why,), best=last,
-        )  # fmt: skip
-    several: list[str] = []
-    total = 0.0
-    for one in rivals:
-        several += [n for n in one.names if n not in several]
-        total += one.weight
-        if total >= CREDIBLE:
-            break
-    word: Word = "not separable" if len(several) <= MOST_NAMES else "unattributed"
-    why = f"{len(several)} names share the evidence"
-    return replace(
-        first, word=word, after=after, names=tuple(several) if word == "not separable" else (),
-        hypotheses=rivals, evidence=evidence, held=held, reasons=(why,), best=last,
-    )  # fmt: skip

@@ -58,7 +58,7 @@ class Scores:
     place    reading of each row within its blade's `rows.readings`, −1 beyond, (B, n)
     q        (B, n); information Q (B, n, n)
     slope    S, (B, n, S), and the prior variances of what it is by, (S,)
-    answer   E[f], (B, n); spread: sd of noise and surrogate, (B, n); lean: h, (B, n)
+    answer   E[f], (B, n); lean: h, (B, n)
     x        mean inputs of the surrogate, one mapping a blade
     """
 
@@ -70,7 +70,6 @@ class Scores:
     slope: Array
     prior: Array
     answer: Array
-    spread: Array
     lean: Array
     x: tuple[Mapping[str, float], ...]
 
@@ -178,19 +177,19 @@ def scores(
         _blade(model, state, b, r, (known or {}).get(b)) for b, r in zip(blades, rows, strict=True)
     ]
     shape = (len(made), max(len(one.q) for one in made))
-    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(4)]
+    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(3)]
     information = np.zeros((*shape, shape[1]))
     priors = shared_priors_of(model, state)
     slope = np.zeros((*shape, len(priors)))
     for b, one in enumerate(made):
         n = len(one.q)
         place[b, :n] = rows[b].of[:n]
-        own = (one.q, one.answer, np.sqrt(one.variance), one.lean)
+        own = (one.q, one.answer, one.lean)
         for array, value in zip(filled, own, strict=True):
             array[b, :n] = value
         information[b, :n, :n] = one.information
         slope[b, :n] = one.shared
-    q, answer, spread, lean = filled
+    q, answer, lean = filled
     return Scores(
         blades,
         rows,
@@ -200,7 +199,6 @@ def scores(
         slope,
         np.array(priors),
         answer,
-        spread,
         lean,
         tuple(one.x for one in made),
     )
@@ -223,13 +221,12 @@ def variance(prior: Prior) -> float:
 
 @dataclass(frozen=True)
 class _Blade:
-    """q (n,), Q (n, n), S (n, s), E[f] (n,), V (n,), h (n,), mean inputs."""
+    """q (n,), Q (n, n), S (n, s), E[f] (n,), h (n,), mean inputs."""
 
     q: Array
     information: Array
     shared: Array
     answer: Array
-    variance: Array
     lean: Array
     x: Mapping[str, float]
 
@@ -277,7 +274,6 @@ def _blade(
         np.linalg.inv(c),
         slope[:, len(own) :],
         answer,
-        typical,
         w @ ((f - answer) * r),
         dict(zip(names, (w @ x).tolist(), strict=True)),
     )

@@ -126,7 +126,7 @@ def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Ve
     word: Word = "effect" if named else "not separable"
     names = named
     if not named:
-        names = _credible(hypotheses)
+        names = credible(hypotheses)
         if len(names) > MOST_NAMES:
             reasons.append(f"{len(names)} names would explain it")
     if reasons:
@@ -199,7 +199,7 @@ def _best(hypotheses: Sequence[Hypothesis], named: tuple[str, ...]) -> Hypothesi
     return hypotheses[0]
 
 
-def _credible(hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
+def credible(hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
     """The names of the fewest hypotheses that together have `CREDIBLE` of the evidence."""
     by_names: dict[tuple[str, ...], float] = {}
     for one in hypotheses:

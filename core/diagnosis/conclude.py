@@ -1,0 +1,171 @@
+"""The word, once what is suspected has been in the model: every name stands on its own turn.
+
+A turn weighs hypotheses: those that were calibrated by the particle filter's evidence, all others
+by the scan's, among them what the simulation's runs have no room for. It may take the best of
+those that were calibrated; but a name is claimed only where it has `NAMED` of that turn's
+evidence, so that a lesser rival does not get the name of one that could not be calibrated. A turn
+without it leaves the smallest set that has `CREDIBLE` of the evidence: not separable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from core.calibration.state import RotorState
+from core.diagnosis.grammar import Cell
+from core.diagnosis.verdict import (
+    DISAGREE,
+    LEFT,
+    MOST_NAMES,
+    NAMED,
+    Held,
+    Hypothesis,
+    Verdict,
+    credible,
+    evidence_of,
+)
+from core.model import Model
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Effects in the model, calibrated; gained [nat] against the model as it was."""
+
+    effects: tuple[Cell, ...]
+    model: Model
+    state: RotorState
+    gained: float
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What was weighed, and what was taken of it: names, none where nothing earned its place.
+
+    rivals  the calibrated ones, by the names that the turn would add
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    took: tuple[str, ...]
+    rivals: Mapping[tuple[str, ...], Rival]
+
+    @property
+    def evidence(self) -> dict[str, float]:
+        """Share of the evidence of each name."""
+        return evidence_of(self.hypotheses)
+
+    @property
+    def settled(self) -> bool:
+        """Whether each of the names that were taken has the evidence."""
+        return bool(self.took) and all(self.evidence.get(n, 0.0) >= NAMED for n in self.took)
+
+
+def apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """The weightiest hypothesis of each set of names, with the weight of all of that set."""
+    best: dict[tuple[str, ...], Hypothesis] = {}
+    for one in hypotheses:
+        key = tuple(sorted(one.names))
+        if key in best:
+            best[key] = replace(best[key], weight=best[key].weight + one.weight)
+        else:
+            best[key] = one
+    return tuple(sorted(best.values(), key=lambda h: -h.weight))
+
+
+def reweighed(
+    hypotheses: Sequence[Hypothesis], gains: Mapping[tuple[str, ...], float]
+) -> tuple[Hypothesis, ...]:
+    """Hypotheses with the filter's evidence where it is known; of the others, the scan's.
+
+    The scan's scale is brought to the filter's at the weightiest that both know.
+
+    >>> a, b = Hypothesis((0,), ("a",), 9.0, 0.5), Hypothesis((1,), ("b",), 9.0, 0.5)
+    >>> [(h.names, round(h.weight, 2)) for h in reweighed((a, b), {("a",): 4.0, ("b",): 7.0})]
+    [(('b',), 0.95), (('a',), 0.05)]
+    """
+    known = [h for h in hypotheses if h.names in gains]
+    if not known:
+        return tuple(hypotheses)
+    top = max(known, key=lambda h: h.weight)
+    shift = gains[top.names] - top.log_bf
+    news = [gains[h.names] - h.log_bf - shift if h.names in gains else 0.0 for h in hypotheses]
+    log_w = np.array([np.log(h.weight) + n for h, n in zip(hypotheses, news, strict=True)])
+    weight = np.exp(log_w - log_w.max())
+    weight /= weight.sum()
+    order = np.argsort(-weight, kind="stable")
+    return tuple(
+        replace(h, weight=float(weight[i]), log_bf=gains.get(h.names, h.log_bf))
+        for i in order
+        for h in (hypotheses[i],)
+    )
+
+
+def conclude(
+    first: Verdict,
+    names: Sequence[str],
+    after: float,
+    turns: Sequence[Turn],
+    gained: float,
+    held: tuple[Held, ...],
+    refused: Mapping[tuple[str, ...], str],
+) -> Verdict:
+    """The verdict on the effects `names` that are in the model, from all that was seen.
+
+    after    p of what is left; held: whether amplitudes agree between halves
+    refused  hypotheses that the runs have no room for, with the reason
+    """
+    reasons = _against(names, after, held, refused)
+    if reasons:
+        return replace(
+            first, word="unattributed", after=after, names=(), held=held, reasons=tuple(reasons)
+        )
+    took = [turn for turn in turns if any(n in names for n in turn.took)]
+    sure = sorted(n for turn in took if turn.settled for n in turn.took if n in names)
+    evidence: dict[str, float] = {}
+    for turn in took:
+        for name, share in turn.evidence.items():
+            evidence[name] = max(share, evidence.get(name, 0.0))
+    said = replace(
+        first,
+        word="effect",
+        after=after,
+        held=held,
+        evidence=dict(sorted(evidence.items(), key=lambda item: (-item[1], item[0]))),
+        hypotheses=took[-1].hypotheses,
+        best=took[-1].hypotheses[0],
+    )
+    if all(turn.settled for turn in took):
+        why = f"{' and '.join(sorted(names))} gains {gained:.1f} nat and leaves nothing behind"
+        return replace(said, names=tuple(sorted(names)), reasons=(why,))
+    open_ = {n for turn in took if not turn.settled for n in credible(turn.hypotheses)}
+    several = sorted({*sure, *open_})
+    why = f"{len(open_)} names share the evidence"
+    if sure:
+        why += f" beside {' and '.join(sure)}"
+    if len(several) > MOST_NAMES:
+        return replace(said, word="unattributed", names=(), reasons=(why,))
+    return replace(said, word="not separable", names=tuple(several), reasons=(why,))
+
+
+def _against(
+    names: Sequence[str],
+    after: float,
+    held: Sequence[Held],
+    refused: Mapping[tuple[str, ...], str],
+) -> list[str]:
+    """Why nothing can be named, in words; empty where it can."""
+    reasons = []
+    if not names:
+        reasons.append("no effect of the grammar earns its place in the model")
+        reasons += [f"{' and '.join(n)} was not calibrated: {why}" for n, why in refused.items()]
+    elif after <= LEFT:
+        reasons.append(f"what is left has a p of {after:.3g}: more is there than they explain")
+    reasons += [
+        f"its amplitude is {h.amplitudes[0]:.2g} and {h.amplitudes[1]:.2g} times the expected one "
+        f"{h.by}: {DISAGREE:g} sd of the difference are {DISAGREE * h.sd:.2g}"
+        for h in held
+        if not h.agrees
+    ]
+    return reasons

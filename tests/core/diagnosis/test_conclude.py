@@ -1,0 +1,121 @@
+"""A name is claimed only where it has the evidence of its own turn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from core.diagnosis import conclude as module
+from core.diagnosis.conclude import Turn, apart, conclude, reweighed
+from core.diagnosis.diagnose import Rival
+from core.diagnosis.verdict import Held, Hypothesis, Verdict
+
+NOTHING: Any = None
+ALARM = Verdict("not separable", 0.002, None, (), None, (), {}, {}, (), ())
+
+
+def turn(took: str, **weights: float) -> Turn:
+    """Hypotheses of one name each; all were calibrated that a turn may take."""
+    found = [Hypothesis((i,), (n,), 9.0, w) for i, (n, w) in enumerate(weights.items())]
+    ordered = tuple(sorted(found, key=lambda h: -h.weight))
+    taken = (took,) if took else ()
+    return Turn(ordered, taken, {taken: Rival((), NOTHING, NOTHING, 9.0)} if took else {})
+
+
+def said(names: tuple[str, ...], *turns: Turn, after: float = 0.4, **more: Any) -> Verdict:
+    held, refused = more.get("held", ()), more.get("refused", {})
+    return conclude(ALARM, names, after, turns, 20.0, held, refused)
+
+
+def test_the_name_with_the_evidence_is_claimed() -> None:
+    found = said(("wear",), turn("wear", wear=0.97, offset=0.03))
+    assert (found.word, found.names) == ("effect", ("wear",))
+    assert "20.0 nat" in found.reasons[0]
+
+
+def test_a_rival_that_could_not_be_calibrated_keeps_its_evidence_from_the_one_that_was() -> None:
+    # The scan holds `cooling`; the runs have no room for it, `wear` is the next that has.
+    found = said(
+        ("wear",),
+        turn("wear", cooling=0.93, wear=0.07),
+        refused={("cooling",): "finds no room"},
+    )
+    assert found.word == "not separable"
+    assert found.names == ("cooling", "wear")
+
+
+def test_without_the_threshold_the_wrong_name_would_be_claimed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "NAMED", 0.0)
+    found = said(("wear",), turn("wear", cooling=0.93, wear=0.07))
+    assert (found.word, found.names) == ("effect", ("wear",))
+
+
+def test_a_later_turn_that_takes_nothing_does_not_speak_for_the_first() -> None:
+    shared = turn("wear", wear=0.6, offset=0.4)
+    found = said(("wear",), shared, turn("", offset=1.0))
+    assert (found.word, found.names) == ("not separable", ("offset", "wear"))
+    settled = said(("wear",), turn("wear", wear=0.99, offset=0.01), turn("", offset=1.0))
+    assert (settled.word, settled.names) == ("effect", ("wear",))
+
+
+def test_every_turn_has_to_settle() -> None:
+    first, second = turn("wear", wear=0.99, gain=0.01), turn("offset", offset=0.95, gain=0.05)
+    both = said(("wear", "offset"), first, second)
+    assert (both.word, both.names) == ("effect", ("offset", "wear"))
+    doubtful = said(("wear", "offset"), first, turn("offset", offset=0.55, gain=0.45))
+    assert (doubtful.word, doubtful.names) == ("not separable", ("gain", "offset", "wear"))
+    assert doubtful.reasons == ("2 names share the evidence beside wear",)
+
+
+def test_an_effect_that_left_again_is_not_claimed() -> None:
+    first, second = turn("gain", gain=0.95, wear=0.05), turn("wear", wear=0.99, offset=0.01)
+    found = said(("wear",), first, second)
+    assert (found.word, found.names) == ("effect", ("wear",))
+
+
+def test_what_has_no_room_in_the_runs_is_told_and_not_claimed() -> None:
+    found = said((), turn("", cooling=0.98), refused={("cooling",): "finds no room in the runs"})
+    assert (found.word, found.names) == ("unattributed", ())
+    assert "cooling was not calibrated: finds no room in the runs" in found.reasons
+
+
+def test_nothing_is_claimed_while_more_is_there_or_halves_disagree() -> None:
+    fine = turn("wear", wear=0.99, offset=0.01)
+    assert said(("wear",), fine, after=0.01).word == "unattributed"
+    apart_ = Held("early and late", (0.1, 1.9), 0.3)
+    found = said(("wear",), fine, held=(apart_,))
+    assert found.word == "unattributed"
+    assert "early and late" in found.reasons[0]
+
+
+def test_too_many_names_are_no_answer() -> None:
+    many = {f"n{i}": 0.125 for i in range(8)}
+    found = said(("n0",), turn("n0", **many))
+    assert (found.word, found.names) == ("unattributed", ())
+    assert "8 names" in found.reasons[0]
+
+
+def test_orders_of_a_pair_are_one_hypothesis_with_the_weight_of_both() -> None:
+    found = apart(
+        (
+            Hypothesis((0, 1), ("a", "b"), 5.0, 0.3),
+            Hypothesis((2, 0), ("b", "a"), 6.0, 0.45),
+            Hypothesis((3,), ("c",), 4.0, 0.25),
+        )
+    )
+    assert [(set(h.names), h.weight) for h in found] == [({"a", "b"}, 0.75), ({"c"}, 0.25)]
+
+
+def test_the_filters_evidence_replaces_the_scans_and_leaves_the_others_in_proportion() -> None:
+    a, b, c = (
+        Hypothesis((i,), (n,), 9.0, w)
+        for i, n, w in zip(range(3), "abc", (0.5, 0.3, 0.2), strict=True)
+    )
+    found = {h.names: h.weight for h in reweighed((a, b, c), {("a",): 30.0, ("b",): 31.0})}
+    total = 0.5 + 0.3 * 2.718281828 + 0.2
+    assert found[("b",)] == pytest.approx(0.3 * 2.718281828 / total)
+    assert found[("c",)] == pytest.approx(0.2 / total)
+    assert reweighed((a, b, c), {}) == (a, b, c)
