@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from core.course import Bias, Drift
 from core.errors import InputError
+from core.family import Family
 from core.prior import Population, Prior
 from core.quantity import LEAST_GAIN, WIDTH, Discrepancy, Kind, Quantity
 
@@ -101,6 +102,7 @@ class Network:
 
     drifts        inputs that run in time, each by the parameter of its name
     biases        what readings have beside what the blades do, each by the parameter of its name
+    families      effects that the model may lack, for diagnoses: physics of its own, by name
     forgetting_h  half-life [h] by which a blade's older readings lose weight, for local parameters
                   that drift: variance · 2^(age / half-life), age counted from its latest reading
     """
@@ -112,6 +114,7 @@ class Network:
     forgetting_h: float | None = None
     drifts: tuple[Drift, ...] = ()
     biases: tuple[Bias, ...] = ()
+    families: tuple[Family, ...] = ()
 
     def __post_init__(self) -> None:
         if self.forgetting_h is not None and not 0 < self.forgetting_h < math.inf:
@@ -122,6 +125,7 @@ class Network:
             "parameters": [p.name for p in self.parameters],
             "quantities": [q.name for q in self.quantities],
             "effects": [d.name for d in self.drifts] + [b.name for b in self.biases],
+            "families": [f.name for f in self.families],
         }.items():
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
@@ -138,6 +142,8 @@ class Network:
         for q in self.quantities:
             if q.discrepancy.kind == "paper":
                 self._check_gain(q)
+        for f in self.families:
+            (self.parameter if f.target == "input" else self.quantity)(f.of)
         for d in self.drifts:
             self._check_amplitude(d.name, d.input)
             self.parameter(d.input)
@@ -229,12 +235,14 @@ class Network:
         out["quantities"] = [q.to_json() for q in self.quantities]
         out["drifts"] = [d.to_json() for d in self.drifts]
         out["biases"] = [one.to_json() for one in self.biases]
+        out["families"] = [one.to_json() for one in self.families]
         unused_options: list[tuple[dict[str, Any], str, Any]] = [
             *((q, "level", 1) for q in out["quantities"]),
             *((p, "population", None) for p in out["parameters"]),
             (out, "forgetting_h", None),
             (out, "drifts", []),
             (out, "biases", []),
+            (out, "families", []),
         ]
         for told, name, unused in unused_options:
             if told[name] == unused:
@@ -258,6 +266,7 @@ class Network:
                 quantities=tuple(Quantity.from_json(q) for q in body.pop("quantities")),
                 drifts=tuple(Drift.from_json(d) for d in body.pop("drifts", ())),
                 biases=tuple(Bias.from_json(d) for d in body.pop("biases", ())),
+                families=tuple(Family.from_json(d) for d in body.pop("families", ())),
                 **body,
             )
         except (TypeError, KeyError, ValueError) as error:

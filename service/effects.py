@@ -13,6 +13,7 @@ Imported when it is first needed, with the compiled kernels of the calibration.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from core.calibration.online import Workspace, update
@@ -29,6 +30,7 @@ from core.diagnosis import (
 )
 from core.diagnosis.clock import with_offsets
 from core.diagnosis.diagnose import STEPS
+from core.diagnosis.grammar import families_for
 from core.diagnosis.report import held_out
 from core.errors import InputError
 from core.model import Model
@@ -36,21 +38,24 @@ from core.observation import Inspection
 from core.surrogate.driven import Driven
 from service.ports import BladeRecord, Json, Progress
 
-QUANTITY = "elongation"
-
 
 def read_families(
-    told: Sequence[Json], inputs: Sequence[str], quantities: Sequence[str]
+    told: Sequence[Json],
+    inputs: Sequence[str],
+    quantities: Sequence[str],
+    there: Sequence[Family] = FAMILIES,
 ) -> tuple[Family, ...]:
     """Families as a request tells them.
 
-    Raises InputError for one that is none, that has the name of another, built-in ones included,
-    or that concerns an input or a quantity that the model has not.
+    there  those that the model is asked for anyway
+
+    Raises InputError for one that is none, that has the name of another, or that concerns an input
+    or a quantity that the model has not.
     """
     found: list[Family] = []
     for i, one in enumerate(told):
         family = Family.from_json(one)
-        if family.name in {known.name for known in (*FAMILIES, *found)}:
+        if family.name in {known.name for known in (*there, *found)}:
             raise InputError(
                 f"families[{i}].name", family.name, "is there already", "choose another name"
             )
@@ -67,7 +72,14 @@ def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
     surrogate = model.surrogate
     base = surrogate.base if isinstance(surrogate, Driven) else surrogate
     inputs = [i.name for i in getattr(base, "inputs", ())]
-    return read_families(told, inputs, [q.name for q in model.network.quantities])
+    quantities = [q.name for q in model.network.quantities]
+    return read_families(told, inputs, quantities, families_for(model.network))
+
+
+def compared(readings: Sequence[Inspection]) -> str:
+    """The quantity that both models are held against: that of most readings."""
+    count = Counter(r.quantity for r in readings if len(r.values) == 1)
+    return max(sorted(count), key=count.__getitem__, default="")
 
 
 def diagnosed(
@@ -83,8 +95,7 @@ def diagnosed(
     total = STEPS + 3
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
-    every = (*FAMILIES, *families_of(model, families))
-    case = Case(spec, tuple(readings), facts, every)
+    case = Case(spec, tuple(readings), facts, families_of(model, families))
     work = Workspace()
     progress("calibration", 0, total)
     state = update(model, spec, case.readings, workspace=work)
@@ -93,17 +104,18 @@ def diagnosed(
         progress(what, 1 + done, total)
 
     found = diagnose(model, state, case, during, work)
-    compared: BeforeAfter | None = None
+    both: BeforeAfter | None = None
+    quantity = compared(readings)
     claimed = found.verdict.word == "effect"
-    if claimed and compare_h is not None and held_out(readings, QUANTITY):
+    if claimed and compare_h is not None and held_out(readings, quantity):
         steps = iter(range(STEPS + 1, total))
-        compared = before_after(
+        both = before_after(
             (found.before[0], found.after[0]),
             spec,
             case.readings,
             compare_h,
-            QUANTITY,
+            quantity,
             lambda what: progress(what, next(steps), total),
             work,
         )
-    return to_json(found, case, compared)
+    return to_json(found, case, both)

@@ -20,6 +20,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.observation",
         "core.archive",
         "core.course",
+        "core.family",
     ),
     ("core.blade", "core.design", "core.reduction", "core.smc"),
     ("core.surrogate",),

@@ -14,9 +14,10 @@ tell        as JSON
 """
 
 from core.diagnosis.diagnose import Case, Diagnosis, diagnose
-from core.diagnosis.grammar import FAMILIES, Facts, Family
+from core.diagnosis.grammar import FAMILIES, Facts
 from core.diagnosis.report import BeforeAfter, before_after
 from core.diagnosis.tell import to_json
+from core.family import Family
 
 __all__ = [
     "FAMILIES",

@@ -1,9 +1,10 @@
 """An effect in the model: a cell of the grammar as a drift or a bias with a calibrated amplitude.
 
-The amplitude is a shared parameter with a normal prior of the expected size, cut at zero where
-physics gives it a sign, and where the input would leave the simulation's runs. Shapes run on until
-`UNTIL` times the hour at which they reach their size, and stay from then on: nothing is known of
-wear beyond.
+A dormant input that is constant and the same in all blades wakes: the parameter itself becomes
+shared, with the prior that the network declares for it. Of everything else the amplitude is a
+shared parameter with a normal prior of the expected size, cut at zero where physics gives it a
+sign, and where the input would leave the simulation's runs. Shapes run on until `UNTIL` times the
+hour at which they reach their size, and stay from then on: nothing is known of wear beyond.
 """
 
 from __future__ import annotations
@@ -55,6 +56,42 @@ def parameter_name(cell: Cell) -> str:
     return cell.name.replace("@", " at ").replace(".", " ")
 
 
+def frees(cell: Cell, network: Network) -> bool:
+    """Whether the effect is a dormant parameter of the network that wakes, for all blades."""
+    family = cell.family
+    return (family.target, cell.whom, cell.shape, family.how) == (
+        "input",
+        "all",
+        "constant",
+        "plus",
+    ) and network.parameter(family.of).level == "dormant"
+
+
+def amplitude(cell: Cell, network: Network) -> tuple[str, float]:
+    """The amplitude's name once the effect is in this network, and its value where nothing is."""
+    if frees(cell, network):
+        return cell.family.of, network.parameter(cell.family.of).nominal or 0.0
+    return parameter_name(cell), 0.0
+
+
+def expected(cell: Cell, noise: Mapping[str, float]) -> float:
+    """The size that is expected of it; of an offset without one, from the noise."""
+    size = cell.family.size
+    return size if size is not None else NOISES * noise[cell.family.of]
+
+
+def _freed(network: Network, cell: Cell) -> Network:
+    """The dormant parameter shared, with its own prior; from its nominal value on one side only."""
+    own, sign = network.parameter(cell.family.of), cell.family.sign
+    prior = own.prior
+    if sign and own.nominal is not None and prior.low < own.nominal < prior.high:
+        low, high = (own.nominal, prior.high) if sign > 0 else (prior.low, own.nominal)
+        prior = replace(prior, low=low, high=high)
+    woken = replace(own, level="shared", prior=prior)
+    parameters = tuple(woken if p.name == own.name else p for p in network.parameters)
+    return replace(network, parameters=parameters)
+
+
 def _with(
     network: Network,
     model: Model,
@@ -62,6 +99,8 @@ def _with(
     facts: Mapping[str, Facts],
     noise: Mapping[str, float],
 ) -> Network:
+    if frees(cell, network):
+        return _freed(network, cell)
     family, name = cell.family, parameter_name(cell)
     sign = family.sign or 1
     course = _bounded(cell, sign)
@@ -69,7 +108,7 @@ def _with(
     since: tuple[tuple[str, float], ...] = ()
     if family.clock == "rotor" and any(f.offset_h for f in facts.values()):
         since = tuple(sorted((b, f.offset_h) for b, f in facts.items()))
-    size = family.size if family.size is not None else NOISES * noise[family.of]
+    size = expected(cell, noise)
     low, high = (0.0 if family.sign else -WIDTH * size), WIDTH * size
     if family.target == "reading":
         bias = Bias(

@@ -5,7 +5,8 @@
     2. The weightiest hypotheses, `RIVALS` of them at most, go into the model as calibrated effects
        and the rotor is calibrated anew: their evidence is the particle filter's, not the scan's.
     3. With the best of them in the model the readings are scanned again. What is still missing
-       joins, up to `MOST` turns; each effect has to earn `EARNED` nats.
+       joins, up to `MOST` turns; each effect has to earn `EARNED` nats beyond the price of the
+       search, the log of the number of families that it was chosen from.
     4. An effect that was taken early can turn out to have imitated a later one: each has to earn
        its place beside all others, or it leaves.
     5. The amplitudes have to hold (`verdict`), and what is left has to be chance (`conclude`).
@@ -15,6 +16,7 @@ Everything is a function of the readings that count, the facts of the blades and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -23,15 +25,17 @@ from numpy.typing import NDArray
 
 from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
-from core.diagnosis.adopt import parameter_name, typical_noise, with_effects
+from core.diagnosis.adopt import amplitude, typical_noise, with_effects
 from core.diagnosis.clock import readers
 from core.diagnosis.conclude import Rival, Turn, apart, conclude, reweighed
-from core.diagnosis.grammar import FAMILIES, Cell, Facts, Family, cells
+from core.diagnosis.grammar import Cell, Facts, cells, families_for
+from core.diagnosis.halves import halves
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import scores
 from core.diagnosis.signature import Physics, signatures, unnamed
-from core.diagnosis.verdict import DEALT, LEFT, Held, Verdict, holds, judge
+from core.diagnosis.verdict import DEALT, LEFT, Held, Verdict, judge
 from core.errors import InputError
+from core.family import Family
 from core.model import Model, Stacked
 from core.observation import Inspection
 from core.surrogate.driven import Driven
@@ -84,12 +88,12 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Case:
-    """A rotor to be diagnosed."""
+    """A rotor to be diagnosed; families: beside those of the grammar and of the network."""
 
     spec: RotorSpec
     readings: tuple[Inspection, ...]
     facts: Mapping[str, Facts]
-    families: Sequence[Family] = FAMILIES
+    families: Sequence[Family] = ()
     dealt: int = DEALT
 
     def noise(self, model: Model, state: RotorState) -> dict[str, float]:
@@ -107,7 +111,7 @@ class Case:
         base = answers.base if isinstance(answers, Driven) else answers
         facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
         every = cells(
-            self.families,
+            families_for(model.network, self.families),
             [i.name for i in base.inputs],
             [q.name for q in model.network.quantities],
             {b: facts[b] for b in seen.blades},
@@ -118,6 +122,15 @@ class Case:
         physics = Physics(answers, dict(answers.fixed) if isinstance(answers, Driven) else {})
         g = signatures(model, seen, every, facts, self.noise(model, state), physics)
         return Scan.of(every, seen, g, unnamed(seen, facts))
+
+    def halves(self, model: Model, taken: Rival) -> tuple[Held, ...]:
+        """Whether the amplitudes of the effects in a model agree between halves."""
+        if not taken.effects:
+            return ()
+        seen = scores(taken.model, taken.state, self.readings, self.spec.known)
+        facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
+        noise = self.noise(model, taken.state)
+        return halves(model, taken.state, seen, taken.effects, facts, noise)
 
 
 @dataclass
@@ -131,6 +144,7 @@ class _Search:
     progress: Progress
     known: dict[frozenset[Cell], Rival] = field(default_factory=dict)
     refused: dict[tuple[str, ...], str] = field(default_factory=dict)
+    price: float = 0.0
     done: int = 0
 
     def say(self, what: str) -> None:
@@ -165,7 +179,7 @@ class _Search:
                 rivals[one.names] = made
         weighed = reweighed(weighed, {n: r.gained for n, r in rivals.items()})
         best = max(rivals, key=lambda n: rivals[n].gained, default=None)
-        if best and rivals[best].gained < taken.gained + EARNED * len(best):
+        if best and rivals[best].gained < taken.gained + self.price * len(best):
             best = None
         return Turn(weighed, best or (), rivals)
 
@@ -173,7 +187,7 @@ class _Search:
         """Without the effects that do not earn their place beside the others."""
         for out in taken.effects if len(taken.effects) > 1 else ():
             rest = self.calibrated(tuple(c for c in taken.effects if c != out))
-            if rest is not None and taken.gained < rest.gained + EARNED:
+            if rest is not None and taken.gained < rest.gained + self.price:
                 return self.needed(rest)
         return taken
 
@@ -194,7 +208,8 @@ def diagnose(
     quiet: Progress = lambda what, done, total: None  # noqa: E731
     search = _Search(model, state, case, workspace or Workspace(), progress or quiet)
     search.say("scan")
-    asis = scan = case.scan(model, state)
+    scan = case.scan(model, state)
+    search.price = EARNED + math.log(max(1, len(scan.families)))
     first = found = judge(scan, case.spec.seed, dealt=case.dealt)
     nothing = taken = Rival((), model, state, 0.0)
     if first.word == "adequate":
@@ -215,7 +230,7 @@ def diagnose(
         found.p,
         turns,
         taken.gained,
-        _held(asis, taken.effects),
+        case.halves(model, taken),
         search.refused,
     )
     return Diagnosis(
@@ -223,7 +238,7 @@ def diagnose(
         first,
         (nothing.model, nothing.state),
         (taken.model, taken.state),
-        tuple(_effect(c, taken.model, taken.state) for c in taken.effects),
+        tuple(_effect(c, model, taken.state) for c in taken.effects),
         taken.gained,
         tuple((tuple(c.name for c in r.effects), r.gained) for r in search.known.values()),
         tuple(search.refused.items()),
@@ -239,14 +254,9 @@ def _left(search: _Search, taken: Rival, turn: int) -> tuple[Scan, Verdict]:
     return scan, judge(scan, case.spec.seed + turn, alarm=LEFT, dealt=case.dealt)
 
 
-def _effect(cell: Cell, model: Model, state: RotorState) -> Effect:
-    shared = shared_posterior(state.meta, state.arrays.__getitem__)
-    a, w = shared.column(parameter_name(cell)), shared.particles.w
+def _effect(cell: Cell, before: Model, after: RotorState) -> Effect:
+    shared = shared_posterior(after.meta, after.arrays.__getitem__)
+    name, origin = amplitude(cell, before.network)
+    a, w = shared.column(name) - origin, shared.particles.w
     mean = float(w @ a)
     return Effect(cell, mean, float(np.sqrt(w @ (a - mean) ** 2)))
-
-
-def _held(scan: Scan, taken: Sequence[Cell]) -> tuple[Held, ...]:
-    """Between halves, by the scan of the model as it was, each with the others in it."""
-    places = tuple(scan.cells.index(c) for c in taken if c in scan.cells)
-    return tuple(one for c in places for one in holds(scan, places, c))

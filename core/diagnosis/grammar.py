@@ -10,7 +10,8 @@
 A `Family` is a physical effect with a name and a sentence; it spans several cells of the grammar,
 for how wear runs in time is not what it is called. `cells` lists those that a rotor's readings
 could tell of: no lot where none was given, no instrument where there is one only. Families are
-data: a network may bring its own (`Family.from_json`).
+data (`core.family`): a network may bring its own, which stand in place of those here that concern
+the same input or reading.
 
 The size of an effect is the standard deviation that is expected of it a priori if it is there;
 `sign` says in which direction physics lets it go.
@@ -19,90 +20,13 @@ The size of an effect is the standard deviation that is expected of it a priori 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
 
 from core.course import Course
-from core.errors import InputError
+from core.family import Family, Shape, Whom
+from core.network import Network
 
-Shape = Literal["constant", "early", "linear", "late", "step"]
-Whom = Literal["all", "lot", "coating_lot", "blade", "instrument", "campaign"]
-Clock = Literal["blade", "rotor"]
-How = Literal["plus", "times"]
-SHAPES = ("constant", "early", "linear", "late", "step")
-WHOM = ("all", "lot", "coating_lot", "blade", "instrument", "campaign")
 REFERENCE_H = 50_000.0  # what grows has its size by then
-
-
-@dataclass(frozen=True, slots=True)
-class Family:
-    """An effect with a name.
-
-    name      as engineers say it
-    sentence  what happens, for the report
-    target    ``input`` or ``reading``
-    of        the input's name; of a reading: the quantity
-    how       ``plus`` or ``times``
-    size      expected size, of what `how` says; for a reading with ``plus``, None: three times
-              the noise
-    sign      −1, 1, or 0: either
-    kind      physics, operation, material or sensor
-    """
-
-    name: str
-    sentence: str
-    target: Literal["input", "reading"]
-    of: str
-    how: How
-    size: float | None
-    sign: int
-    shapes: tuple[Shape, ...]
-    whom: tuple[Whom, ...]
-    clock: Clock
-    kind: Literal["physics", "operation", "material", "sensor"]
-
-    def __post_init__(self) -> None:
-        for what, given, known in (
-            ("shapes", self.shapes, SHAPES),
-            ("whom", self.whom, WHOM),
-            ("how", (self.how,), ("plus", "times")),
-            ("target", (self.target,), ("input", "reading")),
-            ("clock", (self.clock,), ("blade", "rotor")),
-            ("sign", (self.sign,), (-1, 0, 1)),
-            ("kind", (self.kind,), ("physics", "operation", "material", "sensor")),
-        ):
-            wrong = [g for g in given if g not in known]
-            if wrong or not given:
-                raise InputError(
-                    f"{what} of the effect {self.name!r}", wrong, "is unknown", f"use {[*known]}"
-                )
-        if self.size is None and (self.target, self.how) != ("reading", "plus"):
-            raise InputError(f"size of the effect {self.name!r}", None, "is missing", "give it")
-        if self.size is not None and not self.size > 0:
-            raise InputError(
-                f"size of the effect {self.name!r}", self.size, "is not positive", "give one > 0"
-            )
-        seen_by_hand = {"instrument", "campaign"} & set(self.whom)
-        if self.target == "input" and seen_by_hand:
-            raise InputError(
-                f"whom of the effect {self.name!r}",
-                sorted(seen_by_hand),
-                "concerns readings, not an input",
-                "use all, lot, coating_lot or blade",
-            )
-
-    def to_json(self) -> dict[str, Any]:
-        """A plain dictionary."""
-        told = asdict(self)
-        return {**told, "shapes": list(self.shapes), "whom": list(self.whom)}
-
-    @staticmethod
-    def from_json(told: Mapping[str, Any]) -> Family:
-        """The inverse of `to_json`. Raises InputError for what is no family."""
-        try:
-            return Family(**{**told, "shapes": tuple(told["shapes"]), "whom": tuple(told["whom"])})
-        except (TypeError, KeyError) as error:
-            raise InputError("effect", str(error), "is no effect", "see Family") from error
 
 
 GROWING: tuple[Shape, ...] = ("early", "linear", "late")
@@ -200,6 +124,16 @@ FAMILIES = (
         "reading", "elongation", "plus", None, 0, ("constant",), ("campaign",), "rotor", "sensor",
     ),
 )  # fmt: skip
+
+
+def families_for(network: Network, more: Sequence[Family] = ()) -> tuple[Family, ...]:
+    """What is looked for in a rotor: built-in families, the network's own, and `more`.
+
+    A built-in family that concerns the same input or quantity as one of the network's own gives way
+    to it: the network knows its physics better.
+    """
+    own = {(f.target, f.of) for f in network.families}
+    return (*(f for f in FAMILIES if (f.target, f.of) not in own), *network.families, *more)
 
 
 @dataclass(frozen=True, slots=True)

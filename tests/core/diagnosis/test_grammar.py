@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from core.diagnosis.clock import readers, with_offsets
-from core.diagnosis.grammar import FAMILIES, Cell, Facts, Family, Readers, cells
+from core.diagnosis.grammar import FAMILIES, Cell, Facts, Readers, cells
 from core.errors import InputError
+from core.family import Family
 from core.observation import Inspection
 
 NOBODY = Readers((), (), (4000.0,))

@@ -10,10 +10,11 @@ import pytest
 
 from core.calibration.online import update
 from core.calibration.state import RotorSpec
-from core.diagnosis.grammar import Cell, Family
+from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores, scores
 from core.errors import InputError
+from core.family import Family
 from tests.core.calibration.test_exact import SLOPES, conjugate, readings
 
 BLADES, TIMES, SIGMA = 5, [0.0, 0.5, 1.0, 1.5], 0.15

@@ -1,0 +1,88 @@
+"""Whether an amplitude holds: between halves of the blades, and between early and late readings.
+
+With the effect in the model, at the amplitude a that all readings agree on, let one half have a + d
+and the other a − d. The readings' score for d under the posterior (`core.diagnosis.scores`), of
+the signature
+
+    g_d = ± df/da      + where a reading is of the first half, − where it is of the second
+
+is zero on average if there is one amplitude; what d could be is d = U_d / (I_d + 1/w²), with a
+prior sd w of `WIDE` expected sizes. As it is asked at the calibrated amplitude and not at none,
+effects that the answer is far from linear in (tertiary creep) are halved rightly too. df/da is
+the regression on a over the particles, in rows that the effect concerns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.state import RotorState, shared_posterior
+from core.diagnosis.adopt import amplitude, expected
+from core.diagnosis.grammar import Cell, Facts
+from core.diagnosis.scan import overdispersion
+from core.diagnosis.scores import Scores
+from core.diagnosis.signature import masks
+from core.diagnosis.verdict import WIDE, Held
+from core.model import Model
+
+Array = NDArray[np.float64]
+
+
+def halves(
+    before: Model,
+    state: RotorState,
+    seen: Scores,
+    effects: Sequence[Cell],
+    facts: Mapping[str, Facts],
+    noise: Mapping[str, float],
+) -> tuple[Held, ...]:
+    """Of the effects in a state's model, each in both ways of halving where it concerns enough.
+
+    before  the model without the effects; state, seen: with them
+    """
+    shared = shared_posterior(state.meta, state.arrays.__getitem__)
+    others = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
+    concerned = masks(effects, seen, facts) > 0
+    found: list[Held] = []
+    for c, cell in enumerate(effects):
+        name, origin = amplitude(cell, before.network)
+        size = expected(cell, noise)
+        mean = float(shared.particles.w @ shared.column(name)) - origin
+        g = np.where(concerned[:, :, c], seen.slope[:, :, others.index(name)], 0.0)
+        for by, half in splits(seen, g):
+            found.append(between(seen, g * size, half, cell, by, mean / size))
+    return tuple(found)
+
+
+def splits(seen: Scores, g: Array) -> list[tuple[str, NDArray[np.bool_]]]:
+    """Ways to halve what a signature g (B, n) concerns: a name, and which rows are the second half.
+
+    Blades by their order of names, readings by their median hour.
+    """
+    concerned = (g != 0) & seen.real
+    blades = np.flatnonzero(concerned.any(axis=1))
+    odd = np.broadcast_to(np.isin(np.arange(len(g)), blades[1::2])[:, None], g.shape)
+    late = seen.hours > np.median(seen.hours[concerned]) if np.any(concerned) else odd
+    parts = (("in two halves of the blades", odd), ("early and late", late))
+    return [(by, h) for by, h in parts if np.any(concerned & h) and np.any(concerned & ~h)]
+
+
+def between(
+    seen: Scores, g: Array, half: NDArray[np.bool_], cell: Cell, by: str, mean: float
+) -> Held:
+    """The amplitudes of two halves of a signature g (B, n) of one expected size."""
+    d = np.where(half, -g, g)[:, :, None]
+    efficient = seen.efficient(d)
+    pull = seen.pull(d, np.array([cell.grows]))
+    c = np.einsum("bic,bi->bc", efficient, seen.q) + pull
+    own = np.einsum("bic,bij,bjc->bc", efficient, seen.information, efficient)
+    u = np.einsum("bic,bi->c", d, seen.q) + pull.sum(axis=0)
+    information = np.diag(seen.cross(d))
+    concerned, alone = np.any(d != 0, axis=1), np.array([cell.whom == "blade"])
+    phi = float(overdispersion(c, own, u, information, concerned, alone)[0])
+    variance = 1.0 / (float(information[0]) / phi + 1.0 / WIDE**2)
+    off = variance * float(u[0]) / phi
+    return Held(by, (mean + off, mean - off), 2.0 * float(np.sqrt(variance)))

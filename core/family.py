@@ -1,0 +1,91 @@
+"""A physical effect that a model may lack, as data: with a name, a sentence, a size and a shape.
+
+A network declares those of its own physics (`core.network.Network.families`); those of a rotor of
+blades are in `core.diagnosis.grammar`, which says how families span what a diagnosis looks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from core.errors import InputError
+
+Shape = Literal["constant", "early", "linear", "late", "step"]
+Whom = Literal["all", "lot", "coating_lot", "blade", "instrument", "campaign"]
+Clock = Literal["blade", "rotor"]
+How = Literal["plus", "times"]
+SHAPES = ("constant", "early", "linear", "late", "step")
+WHOM = ("all", "lot", "coating_lot", "blade", "instrument", "campaign")
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """An effect with a name.
+
+    name      as engineers say it
+    sentence  what happens, for the report
+    target    ``input`` or ``reading``
+    of        the input's name; of a reading: the quantity
+    how       ``plus`` or ``times``
+    size      expected size, of what `how` says; for a reading with ``plus``, None: three times
+              the noise
+    sign      −1, 1, or 0: either
+    kind      physics, operation, material or sensor
+    """
+
+    name: str
+    sentence: str
+    target: Literal["input", "reading"]
+    of: str
+    how: How
+    size: float | None
+    sign: int
+    shapes: tuple[Shape, ...]
+    whom: tuple[Whom, ...]
+    clock: Clock
+    kind: Literal["physics", "operation", "material", "sensor"]
+
+    def __post_init__(self) -> None:
+        for what, given, known in (
+            ("shapes", self.shapes, SHAPES),
+            ("whom", self.whom, WHOM),
+            ("how", (self.how,), ("plus", "times")),
+            ("target", (self.target,), ("input", "reading")),
+            ("clock", (self.clock,), ("blade", "rotor")),
+            ("sign", (self.sign,), (-1, 0, 1)),
+            ("kind", (self.kind,), ("physics", "operation", "material", "sensor")),
+        ):
+            wrong = [g for g in given if g not in known]
+            if wrong or not given:
+                raise InputError(
+                    f"{what} of the effect {self.name!r}", wrong, "is unknown", f"use {[*known]}"
+                )
+        if self.size is None and (self.target, self.how) != ("reading", "plus"):
+            raise InputError(f"size of the effect {self.name!r}", None, "is missing", "give it")
+        if self.size is not None and not self.size > 0:
+            raise InputError(
+                f"size of the effect {self.name!r}", self.size, "is not positive", "give one > 0"
+            )
+        seen_by_hand = {"instrument", "campaign"} & set(self.whom)
+        if self.target == "input" and seen_by_hand:
+            raise InputError(
+                f"whom of the effect {self.name!r}",
+                sorted(seen_by_hand),
+                "concerns readings, not an input",
+                "use all, lot, coating_lot or blade",
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain dictionary."""
+        told = asdict(self)
+        return {**told, "shapes": list(self.shapes), "whom": list(self.whom)}
+
+    @staticmethod
+    def from_json(told: Mapping[str, Any]) -> Family:
+        """The inverse of `to_json`. Raises InputError for what is no family."""
+        try:
+            return Family(**{**told, "shapes": tuple(told["shapes"]), "whom": tuple(told["whom"])})
+        except (TypeError, KeyError) as error:
+            raise InputError("effect", str(error), "is no effect", "see Family") from error

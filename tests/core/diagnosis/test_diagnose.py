@@ -1,0 +1,203 @@
+"""The whole loop on a model whose posterior and evidence are known exactly.
+
+y = 0.8 s + 1.3 l_0 − 0.7 t l_1 + bend t², where `bend` is dormant at 0 and declared as something
+that the model may lack. Readings are made with it, without it, and with it in every second blade.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.calibration.online import RotorSpec, Workspace, update
+from core.calibration.state import shared_posterior
+from core.diagnosis import Case, Diagnosis, Facts, diagnose, to_json
+from core.diagnosis import diagnose as module_function
+from core.diagnosis.adopt import amplitude, frees, with_effects
+from core.diagnosis.grammar import FAMILIES, Cell, families_for
+from core.errors import InputError
+from core.family import Family
+from core.model import Model
+from core.network import Network, Parameter
+from core.observation import Inspection
+from core.prior import Prior
+from core.surrogate.formula import FormulaInput, FormulaModel
+from tests.core.calibration.test_exact import SLOPES, conjugate
+
+BEND = Family(
+    "bend", "answers grow with the square of time", "input", "bend", "plus", 0.3, 1,
+    ("constant",), ("all",), "blade", "material",
+)  # fmt: skip
+OFFSET = Family(
+    "offset", "an instrument reads too much or too little", "reading", "y", "plus", None, 0,
+    ("constant",), ("instrument",), "rotor", "sensor",
+)  # fmt: skip
+TIMES, SIGMA, BLADES = (0.4, 0.8, 1.2, 1.6, 2.0), 0.1, 16
+SPEC = RotorSpec("r", tuple(f"b{b:02d}" for b in range(BLADES)), 1000, 3)
+
+
+def bent() -> Model:
+    base = conjugate(2)
+
+    def formula(x: np.ndarray, t: float) -> np.ndarray:
+        return base.surrogate.formulas["y"](x[:, :3], t) + x[:, 3] * t**2  # type: ignore[union-attr]
+
+    asleep = Parameter("bend", "dormant", Prior("uniform", -2.0, 2.0), nominal=0.0)
+    network = replace(
+        base.network,
+        parameters=(*base.network.parameters, asleep),
+        families=(BEND, OFFSET),
+    )
+    inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in network.parameters)
+    return Model(network, FormulaModel(inputs, {"y": formula}, "bent"))
+
+
+MODEL = bent()
+
+
+def readings(effect: Callable[[int, float], float], seed: int = 4) -> tuple[Inspection, ...]:
+    rng = np.random.default_rng(seed)
+    s, out = rng.normal(2.0, 0.5), []
+    for b in range(BLADES):
+        l0, l1 = rng.normal(-1.0, 0.6), rng.normal(0.0, 0.6)
+        for i, t in enumerate(TIMES):
+            y = 0.8 * s + SLOPES[0] * l0 + SLOPES[1] * t * l1 + effect(b, t)
+            y += SIGMA * rng.normal()
+            gauge = f"gauge {(b + i) % 2}"
+            at = (f"{b}-{i}", f"b{b:02d}", "y", t, np.array([y]))
+            own = Inspection(*at, sigma=SIGMA, instrument=gauge)
+            out.append(own)
+    return tuple(out)
+
+
+def found(data: tuple[Inspection, ...], model: Model = MODEL) -> Diagnosis:
+    work = Workspace()
+    state = update(model, SPEC, data, workspace=work)
+    case = Case(SPEC, data, {b: Facts() for b in SPEC.blades}, dealt=199)
+    return diagnose(model, state, case, workspace=work)
+
+
+def exact_bend(data: tuple[Inspection, ...]) -> tuple[float, float]:
+    """Mean and sd of the bend under a flat prior, all else integrated out."""
+    names = ["s", "bend", *[f"{p}{b}" for b in range(BLADES) for p in "lm"]]
+    prior = np.diag([0.25, 1e6, *[0.36] * (2 * BLADES)])
+    mean = np.array([2.0, 0.0, *[-1.0, 0.0] * BLADES])
+    x = np.zeros((len(data), len(names)))
+    for row, r in enumerate(data):
+        b = int(r.blade[1:])
+        x[row, :2] = 0.8, r.time_h**2
+        x[row, 2 + 2 * b : 4 + 2 * b] = SLOPES[0], SLOPES[1] * r.time_h
+    y = np.array([r.values[0] for r in data])
+    precision = np.linalg.inv(prior) + x.T @ x / SIGMA**2
+    covariance = np.linalg.inv(precision)
+    centre = mean + covariance @ x.T @ (y - x @ mean) / SIGMA**2
+    return float(centre[1]), float(np.sqrt(covariance[1, 1]))
+
+
+def test_a_dormant_input_that_acts_is_named_woken_and_sized_as_the_exact_posterior_has_it() -> None:
+    data = readings(lambda b, t: 0.25 * t**2)
+    one = found(data)
+    assert (one.verdict.word, one.verdict.names) == ("effect", ("bend",))
+    mean, sd = exact_bend(data)
+    (effect,) = one.effects
+    assert effect.mean == pytest.approx(mean, abs=0.1 * sd)
+    assert effect.sd == pytest.approx(sd, rel=0.1)
+    assert one.after[0].network.parameter("bend").level == "shared"
+    assert one.after[0].network.parameter("bend").prior.low == 0.0
+    assert one.verdict.held
+    assert all(h.agrees for h in one.verdict.held)
+    told = to_json(one, Case(SPEC, data, {}))
+    assert told["claimed"] is True
+    assert told["effects"][0]["amplitude"]["mean"] == effect.mean
+
+
+def test_without_it_nothing_is_missing() -> None:
+    one = found(readings(lambda b, t: 0.0))
+    assert one.verdict.word == "adequate"
+    assert one.after == one.before
+
+
+def test_what_only_half_of_the_blades_have_is_not_given_the_name_of_what_all_have() -> None:
+    one = found(readings(lambda b, t: 0.5 * t**2 * (b % 2), seed=5))
+    assert one.first.word != "adequate"
+    assert one.verdict.word == "unattributed"
+    assert any("two halves of the blades" in why for why in one.verdict.reasons)
+
+
+def test_the_halves_are_what_refuses_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The control: without them the name would be given."""
+    monkeypatch.setattr(Case, "halves", lambda *args: ())
+    one = found(readings(lambda b, t: 0.5 * t**2 * (b % 2), seed=5))
+    assert any(effect.cell.name == "bend" for effect in one.effects)
+
+
+def test_the_verdict_follows_the_instruments_label_and_not_the_order_or_the_ids() -> None:
+    data = readings(lambda b, t: 0.0)
+
+    def off(label: str) -> tuple[Inspection, ...]:
+        return tuple(
+            replace(r, values=r.values + 0.3 * (r.instrument == label), id=f"x{i * 7919 % 1000}")
+            for i, r in enumerate(reversed(data))
+        )
+
+    for label in ("gauge 0", "gauge 1"):
+        one = found(off(label))
+        assert one.verdict.word in ("effect", "not separable")
+        named = {f"offset (instrument {label})"}
+        # With two gauges one is too long or the other too short.
+        assert one.verdict.names
+        assert named <= set(one.verdict.names)
+    again = found(tuple(sorted(off("gauge 1"), key=lambda r: r.values[0])))
+    assert to_json(again, Case(SPEC, data, {})) == to_json(one, Case(SPEC, data, {}))
+
+
+def test_a_networks_own_families_stand_in_for_the_built_in_ones_of_the_same_input() -> None:
+    network = MODEL.network
+    assert families_for(network)[-2:] == (BEND, OFFSET)
+    own = replace(
+        FAMILIES[0], name="wear of ours", of="s"
+    )  # another family of an input that a built-in one does not concern
+    assert len(families_for(replace(network, families=(own,)))) == len(FAMILIES) + 1
+    coated = Parameter("tbc_thickness", "dormant", Prior("uniform", 0.5, 2.0), nominal=1.0)
+    wears = replace(FAMILIES[0], name="wear of ours")
+    coated_network = replace(network, parameters=(*network.parameters, coated), families=(wears,))
+    names = [f.name for f in families_for(coated_network)]
+    assert "wear of ours" in names
+    assert "coating wear" not in names
+    assert "coating spallation" not in names
+
+
+def test_families_are_in_the_networks_document_and_have_to_concern_what_it_has() -> None:
+    told = MODEL.network.to_json()
+    assert Network.from_json(told) == MODEL.network
+    assert "families" not in conjugate(2).network.to_json()
+    with pytest.raises(InputError, match="cooling"):
+        replace(MODEL.network, families=(replace(BEND, of="cooling"),))
+    with pytest.raises(InputError, match="twice"):
+        replace(MODEL.network, families=(BEND, BEND))
+
+
+def test_only_what_is_constant_and_the_same_for_all_wakes_a_dormant_input() -> None:
+    everywhere = Cell(BEND, "constant", "all")
+    assert frees(everywhere, MODEL.network)
+    assert amplitude(everywhere, MODEL.network) == ("bend", 0.0)
+    one_blade = Cell(replace(BEND, whom=("blade",)), "constant", "blade", "b01")
+    assert not frees(one_blade, MODEL.network)
+    with pytest.raises(InputError, match="needs simulation runs"):
+        with_effects(MODEL, [one_blade], {}, {"y": SIGMA})
+    awake = with_effects(MODEL, [everywhere], {}, {"y": SIGMA})
+    assert not frees(everywhere, awake.network)
+    down = Cell(replace(BEND, sign=-1), "constant", "all")
+    assert with_effects(MODEL, [down], {}, {}).network.parameter("bend").prior.high == 0.0
+
+
+def test_a_provisional_state_is_not_diagnosed() -> None:
+    data = readings(lambda b, t: 0.0)
+    state = update(MODEL, SPEC, data)
+    state.meta["sealed"] = False
+    with pytest.raises(InputError, match="provisional"):
+        module_function(MODEL, state, Case(SPEC, data, {}))
+    assert shared_posterior(state.meta, state.arrays.__getitem__).names
