@@ -32,6 +32,7 @@ from core.diagnosis.clock import with_offsets
 from core.diagnosis.diagnose import STEPS
 from core.diagnosis.grammar import families_for
 from core.diagnosis.report import held_out
+from core.diagnosis.transfer import conditions, transferred
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
@@ -92,7 +93,7 @@ def diagnosed(
     progress: Progress,
 ) -> Json:
     """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`)."""
-    total = STEPS + 3
+    total = STEPS + 3 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
     case = Case(spec, tuple(readings), facts, families_of(model, families))
@@ -118,4 +119,18 @@ def diagnosed(
             lambda what: progress(what, next(steps), total),
             work,
         )
-    return to_json(found, case, both)
+    told = to_json(found, case, both)
+    if claimed and compare_h is not None:
+        models = (found.before[0], found.after[0])
+        steps = iter(range(STEPS + 3, total))
+        held = transferred(
+            models, spec, readings, quantity, lambda what: progress(what, next(steps), total), work
+        )
+        told["conditions"] = [one.to_json() for one in held]
+        told["reasons"] += [
+            f"it does not hold at {one.input} = {one.value:g}: an error of {one.before.rmse:.3g} "
+            f"becomes {one.after.rmse:.3g} there when no reading of it is known"
+            for one in held
+            if not one.holds
+        ]
+    return told

@@ -9,6 +9,8 @@ verdict     adequate | effect | not separable | unattributed
 adopt       an effect in the model, as a calibrated amplitude
 diagnose    all of it in turn
 conclude    the word, every name on its own turn
+halves      whether an amplitude holds between halves of blades and readings
+transfer    whether an effect holds in another condition
 report      before and after, on readings that neither model used
 tell        as JSON
 """

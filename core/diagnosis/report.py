@@ -1,9 +1,10 @@
 """Before and after: both models, calibrated on the same readings, on readings that neither used.
 
-Held out is the latest reading of every second blade (in the order of names, of those with two
-readings or more): later times, on blades whose lots, instruments and campaigns the other blades
-still speak of. Each model predicts the *reading*, with the bias of whoever took it; the score is
-the log density of a normal with the prediction's mean and sd [nat per reading].
+Held out is the latest third of the readings, one at least, of every second blade (in the order of
+names, of those with two readings or more): later times, on blades whose lots, instruments and
+campaigns the other blades still speak of. Each model predicts the *reading*, with the bias of
+whoever took it; the score is the log density of a normal with the prediction's mean and sd [nat per
+reading].
 """
 
 from __future__ import annotations
@@ -72,13 +73,17 @@ class BeforeAfter:
 
 
 def held_out(readings: Sequence[Inspection], quantity: str) -> tuple[Inspection, ...]:
-    """The latest reading of every second blade that has two or more of the quantity."""
+    """The latest third of the readings of every second blade with two or more of the quantity."""
     by_blade: dict[str, list[Inspection]] = {}
     for r in readings:
         if r.quantity == quantity:
             by_blade.setdefault(r.blade, []).append(r)
     several = [b for b in sorted(by_blade) if len(by_blade[b]) > 1]
-    return tuple(max(by_blade[b], key=lambda r: (r.time_h, r.id)) for b in several[1::2])
+    held: list[Inspection] = []
+    for b in several[1::2]:
+        own = sorted(by_blade[b], key=lambda r: (r.time_h, r.id))
+        held += own[-max(1, len(own) // 3) :]
+    return tuple(held)
 
 
 def before_after(
