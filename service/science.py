@@ -1,6 +1,7 @@
 """The calibration behind the `Science` port: core.model, core.calibration, core.prediction.
 
-Two models come with it: blades on their shipped surrogate, and creep specimens in closed form.
+Three models come with it: blades on their shipped surrogate; the same blades on one of wider runs,
+in which effects that the first lacks find room; and creep specimens in closed form.
 
 Imported only where it is wired; the compiled kernels of the calibration are imported when a
 worker warms up, so that a process that only serves never loads them.
@@ -22,7 +23,7 @@ from core.builtin import creep_specimens
 from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
 from core.discrepancy import parameters
 from core.errors import InputError, ModelError
-from core.model import Model
+from core.model import Model, rotor_blade_wide
 from core.network import rotor_blade_network
 from core.observation import Inspection
 from core.prediction import predict
@@ -43,6 +44,7 @@ from service.variant import named, vary
 
 SHIPPED = Path(core.builtin.__file__).with_name("rotor_blade_model")
 NAME = "rotor-blade"
+WIDE = f"{NAME}-wide"
 SPECIMENS = creep_specimens.NAME
 INSTANTS = 51
 MOST_VARIED = 64  # varied models kept with the rows compiled for them
@@ -73,7 +75,7 @@ class CoreScience:
     def __init__(self, folder: str = "", model: Model | None = None) -> None:
         self._folder = Path(folder) if folder else SHIPPED
         self._models: dict[str, Model] = {} if model is None else {NAME: model}
-        self.builtins = (NAME, SPECIMENS) if model is None else (NAME,)
+        self.builtins = (NAME, WIDE, SPECIMENS) if model is None else (NAME,)
         self._lock = threading.Lock()
         self._varied: OrderedDict[str, Model] = OrderedDict()
         self._workspace: Any = None
@@ -86,12 +88,15 @@ class CoreScience:
                 f"{', '.join(self.builtins)}. Run the release that registered it."
             )
         if name not in self._models:
-            self._models[name] = (
-                Model(rotor_blade_network(), load(self._folder))
-                if name == NAME
-                else Model(creep_specimens.network(), creep_specimens.formula())
-            )
+            self._models[name] = self._make(name)
         return self._models[name]
+
+    def _make(self, name: str) -> Model:
+        if name == SPECIMENS:
+            return Model(creep_specimens.network(), creep_specimens.formula())
+        if name == WIDE:
+            return rotor_blade_wide()
+        return Model(rotor_blade_network(), load(self._folder))
 
     def _model(self, card: ModelCard) -> Model:
         """The loaded model, or its surrogate under the varied network of the card."""
@@ -130,6 +135,7 @@ class CoreScience:
         with self._lock:
             model = self._loaded(name)
         surrogate: Any = model.surrogate
+        surrogate = getattr(surrogate, "base", surrogate)
         manifest = getattr(surrogate, "manifest", {})
         instants = getattr(surrogate, "time_h", np.linspace(0.0, surrogate.horizon_h, INSTANTS))
         return ModelCard(

@@ -101,7 +101,7 @@ def post_all(client: Client, plan: Plan, particles: int, seed: int, quiet: bool 
                 slot = step.retire[1:]
                 last = client.add_blade(ROTOR, {"id": step.install, "slot": slot})
             if step.through:
-                client.wait_for(ROTOR, last)  # the outage ends when its readings count
+                client.wait_for(ROTOR, last, 900)  # the outage ends when its readings count
     return last
 
 

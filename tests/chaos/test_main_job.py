@@ -49,7 +49,7 @@ def main_job(folder: Path, kills: int) -> tuple[dict[str, Any], dict[str, Any], 
 
         client.post_inspections = deadly  # type: ignore[method-assign]
         last = demo.post_all(client, plan, PARTICLES, seed=4, quiet=True)
-        rotor = demo.wait_applied(client, last, 300, quiet=True)
+        rotor = demo.wait_applied(client, last, 900, quiet=True)
         posterior = client.posterior("demo", "B090")
         return rotor, posterior, done
 
