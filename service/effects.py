@@ -35,6 +35,7 @@ from core.model import Model
 from core.observation import Inspection
 from core.surrogate.driven import Driven
 from service.ports import BladeRecord, Json, Progress
+from service.variant import effects_between
 
 QUANTITY = "elongation"
 STEPS = 1 + MOST * (RIVALS + 1)  # of core.diagnosis at most
@@ -80,7 +81,10 @@ def diagnosed(
     compare_h: float | None,
     progress: Progress,
 ) -> Json:
-    """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`)."""
+    """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`).
+
+    ``adds`` is what an effect that is claimed adds to the rotor's network (`service.variant`).
+    """
     total = STEPS + 3
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
@@ -107,4 +111,7 @@ def diagnosed(
             lambda what: progress(what, next(steps), total),
             work,
         )
-    return to_json(found, case, compared)
+    before, after = (one[0].network for one in (found.before, found.after))
+    return to_json(found, case, compared) | {
+        "adds": effects_between(before, after) if claimed else None
+    }

@@ -8,9 +8,11 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import ConfigDict, Field, FiniteFloat, StringConstraints
 
+from service.api.routers.adoptions import adoption_out
 from service.api.schemas import Body, Id
 from service.api.services import Cursor, Limit, Name, Wired, moment, page, page_size
 from service.handlers import diagnoses as use
+from service.handlers.adoptions import standing
 from service.ports import JobRecord
 
 router = APIRouter(prefix="/v1/rotors/{r}/diagnoses", tags=["diagnoses"])
@@ -119,7 +121,9 @@ def listed(job: JobRecord) -> dict[str, Any]:
 
 @router.get("/{d}", summary="A diagnosis: how far it is, and what was found")
 def get_diagnosis(r: Name, d: Name, services: Wired) -> dict[str, Any]:
-    return diagnosis_out(use.find_diagnosis(services.store, r, d))
+    told = diagnosis_out(use.find_diagnosis(services.store, r, d))
+    change = standing(services.store, r, d)
+    return told | {"adoption": None if change is None else adoption_out(r, change)}
 
 
 @router.delete("/{d}", summary="Cancel a diagnosis; one that has ended stays as it is")
