@@ -230,8 +230,7 @@ DIAGNOSIS_LISTED = {
     "created_at": TEXT,
     "finished_at": maybe(TEXT),
 }
-DIAGNOSIS = having(**DIAGNOSIS_LISTED, result=maybe(FOUND))
-DIAGNOSIS_AND_ADOPTION = having(**DIAGNOSIS_LISTED, result=maybe(FOUND), adoption=maybe(ADOPTION))
+DIAGNOSIS = having(**DIAGNOSIS_LISTED, result=maybe(FOUND), adoption=maybe(ADOPTION))
 MODEL = having(
     id=TEXT,
     version=TEXT,
@@ -292,7 +291,7 @@ ANSWERS: dict[str, Json] = {
     f"GET {ROTOR}/diagnoses": paged(
         having(**DIAGNOSIS_LISTED, verdict={"type": ["string", "null"]}, names=maybe(each(TEXT)))
     ),
-    f"GET {ROTOR}/diagnoses/{{d}}": DIAGNOSIS_AND_ADOPTION,
+    f"GET {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
     f"DELETE {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
     f"POST {ROTOR}/diagnoses/{{d}}/adoption": having(adoption=ADOPTION, head_seq=WHOLE),
     f"DELETE {ROTOR}/diagnoses/{{d}}/adoption": having(adoption=ADOPTION, head_seq=WHOLE),
