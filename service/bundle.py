@@ -4,9 +4,11 @@
 
     manifest.json   format, schema, release, rotor, model, head_seq, per member its bytes, lines and
                     SHA-256, the newest sealed digests, and the SHA-256 of all that
-    rotor.json      id, model, model_version, particles, seed, network, origin, digest
+    rotor.json      id, model, model_version, particles, seed, network, origin, digest, and `adopt`
+                    where it is not "never"
     blades.jsonl    one blade a line, in the order of their ids
-    log.jsonl       one entry a line, 1 … head_seq: the columns of the log, with `received_at`
+    log.jsonl       one entry a line, 1 … head_seq: the columns of the log, with `received_at`;
+                    effects that were adopted or backed out are entries like others
 
 The same rotor gives the same bytes. A file is checked before anything of it is used: only these
 four names, stored or deflated, sizes below limits that are counted while reading, no more than

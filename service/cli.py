@@ -14,6 +14,7 @@ import typer
 
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
+from service.adopt_command import adopt
 from service.commands import register
 from service.diagnose_command import diagnose
 from service.key_commands import audit, keys
@@ -37,6 +38,7 @@ app.add_typer(keys, name="keys")
 app.command()(audit)
 register(app)
 app.command()(diagnose)
+app.command()(adopt)
 
 SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
     f"{name} [{default}]: {meaning}" for name, default, meaning in table()

@@ -124,17 +124,20 @@ class Client:
         particles: int | None = None,
         seed: int | None = None,
         network: Mapping[str, Any] | None = None,
+        adopt: str | None = None,
     ) -> Json:
         """Create a rotor; a blade is an id or ``{"id", "slot"?, "lot"?, "known"?, …}``.
 
         network   what it varies of the model's network, e.g.
                   ``{"quantities": {"elongation": {"by_instrument": True}}, "forgetting_h": 2e4}``
+        adopt     ``effect``: a diagnosis that names an effect is adopted by itself
         """
         listed = [{"id": b} if isinstance(b, str) else dict(b) for b in blades]
         body: Json = {"id": rotor, "model": model, "blades": listed}
         body |= {} if particles is None else {"particles": particles}
         body |= {} if seed is None else {"seed": seed}
         body |= {} if network is None else {"network": dict(network)}
+        body |= {} if adopt is None else {"adopt": adopt}
         return self._call("POST", "/v1/rotors", json=body)
 
     def rotor(self, rotor: str, *, version: int | None = None, at: str | None = None) -> Json:
@@ -270,14 +273,7 @@ class Client:
 
     def diagnoses(self, rotor: str) -> Iterator[Json]:
         """Every diagnosis of a rotor, the newest first, page by page."""
-        cursor: str | None = None
-        while True:
-            params = {} if cursor is None else {"cursor": cursor}
-            page = self._call("GET", _path("rotors", rotor, "diagnoses"), params=params)
-            yield from page["items"]
-            cursor = page["next"]
-            if cursor is None:
-                return
+        yield from self._pages(_path("rotors", rotor, "diagnoses"))
 
     def diagnosis(self, rotor: str, diagnosis: str) -> Json:
         return self._call("GET", _path("rotors", rotor, "diagnoses", diagnosis))
@@ -285,6 +281,29 @@ class Client:
     def cancel_diagnosis(self, rotor: str, diagnosis: str) -> Json:
         """End a diagnosis that is queued or running; one that has ended stays as it is."""
         return self._call("DELETE", _path("rotors", rotor, "diagnoses", diagnosis))
+
+    def adopt(self, rotor: str, diagnosis: str) -> Json:
+        """The effects of a diagnosis enter the rotor's model; `head_seq` is what to wait for."""
+        path = _path("rotors", rotor, "diagnoses", diagnosis, "adoption")
+        return self._call("POST", path)
+
+    def back_out(self, rotor: str, diagnosis: str) -> Json:
+        """The network before the adoption comes back; `head_seq` is what to wait for."""
+        path = _path("rotors", rotor, "diagnoses", diagnosis, "adoption")
+        return self._call("DELETE", path)
+
+    def adoptions(self, rotor: str) -> Iterator[Json]:
+        """What was adopted and backed out, in order, page by page."""
+        yield from self._pages(_path("rotors", rotor, "adoptions"))
+
+    def _pages(self, path: str, **asked: Any) -> Iterator[Json]:
+        params = {name: str(value) for name, value in asked.items() if value is not None}
+        while True:
+            page = self._call("GET", path, params=params)
+            yield from page["items"]
+            if page["next"] is None:
+                return
+            params["cursor"] = page["next"]
 
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

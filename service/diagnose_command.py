@@ -113,6 +113,13 @@ def lines_of(told: Told) -> Iterator[str]:
     )
 
 
+def adopted_line(told: Told) -> str:
+    """What became of ``--adopt``."""
+    if "head_seq" not in told:
+        return f"nothing to adopt: the verdict is {told['result']['verdict']}"
+    return f"adopted, with entry {told['head_seq']}; the new version follows"
+
+
 def read_families(file: Path) -> list[Told]:
     """A list of families, or ``{"families": […]}``. InputError: it is neither."""
     try:
@@ -137,6 +144,9 @@ def diagnose(
     no_compare: Annotated[
         bool, typer.Option("--no-compare", help="Leave out the comparison before and after.")
     ] = False,
+    adopt: Annotated[
+        bool, typer.Option("--adopt", help="Adopt what the diagnosis names, if it does.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Which effects a rotor's model lacks. Exit status 0: none; 3: some, named or not; 1: error."""
@@ -145,6 +155,8 @@ def diagnose(
         with Client(url, key=key) as twin, shown(quiet=as_json) as show:
             told = twin.diagnose(rotor, families=own, compare=not no_compare)
             told = awaited(twin, told, show, LOOK_S)
+            if adopt and told["status"] == "done" and told["result"]["verdict"] == "effect":
+                told |= twin.adopt(rotor, told["id"])
     except httpx.TransportError as error:
         raise AwayError(
             f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."
@@ -156,5 +168,7 @@ def diagnose(
         raise DiagnosisError(f"diagnosis {told['id']} of {rotor} is {told['status']}: {why}")
     if not as_json:
         typer.echo("\n".join(lines_of(told)))
+        if adopt:
+            typer.echo(adopted_line(told))
     if told["result"]["verdict"] != "adequate":
         raise typer.Exit(LACKS)

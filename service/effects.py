@@ -38,6 +38,7 @@ from core.model import Model
 from core.observation import Inspection
 from core.surrogate.driven import Driven
 from service.ports import BladeRecord, Json, Progress
+from service.variant import effects_between
 
 
 def read_families(
@@ -92,7 +93,10 @@ def diagnosed(
     compare_h: float | None,
     progress: Progress,
 ) -> Json:
-    """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`)."""
+    """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`).
+
+    ``adds`` is what an effect that is claimed adds to the rotor's network (`service.variant`).
+    """
     total = STEPS + 3 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
@@ -133,4 +137,5 @@ def diagnosed(
             for one in held
             if not one.holds
         ]
-    return told
+    before, after = (one[0].network for one in (found.before, found.after))
+    return told | {"adds": effects_between(before, after) if claimed else None}

@@ -8,6 +8,7 @@ from hashlib import sha256
 
 from core.errors import CalibrationError
 from core.observation import Entry, Inspection
+from service.adopted import KINDS
 from service.ports import Event
 
 
@@ -48,6 +49,10 @@ def body_problem(event: Event) -> str | None:
             named = event.replaces if event.kind == "retraction" else event.blade
             if event.event_id != f"{event.kind}/{named}":
                 return f"it is called {event.event_id!r} and names {named!r}"
+        elif event.kind in KINDS:
+            digest = sha256(event.body.encode()).hexdigest()
+            if event.event_id != f"{event.kind}/{json.loads(event.body)['number']}":
+                return f"it is called {event.event_id!r}, its body says otherwise"
         else:
             return f"its kind, {event.kind!r}, is none that this release knows"
     except (ValueError, TypeError, KeyError, AttributeError) as error:

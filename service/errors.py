@@ -9,6 +9,7 @@
     ├── ConflictError         the same id with another content
     ├── NotYetError           an answer that a worker has yet to compute
     ├── GoneError             a version that is no longer kept
+    ├── AdoptionError         an effect that cannot go into a rotor's model, or out of it, as it is
     ├── PreconditionError     what a change depends on is not as the caller saw it
     ├── KeysMissingError      a server that would refuse every request
     ├── DamagedError          a stored part that is not what was written
@@ -79,6 +80,19 @@ class GoneError(BladetwinError):
             f"ask for {near}, the nearest that are kept; BLADETWIN_KEEP_VERSIONS keeps more"
         )
         super().__init__(f"{what} is no longer kept. To mend it: {self.remedy}.")
+
+
+class AdoptionError(BladetwinError):
+    """A diagnosis that cannot be adopted or backed out as things stand; nothing was changed."""
+
+    def __init__(self, diagnosis: str, verb: str, problem: str, remedy: str) -> None:
+        self.diagnosis = diagnosis
+        self.problem = problem
+        self.remedy = remedy
+        super().__init__(
+            f"diagnosis {diagnosis} cannot be {verb}: {problem}; nothing was changed. "
+            f"To mend it: {remedy}."
+        )
 
 
 class DamagedError(BladetwinError):

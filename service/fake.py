@@ -184,6 +184,7 @@ class FakeScience:
             "readings": {"delivered": len(readings), "used": len(readings)},
             "models": {"before": card.digest, "after": card.digest},
             "before_after": None,
+            "adds": None,
         }
 
     def update(

@@ -24,6 +24,7 @@ Json = dict[str, Any]
 Get = Callable[[str], Array]
 NoiseFrom = Literal["readings", "prior"]
 Progress = Callable[[str, int, int], None]
+Adopt = Literal["never", "effect"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,8 +231,10 @@ class BladeRecord:
 class RotorRecord:
     """A rotor with its place in the log and its worker's cursor.
 
-    network   what it varies of the model's network (`service.variant`); None: nothing
+    network   what it varied of the model's network when it was created (`service.variant`); None:
+              nothing. What it has now is told by its log (`service.adopted`)
     origin    the id under which its random numbers are drawn, where it was imported under another
+    adopt     whether a diagnosis that names an effect is adopted by itself: ``never`` or ``effect``
     """
 
     id: str
@@ -244,6 +247,7 @@ class RotorRecord:
     created_at: float
     network: Json | None = None
     origin: str | None = None
+    adopt: Adopt = "never"
     applied_seq: int = 0
     version: int = 0
     dirty: bool = True
@@ -407,6 +411,10 @@ class Log(Protocol):
     def free(self, rotor_id: str) -> None: ...
     def find(self, rotor_id: str, event_id: str) -> Event | None: ...
     def page(self, rotor_id: str, kind: str, after: int, limit: int) -> list[Event]: ...
+    def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
+        """Entries after one that adopt effects or back them out (`service.adopted`)."""
+        ...
+
     def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]: ...
     def entries(self, rotor_id: str, after: int, through: int, limit: int) -> list[Event]: ...
     def restore(self, rotor_id: str, events: Sequence[Event]) -> None:

@@ -5,10 +5,13 @@ A rotor may ask for a variant of its model's network, in the words of `core.netw
     {"quantities": {"elongation": {"discrepancy": {"kind": "constant", "sd": 0.02},
                                    "by_instrument": true}},
      "parameters": {"tbc_thickness": {"population": {"mean": {…}, "sd": {…}}}},
-     "forgetting_h": 20000}
+     "forgetting_h": 20000,
+     "effects": {"parameters": […], "drifts": […], "biases": […]}}
 
-What is not asked for stays as the model declares it. Beside the network's own checks, numbers that
-no reading or blade can have are refused: a state would overflow on them, or not be trusted.
+`effects` come from diagnoses that were adopted (`service.adopted`), as `core.network` writes them;
+they go on top of everything else, in the order of their adoption. What is not asked for stays as
+the model declares it. Beside the network's own checks, numbers that no reading or blade can have
+are refused: a state would overflow on them, or not be trusted.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from service.errors import FaultsError
 from service.ports import BladeRecord, Json
 
 HALVINGS = 100  # of a reading's weight over the model's hours, at most
+EFFECTS = ("parameters", "drifts", "biases")
 NARROWEST, WIDEST = 1e-4, 10.0  # population sd, in widths of the parameter's range
 
 
@@ -61,6 +65,8 @@ def vary(network: Network, horizon_h: float, asked: Json) -> Network:
     ]
     if "forgetting_h" in asked:
         steps.append(partial(_forgetting, horizon_h=horizon_h, half_life_h=asked["forgetting_h"]))
+    if "effects" in asked:
+        steps.append(partial(_with_effects, told=asked["effects"]))
     faults: list[InputError] = []
     for step in steps:
         try:
@@ -148,6 +154,50 @@ def _forgetting(network: Network, horizon_h: float, half_life_h: float) -> Netwo
                 f"give {least:g} h or more",
             )
     return network
+
+
+def _with_effects(network: Network, told: Json) -> Network:
+    """Drifts and biases with their amplitudes; a parameter that was dormant is woken in place."""
+    with named("network.effects"):
+        body = network.to_json()
+        asleep = {p.name for p in network.of_level("dormant")}
+        given = told.get("parameters", [])
+        woken = {p.get("name"): p for p in given if p.get("name") in asleep}
+        more = {name: [*body.get(name, []), *told.get(name, [])] for name in EFFECTS}
+        more["parameters"] = [
+            *(woken.get(p["name"], p) for p in body["parameters"]),
+            *(p for p in given if p.get("name") not in woken),
+        ]
+        return Network.from_json(body | more)
+
+
+def effects_between(before: Network, after: Network) -> Json:
+    """What a network has more than another one that it was made from, as `effects` tell it.
+
+    Raises InputError where it is not the other one and effects on top.
+    """
+    told, more = before.to_json(), after.to_json()
+    found = {
+        name: [one for one in more.get(name, []) if one not in told.get(name, [])]
+        for name in EFFECTS
+    }
+    if _with_effects(before, found) != after:
+        what = "is not the other network with effects on top"
+        raise InputError("network", after.name, what, "give the network that it was made from")
+    return found
+
+
+def with_more(asked: Json | None, effects: Json) -> Json:
+    """What a rotor asks for, and these effects on top.
+
+    >>> with_more(None, {"biases": [1]})["effects"]["biases"]
+    [1]
+    >>> with_more({"effects": {"biases": [1]}}, {"biases": [2]})["effects"]["biases"]
+    [1, 2]
+    """
+    own: Json = asked or {}
+    there = own.get("effects", {})
+    return {**own, "effects": {n: [*there.get(n, []), *effects.get(n, [])] for n in EFFECTS}}
 
 
 def check_known(network: Network, blades: Sequence[tuple[str, BladeRecord]]) -> None:

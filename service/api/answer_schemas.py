@@ -73,6 +73,7 @@ MADE = {
     "particles": WHOLE,
     "seed": WHOLE,
     "network": maybe(ANY),
+    "adopt": {"enum": ["never", "effect"]},
     "created_at": TEXT,
 }
 STANDING = MADE | {
@@ -173,7 +174,21 @@ JOB = having(
     finished_at=maybe(TEXT),
 )
 VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]}
+ADOPTION = having(
+    rotor=TEXT,
+    diagnosis=TEXT,
+    what={"enum": ["adoption", "back-out"]},
+    seq=WHOLE,
+    effects=each(ANY),
+    models=having(before=TEXT, after=TEXT),
+    networks=having(before=maybe(ANY), after=maybe(ANY)),
+    readings_since=maybe(WHOLE),
+    unasked=YES,
+    posted_by=maybe(TEXT),
+    at=TEXT,
+)
 FOUND = having(
+    ("adds", "not_adopted"),
     verdict=VERDICT,
     names=each(TEXT),
     reasons=each(TEXT),
@@ -191,6 +206,8 @@ FOUND = having(
     readings=having(delivered=WHOLE, used=WHOLE),
     models=having(before=TEXT, after=TEXT),
     before_after=maybe(ANY),
+    adds=maybe(having(parameters=each(ANY), drifts=each(ANY), biases=each(ANY))),
+    not_adopted=TEXT,
     rests_on=having(
         rotor=TEXT,
         through_seq=WHOLE,
@@ -213,7 +230,7 @@ DIAGNOSIS_LISTED = {
     "created_at": TEXT,
     "finished_at": maybe(TEXT),
 }
-DIAGNOSIS = having(**DIAGNOSIS_LISTED, result=maybe(FOUND))
+DIAGNOSIS = having(**DIAGNOSIS_LISTED, result=maybe(FOUND), adoption=maybe(ADOPTION))
 MODEL = having(
     id=TEXT,
     version=TEXT,
@@ -254,7 +271,11 @@ ANSWERS: dict[str, Json] = {
     "GET /v1/rotors": paged(having(**STANDING)),
     "POST /v1/rotors": having(**MADE, blades=each(BLADE)),
     f"GET {ROTOR}": having(
-        **STANDING, blades=each(BLADE), posterior=maybe(POSTERIOR_OF_ROTOR), health=maybe(HEALTH)
+        **STANDING,
+        blades=each(BLADE),
+        posterior=maybe(POSTERIOR_OF_ROTOR),
+        health=maybe(HEALTH),
+        effects=each(ANY),
     ),
     f"POST {ROTOR}/retry": having(**STANDING),
     f"POST {ROTOR}/blades": ACCEPTED,
@@ -272,5 +293,8 @@ ANSWERS: dict[str, Json] = {
     ),
     f"GET {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
     f"DELETE {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
+    f"POST {ROTOR}/diagnoses/{{d}}/adoption": having(adoption=ADOPTION, head_seq=WHOLE),
+    f"DELETE {ROTOR}/diagnoses/{{d}}/adoption": having(adoption=ADOPTION, head_seq=WHOLE),
+    f"GET {ROTOR}/adoptions": paged(ADOPTION),
     "GET /v1/audit": paged(AUDIT),
 }

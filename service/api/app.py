@@ -16,6 +16,7 @@ from service.api.layers import add_layers
 from service.api.loopback import keys_required
 from service.api.metrics import Requests
 from service.api.routers import (
+    adoptions,
     audit,
     diagnoses,
     events,
@@ -88,7 +89,8 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     app.state.revisions = revisions
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
-    for module in (system, models, rotors, inspections, reads, events, diagnoses, audit):
+    known = (system, models, rotors, inspections, reads, events, diagnoses, adoptions, audit)
+    for module in known:
         app.include_router(module.router)
     problems.install(app)
     add_layers(app, services, app.state.requests)

@@ -21,6 +21,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from core.errors import InputError, ModelError
 from service.api.visit import visit_of
 from service.errors import (
+    AdoptionError,
     ConflictError,
     DamagedError,
     FaultsError,
@@ -173,6 +174,11 @@ async def _conflict(request: Request, error: Any) -> JSONResponse:
     return problem(request, 409, "conflict", str(error), faults)
 
 
+async def _not_adoptable(request: Request, error: Any) -> JSONResponse:
+    faults = [fault("diagnosis", error.diagnosis, error.problem, error.remedy)]
+    return problem(request, 409, "not-adoptable", str(error), faults)
+
+
 async def _not_yet(request: Request, error: Any) -> JSONResponse:
     faults = [fault("version", None, "is not computed yet", error.remedy)]
     return problem(request, 409, "not-yet", str(error), faults, {"Retry-After": "1"})
@@ -228,6 +234,7 @@ HANDLERS = {
     RequestValidationError: _malformed,
     NotFoundError: _missing,
     ConflictError: _conflict,
+    AdoptionError: _not_adoptable,
     NotYetError: _not_yet,
     GoneError: _gone,
     PreconditionError: _moved_on,

@@ -20,6 +20,7 @@ def rotor_out(rotor: RotorRecord) -> dict[str, Any]:
         "particles": rotor.particles,
         "seed": rotor.seed,
         "network": rotor.network,
+        "adopt": rotor.adopt,
         "origin": rotor.origin,
         "created_at": moment(rotor.created_at),
         "head_seq": rotor.head_seq,
@@ -51,4 +52,6 @@ def view_out(view: RotorView) -> dict[str, Any]:
         "blades": [blade_out(blade) for blade in view.blades],
         "posterior": posterior,
         "health": state and health(state),
+        "network": view.adopted.network,
+        "effects": view.adopted.effects,
     }

@@ -9,7 +9,7 @@ from pydantic.config import JsonValue
 
 from core.network import Kind
 from service.api.schemas import Body, Id, Moment, Text
-from service.ports import BladeRecord, Json
+from service.ports import Adopt, BladeRecord, Json
 
 SHARPEST, BLUNTEST = 1e-3, 1e3  # sd of a normal prior, in widths of its interval
 Positive = Annotated[FiniteFloat, Field(gt=0)]
@@ -140,6 +140,7 @@ class RotorIn(Body):
     particles: Annotated[int, Field(ge=16, le=1_000_000)] | None = None
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     network: NetworkIn | None = None
+    adopt: Adopt = "never"
 
     def asked_network(self) -> Json | None:
         """What the rotor varies, without what it leaves out; None: nothing."""

@@ -57,6 +57,9 @@ RULES: dict[str, Rule] = {
     f"POST {ROTOR}/diagnoses": Rule("operate"),
     f"GET {ROTOR}/diagnoses/{{d}}": Rule("read"),
     f"DELETE {ROTOR}/diagnoses/{{d}}": Rule("operate"),
+    f"POST {ROTOR}/diagnoses/{{d}}/adoption": Rule("operate"),
+    f"DELETE {ROTOR}/diagnoses/{{d}}/adoption": Rule("operate"),
+    f"GET {ROTOR}/adoptions": Rule("read"),
     "GET /v1/audit": Rule("operate", beyond=True),
 }
 

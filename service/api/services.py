@@ -49,6 +49,7 @@ Wired = Annotated[Services, Depends(services_of)]
 Seen = Annotated[tuple[str, ...] | None, Depends(rotors_of)]
 Name = Annotated[str, Path(max_length=100, pattern=ID_PATTERN)]
 Limit = Annotated[int | None, Query(ge=1, le=2**31)]
+Number = Annotated[int | None, Query(ge=0, lt=2**62)]
 Cursor = Annotated[str | None, Query(max_length=100, pattern=ID_PATTERN)]
 
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Sequence
 
 from core.errors import RangeError
+from service.adopted import adopted_at
 from service.errors import NotFoundError
 from service.ports import JobRecord, Json, ModelCard, Science, Store, Transaction
 
@@ -43,8 +44,9 @@ def request_diagnosis(
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
+        network = adopted_at(tx, rotor).network
     if families:
-        science.check_families(science.vary(card, rotor.network), families)
+        science.check_families(science.vary(card, network), families)
     asked = {
         "families": list(families),
         "compare": compare,
@@ -77,19 +79,20 @@ def list_diagnoses(store: Store, rotor_id: str, before: str | None, limit: int) 
 def find_diagnosis(store: Store, rotor_id: str, diagnosis: str) -> JobRecord:
     """A diagnosis and how far it is."""
     with store.read() as tx:
-        return _found(tx, rotor_id, diagnosis)
+        return found_in(tx, rotor_id, diagnosis)
 
 
 def cancel_diagnosis(store: Store, rotor_id: str, diagnosis: str) -> JobRecord:
     """End a diagnosis that is queued or running; one that has ended stays as it is."""
     with store.write() as tx:
         tx.log.lock(rotor_id)
-        _found(tx, rotor_id, diagnosis)
+        found_in(tx, rotor_id, diagnosis)
         tx.records.cancel_job(diagnosis)
         return tx.records.job(diagnosis)
 
 
-def _found(tx: Transaction, rotor_id: str, diagnosis: str) -> JobRecord:
+def found_in(tx: Transaction, rotor_id: str, diagnosis: str) -> JobRecord:
+    """A diagnosis of this rotor."""
     tx.records.rotor(rotor_id)
     remedy = f"GET /v1/rotors/{rotor_id}/diagnoses lists those of the rotor"
     try:

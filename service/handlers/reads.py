@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from core.errors import InputError, RangeError
+from service.adopted import adopted_at
 from service.errors import FaultsError, NotFoundError, NotYetError
 from service.handlers.rotors import state_of
 from service.ports import (
@@ -81,6 +82,7 @@ def basis(
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
         state = state_of(tx, rotor_id, which)
         card = tx.records.model(rotor.model_id, state.model_version)
+        network = adopted_at(tx, rotor, state.through_seq).network
     if found is not None and found.added_seq > state.through_seq:
         if not which.newest:
             remedy = f"it joined with entry {found.added_seq}: ask for a later version"
@@ -89,7 +91,7 @@ def basis(
             f"blade {blade} in version {state.version} of rotor {rotor_id}",
             f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={found.added_seq}&timeout=30",
         )
-    return Basis(state, science.vary(card, rotor.network), found)
+    return Basis(state, science.vary(card, network), found)
 
 
 def posterior(store: Store, science: Science, found: Basis) -> Json:

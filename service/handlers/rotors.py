@@ -8,8 +8,10 @@ from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 
 from core.errors import InputError
+from service.adopted import Adopted, adopted_at
 from service.errors import ConflictError, FaultsError, NotFoundError
 from service.ports import (
+    Adopt,
     Appended,
     BladeRecord,
     Json,
@@ -29,11 +31,15 @@ NEWEST = Which()
 
 @dataclass(frozen=True, slots=True)
 class RotorView:
-    """A rotor as it stands: place in the log, blades and the newest posterior's record."""
+    """A rotor as it stands: place in the log, blades, the newest posterior's record.
+
+    adopted   the effects that are in the model of this posterior
+    """
 
     rotor: RotorRecord
     blades: tuple[BladeRecord, ...]
     state: StateRecord | None
+    adopted: Adopted
 
     def has_applied(self, seq: int) -> bool:
         """Every entry up to `seq` counts in the newest posterior."""
@@ -76,10 +82,12 @@ def digest_of_rotor(
     particles: int,
     seed: int,
     network: Json | None,
+    adopt: Adopt = "never",
 ) -> str:
     """What tells a repeated creation from another one; `blades` as at the creation, by id."""
     body = [rotor_id, model_id, [told_of(b) for b in blades], particles, seed]
-    return digest_of_json(body if network is None else [*body, network])[1]
+    told = [] if network is None and adopt == "never" else [network]
+    return digest_of_json([*body, *told, *([] if adopt == "never" else [adopt])])[1]
 
 
 def create_rotor(
@@ -90,10 +98,12 @@ def create_rotor(
     particles: int,
     seed: int,
     network: Json | None = None,
+    adopt: Adopt = "never",
 ) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool]:
     """A new rotor, or the one that is there with the same content; whether it is new.
 
     network   what it varies of the model's network, already checked (`check_network`)
+    adopt     whether a diagnosis that names an effect is adopted by itself
     """
     names = [blade.id for blade in blades]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -101,7 +111,7 @@ def create_rotor(
         fault = InputError("blades", twice, "are named twice", "give each blade its own id")
         raise FaultsError([fault])
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
-    digest = digest_of_rotor(rotor_id, model_id, ordered, particles, seed, network)
+    digest = digest_of_rotor(rotor_id, model_id, ordered, particles, seed, network, adopt)
     with store.write() as tx:
         card = _registered(tx, model_id)
         check_known(card.network, [(f"blades[{i}].", blade) for i, blade in enumerate(blades)])
@@ -115,6 +125,7 @@ def create_rotor(
             digest=digest,
             created_at=0.0,
             network=network,
+            adopt=adopt,
         )
         new = tx.records.put_rotor(rotor, ordered)
         stored = tx.records.rotor(rotor_id)
@@ -131,7 +142,8 @@ def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
         rotor = tx.records.rotor(rotor_id)
         blades = tuple(tx.records.blades(rotor_id))
         state = state_of(tx, rotor_id, which)
-    return RotorView(rotor, tuple(blades_at(blades, state.through_seq)), state)
+        adopted = adopted_at(tx, rotor, state.through_seq)
+    return RotorView(rotor, tuple(blades_at(blades, state.through_seq)), state, adopted)
 
 
 def view_in(tx: Transaction, rotor_id: str) -> RotorView:
@@ -139,7 +151,8 @@ def view_in(tx: Transaction, rotor_id: str) -> RotorView:
     rotor = tx.records.rotor(rotor_id)
     blades = tuple(tx.records.blades(rotor_id))
     state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
-    return RotorView(rotor, blades, state)
+    through = 0 if state is None else state.through_seq
+    return RotorView(rotor, blades, state, adopted_at(tx, rotor, through))
 
 
 def state_of(tx: Transaction, rotor_id: str, which: Which) -> StateRecord:

@@ -63,13 +63,16 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
         seed=rotor.seed,
         network=rotor.network,
         origin=rotor.origin,
+        adopt=rotor.adopt,
         digest=rotor.digest,
     )
     model = {"id": card.id, "version": card.version, "digest": card.digest}
     facts: Json = {"release": release, "rotor": rotor.id, "model": model, "head_seq": head}
     log = (_told_entry(event) for event in _entries(store, rotor_id, head))
     present = (asdict(blade) for blade in blades)
-    return bundle.write(path, facts | {"state": state}, line.model_dump(), present, log)
+    return bundle.write(
+        path, facts | {"state": state}, line.model_dump(exclude_defaults=True), present, log
+    )
 
 
 def _newest_sealed(tx: Transaction, rotor_id: str) -> Json | None:
@@ -140,11 +143,13 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
         card = _registered(store, science, told)
         varied = science.vary(card, told.network)
         blades = read_blades(file, told, varied)
-        count = checked_log(file, blades, varied)
+        asked = lambda network: science.vary(card, network)  # noqa: E731
+        count = checked_log(file, blades, varied, told.network, asked)
         name = told.id if as_id is None else _named(as_id)
         origin = told.origin or told.id
         first = [replace(b, retired_seq=None) for b in blades if b.added_seq == 0]
-        digest = digest_of_rotor(name, told.model, first, told.particles, told.seed, told.network)
+        asks = (told.network, told.adopt)
+        digest = digest_of_rotor(name, told.model, first, told.particles, told.seed, *asks)
         record = RotorRecord(
             name,
             told.model,
@@ -155,6 +160,7 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
             digest=digest,
             created_at=0.0,
             network=told.network,
+            adopt=told.adopt,
             origin=None if origin == name else origin,
         )
         with store.write() as tx:

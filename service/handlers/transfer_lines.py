@@ -7,19 +7,20 @@ the log's own entries give, readings that the model can use, numbers without a g
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints, ValidationError
 
-from core.errors import InputError
+from core.errors import BladetwinError, InputError
 from core.observation import Inspection, check
+from service.adopted import KINDS, Adopted
 from service.bundle import Bundle, BundleError
 from service.entries import body_problem
 from service.handlers.rotors import digest_of_json, digest_of_rotor, told_of
 from service.names import ID_PATTERN, TEXT_PATTERN
-from service.ports import BladeRecord, Event, Json, ModelCard
+from service.ports import Adopt, BladeRecord, Event, Json, ModelCard
 from service.variant import check_known
 
 Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
@@ -47,6 +48,7 @@ class RotorLine(Line):
     network: Json | None
     origin: Id | None
     digest: Name
+    adopt: Adopt = "never"
 
 
 class BladeLine(Line):
@@ -101,20 +103,35 @@ def read_blades(file: Bundle, told: RotorLine, card: ModelCard) -> list[BladeRec
         raise BundleError(file.path, "blades.jsonl is not ordered by id, or names a blade twice")
     check_known(card.network, [(f"blade {blade.id}: ", blade) for blade in blades])
     first = [replace(b, retired_seq=None) for b in blades if b.added_seq == 0]
-    made = digest_of_rotor(told.id, told.model, first, told.particles, told.seed, told.network)
+    asks = (told.network, told.adopt)
+    made = digest_of_rotor(told.id, told.model, first, told.particles, told.seed, *asks)
     if made != told.digest:
         raise BundleError(file.path, "rotor.json and blades.jsonl do not have the rotor's digest")
     return blades
 
 
-def checked_log(file: Bundle, blades: list[BladeRecord], card: ModelCard) -> int:
-    """The number of entries, each of which agrees with its digest and with what came before."""
+def checked_log(
+    file: Bundle,
+    blades: list[BladeRecord],
+    card: ModelCard,
+    network: Json | None,
+    vary: Callable[[Json | None], object],
+) -> int:
+    """The number of entries, each of which agrees with its digest and with what came before.
+
+    network   what the rotor was created with
+    vary      makes the model of another one, or raises what is wrong with it
+    """
+    adopted = Adopted(network)
     by_id = {blade.id: blade for blade in blades}
     seen: dict[str, str] = {}
     moved: set[tuple[str, str]] = set()
     count = 0
     for count, event in enumerate(read_events(file), 1):
-        problem = body_problem(event) or _unfit(event, by_id, seen, card)
+        if (problem := body_problem(event)) is None and event.kind in KINDS:
+            adopted, problem = _changed(adopted, event, vary)
+        elif problem is None:
+            problem = _unfit(event, by_id, seen, card)
         if event.seq != count:
             problem = f"it has number {event.seq}"
         if problem is not None:
@@ -127,6 +144,18 @@ def checked_log(file: Bundle, blades: list[BladeRecord], card: ModelCard) -> int
     if told != moved or count != file.manifest.get("head_seq"):
         raise BundleError(file.path, "blades.jsonl or the manifest does not agree with the log")
     return count
+
+
+def _changed(
+    adopted: Adopted, event: Event, vary: Callable[[Json | None], object]
+) -> tuple[Adopted, str | None]:
+    """What is in the model after an entry that adopts or backs out, and why it cannot stand."""
+    try:
+        after = adopted.after(event)
+        vary(after.network)
+    except (ValueError, KeyError, TypeError, BladetwinError) as error:
+        return adopted, f"{type(error).__name__}: {error}"
+    return after, None
 
 
 def _unfit(

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection, false, insert, or_, select, text, true, update
 
+from service.adopted import KINDS
 from service.errors import ConflictError, NotFoundError
 from service.ports import Appended, Event, NewEvent
 from service.store import tables as t
@@ -124,6 +125,15 @@ class SqlLog:
         query = (
             select(*COLUMNS)
             .where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind == kind, t.entry.c.seq > after)
+            .order_by(t.entry.c.seq)
+            .limit(limit)
+        )
+        return [Event(**row._mapping) for row in self._connection.execute(query)]
+
+    def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
+        query = (
+            select(*COLUMNS)
+            .where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind.in_(KINDS), t.entry.c.seq > after)
             .order_by(t.entry.c.seq)
             .limit(limit)
         )

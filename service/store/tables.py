@@ -15,7 +15,8 @@ ended there.
 `audit` has a row for each state-changing request and is never thinned; `first_answer` holds what
 requests with an Idempotency-Key were answered, until it expires.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
-its own. `cursor.outbox_dropped` is the newest note of the outbox that is no longer kept.
+its own; `rotor.adopt` says whether a diagnosis is adopted by itself. `cursor.outbox_dropped` is the
+newest note of the outbox that is no longer kept.
 """
 
 from __future__ import annotations
@@ -96,6 +97,7 @@ rotor = Table(
     Column("created_at", Double, nullable=False),
     Column("network", Text),
     Column("origin", NAME),
+    Column("adopt", String(20), nullable=False, server_default="never"),
     ForeignKeyConstraint(["model_id", "model_version"], ["model.id", "model.version"]),
 )
 
@@ -131,6 +133,7 @@ entry = Table(
     UniqueConstraint("rotor_id", "event_id"),
     Index("ix_event_rotor_id_replaces", "rotor_id", "replaces"),
     Index("ix_event_received", "rotor_id", "received_at", "seq"),
+    Index("ix_event_rotor_id_kind_seq", "rotor_id", "kind", "seq"),
 )
 
 cursor = Table(

@@ -12,6 +12,7 @@ from typing import Any
 
 from core.errors import InputError
 from core.observation import digest_of, effective
+from service.adopted import adopted_at
 from service.entries import entries_of
 from service.ports import Json, Progress, RotorSpec, Science
 from service.store.log import read_entries
@@ -32,6 +33,7 @@ def diagnose(
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         events = read_entries(tx.connection, rotor_id, 0, through)
+        network = adopted_at(tx, rotor, through).network
         blades = [b for b in tx.records.blades(rotor_id) if b.added_seq <= through]
     readings = effective(entries_of(events))
     if not readings:
@@ -41,10 +43,12 @@ def diagnose(
             f"count for rotor {rotor_id} through entry {through}",
             "post inspections, then ask for a diagnosis again",
         )
-    card = science.vary(card, rotor.network)
+    card = science.vary(card, network)
     particles = min(rotor.particles, MOST_PARTICLES)
     known = {b.id: b.known for b in blades if b.known is not None}
-    spec = RotorSpec(rotor.id, tuple(b.id for b in blades), particles, rotor.seed, known)
+    spec = RotorSpec(
+        rotor.origin or rotor.id, tuple(b.id for b in blades), particles, rotor.seed, known
+    )
     compare_h = float(request["horizon_h"]) if request["compare"] else None
     found = science.diagnose(card, spec, blades, readings, request["families"], compare_h, progress)
     rests_on = {

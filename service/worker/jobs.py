@@ -19,7 +19,8 @@ from time import monotonic
 from sqlalchemy import ColumnElement, Connection, Engine, or_, select, update
 
 from core.errors import BladetwinError, InputError
-from service.errors import LostLeaseError, NotFoundError, StoreAwayError
+from service.errors import AdoptionError, LostLeaseError, NotFoundError, StoreAwayError
+from service.handlers.adoptions import adopt_in
 from service.handlers.diagnoses import KIND as DIAGNOSE
 from service.ports import Json, Progress, Science
 from service.settings import Settings
@@ -32,8 +33,8 @@ from service.worker.lease import Role
 
 log = logging.getLogger("bladetwin.worker")
 c = t.job.c
-# What a job comes to, and what is written together with it.
-Outcome = tuple[Json, Callable[[SqlTransaction], None]]
+# Writes what a job comes to, in the transaction that ends it, and gives the job's result.
+Outcome = Callable[[SqlTransaction], Json]
 
 
 class StoppedError(BladetwinError):
@@ -146,9 +147,9 @@ class Jobs:
                     "worker that survives job", lease.id, "see the log of the workers"
                 )
             with self.heartbeats(lease):
-                result, write = self.work(lease)
+                write = self.work(lease)
             with self.store.write() as tx:
-                write(tx)
+                result = write(tx)
                 _close(
                     tx.connection,
                     lease,
@@ -171,12 +172,34 @@ class Jobs:
         if lease.kind == "register-model":
             card = self.science.builtin(lease.request["builtin"])
             result = {"model": card.id, "version": card.version, "digest": card.digest}
-            return result, lambda tx: tx.records.put_model(card, lease.request)
+
+            def register(tx: SqlTransaction) -> Json:
+                tx.records.put_model(card, lease.request)
+                return result
+
+            return register
         if lease.kind == DIAGNOSE and lease.rotor_id is not None:
             told = self.progress(lease)
             found = diagnose(self.store, self.science, lease.rotor_id, lease.request, told)
-            return found, lambda tx: None
+            return lambda tx: self.concluded(tx, lease, found)
         raise NotFoundError("kind of job", lease.kind, "run a worker of the release that wrote it")
+
+    def concluded(self, tx: SqlTransaction, lease: JobLease, found: Json) -> Json:
+        """The result of a diagnosis; adopted with it where the rotor says so and nothing forbids.
+
+        What forbids it stands in the result, as ``not_adopted``.
+        """
+        assert lease.rotor_id is not None
+        tx.log.lock(lease.rotor_id)
+        option = tx.records.rotor(lease.rotor_id).adopt
+        if option != "effect" or found["verdict"] != "effect":
+            return found
+        try:
+            adopt_in(tx, self.science, tx.records.job(lease.id), found, unasked=True)
+        except AdoptionError as error:
+            log.warning("%s", error)
+            return found | {"not_adopted": str(error)}
+        return found
 
     def progress(self, lease: JobLease) -> Progress:
         """Writes each step with the time left, judged by the steps before, and ends a lost job."""

@@ -11,6 +11,10 @@ sealing worker's commit is one that came too late. But a stream without a pause 
 for ever: a rotor that has been provisional for `overdue_s` is sealed before anything more is
 applied, as far as it was applied, and what comes meanwhile waits for that one sealing.
 
+A rotor whose model changes (an entry that adopts effects or backs them out, `service.adopted`) is
+computed anew from its whole log, which takes as long as a sealing: that is the sealer's work, and
+entries that come with it or after it are applied with it. Nothing is claimed over it.
+
 A rotor is also claimed by name, to rebuild what was damaged (`claim_rotor`): under the same fence,
 and never from a worker whose lease still runs.
 
@@ -30,6 +34,7 @@ from sqlalchemy import (
     Engine,
     and_,
     case,
+    exists,
     false,
     func,
     insert,
@@ -40,6 +45,7 @@ from sqlalchemy import (
     update,
 )
 
+from service.adopted import KINDS as CHANGES
 from service.errors import LostLeaseError
 from service.store import tables as t
 from service.store.engine import now_s, transaction
@@ -47,11 +53,11 @@ from service.store.log import lock_rotor, notify
 
 c = t.cursor.c
 Role = Literal["all", "apply", "seal", "diagnose"]
-Kind = Literal["late", "apply", "quiet"]
+Kind = Literal["late", "apply", "model", "quiet"]
 KINDS: dict[Role, tuple[Kind, ...]] = {
-    "all": ("late", "apply", "quiet"),
+    "all": ("late", "apply", "model", "quiet"),
     "apply": ("apply",),
-    "seal": ("late", "quiet"),
+    "seal": ("late", "model", "quiet"),
     "diagnose": (),
 }
 FOREVER = 1e12  # s
@@ -76,6 +82,12 @@ def pending() -> ColumnElement[bool]:
     return or_(c.version == 0, c.applied_seq < head)
 
 
+def remodelled() -> ColumnElement[bool]:
+    """An entry that is not applied yet changes the model."""
+    e = t.entry.c
+    return exists().where(e.rotor_id == c.rotor_id, e.kind.in_(CHANGES), e.seq > c.applied_seq)
+
+
 def overdue(overdue_s: float) -> ColumnElement[bool]:
     """The rotor has been provisional for too long."""
     return and_(c.provisional_since.is_not(None), c.provisional_since <= now_s() - overdue_s)
@@ -97,7 +109,10 @@ def claimable(kind: Kind, *, quiet_s: float, overdue_s: float) -> ColumnElement[
     late = overdue(overdue_s)
     due = {
         "late": and_(late, free),
-        "apply": and_(pending(), or_(free, and_(c.sealing == true(), not_(late)))),
+        "apply": and_(
+            pending(), not_(remodelled()), or_(free, and_(c.sealing == true(), not_(late)))
+        ),
+        "model": and_(remodelled(), free),
         "quiet": and_(not_(pending()), free, c.dirty_since <= now_s() - quiet_s),
     }[kind]
     rested = or_(c.not_before.is_(None), c.not_before <= now_s())
@@ -135,7 +150,7 @@ def claim(
     """
     for kind in KINDS[role]:
         due = claimable(kind, quiet_s=quiet_s, overdue_s=min(overdue_s, FOREVER))
-        lease = _claim(engine, owner, lease_s, kind != "apply", due)
+        lease = _claim(engine, owner, lease_s, kind in ("late", "quiet"), due)
         if lease is not None:
             return lease
     return None

@@ -23,6 +23,7 @@ from sqlalchemy import Connection, Row, delete, insert, select, update
 from core.digest import state_digest
 from core.errors import ModelError
 from core.observation import effective
+from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError, HeldError, NotFoundError
 from service.ports import Json, RotorState, Science
@@ -62,8 +63,9 @@ def from_log(store: SqlStore, science: Science, rotor_id: str, through: int) -> 
         card = tx.records.model(rotor.model_id, rotor.model_version)
         events = read_entries(tx.connection, rotor_id, 0, through)
         spec = spec_of(tx, rotor, through)
+        network = adopted_at(tx, rotor, through).network
     readings = effective(entries_of(events))
-    varied = science.vary(card, rotor.network)
+    varied = science.vary(card, network)
     state: RotorState = science.update(varied, spec, readings, None, quick=False)
     arrays = {name: encode(array) for name, array in state.arrays.items()}
     return Replayed(through, dict(state.meta), arrays)

@@ -24,6 +24,7 @@ from sqlalchemy import Engine
 from core.digest import state_digest
 from core.errors import CalibrationError
 from core.observation import Entry, effective
+from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError, LostLeaseError
 from service.ports import (
@@ -172,9 +173,10 @@ class Updater:
             through = lease.applied_seq if lease.sealing else rotor.head_seq
             fresh = read_entries(tx.connection, rotor.id, memory.through, through)
             spec = spec_of(tx, rotor, through)
+            network = adopted_at(tx, rotor, through).network
         readings = entries_of(fresh)
         return Task(
-            card=self.science.vary(card, rotor.network),
+            card=self.science.vary(card, network),
             spec=spec,
             through=through,
             entries=memory.entries + readings,
@@ -210,8 +212,9 @@ class Updater:
             entries = entries_of(read_entries(tx.connection, rotor.id, 0, through))
             spec = spec_of(tx, rotor, through)
             names = digests(tx.connection, rotor.id)
+            network = adopted_at(tx, rotor, through).network
         memory = Memory(lease.version, through, None, names, entries, anew=True)
-        varied = self.science.vary(card, rotor.network)
+        varied = self.science.vary(card, network)
         return Task(varied, spec, through, entries, 0, memory)
 
     def compute(self, task: Task, *, quick: bool) -> RotorState:

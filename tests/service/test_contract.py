@@ -30,6 +30,8 @@ from service.api.routers import rotors
 from service.bootstrap import make_worker
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
+from tests.service.adopting import Offsets
+from tests.service.test_adoption import OFF, visits
 
 Json = dict[str, Any]
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
@@ -49,6 +51,12 @@ def database_url(tmp_path: Any, sqlite_template: Any) -> str:
     """The document is the same on both databases; SQLite is the quicker one."""
     shutil.copy(sqlite_template, tmp_path / "bladetwin.db")
     return f"sqlite:///{tmp_path / 'bladetwin.db'}"
+
+
+@pytest.fixture
+def science() -> Offsets:
+    """The twin that names effects, so that some can be adopted."""
+    return Offsets()
 
 
 def fitted(label: str, body: Any) -> Any:
@@ -119,13 +127,19 @@ def send(
 
 
 def test_the_document_is_kept_where_no_key_is_needed(
-    serving: Serving, rotor: str, worker: Worker, store: SqlStore
+    serving: Serving,
+    rotor: str,
+    worker: Worker,
+    store: SqlStore,
+    post: Callable[..., int],
+    reading: Callable[..., Any],
 ) -> None:
+    through = post(rotor, *visits(reading, OFF))
     worker.drain()
     with serving() as client:
         client.post("/v1/rotors/r1/inspections", json=READING)
         worker.drain()
-        request = {"families": [], "compare": True, "horizon_h": 5e4, "through_seq": 1}
+        request = {"families": [], "compare": True, "horizon_h": 5e4, "through_seq": through}
         with store.write() as tx:
             tx.records.put_job("d1", "diagnose", request, "r1")
         make_worker(store, worker.science, worker.settings, "d", "diagnose").drain()

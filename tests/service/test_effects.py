@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from core.builtin import creep_specimens
+from core.diagnosis import FAMILIES, Facts
+from core.diagnosis.adopt import with_effects
+from core.diagnosis.grammar import Cell
 from core.errors import InputError
+from core.model import Model, rotor_blade
 from core.observation import Inspection
+from core.prior import Prior
 from service.bootstrap import make_worker
 from service.diagnose_command import lines_of
+from service.errors import FaultsError
+from service.handlers import reads
+from service.handlers.adoptions import adopt, back_out
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
-from service.handlers.rotors import create_rotor
-from service.ports import BladeRecord, Json
+from service.handlers.rotors import create_rotor, view_rotor
+from service.ports import BladeRecord, Json, Which
+from service.science import CoreScience
 from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.unit_of_work import SqlStore
+from service.variant import effects_between, vary, with_more
 from tests.service.smooth import elongation, formula_science
 from tests.service.test_diagnoses import FAMILY
 
@@ -106,6 +119,68 @@ def test_the_same_blades_without_the_offset_are_adequate(
     assert found["p"] > 0.05
 
 
+def test_adopted_by_the_real_science_the_worker_s_model_is_the_diagnosed_one_and_backs_out(
+    fleet: SqlStore, settings: Settings
+) -> None:
+    """Another process, which knows the database alone, builds the model with the offset in it."""
+    post_inspections(fleet, "r1", visits(5.0))
+    make_worker(fleet, formula_science(), settings).drain()
+    before = view_rotor(fleet, "r1").state
+    job, _ = request_diagnosis(fleet, formula_science(), "r1", (), compare=False, horizon_h=None)
+    make_worker(fleet, formula_science(), settings, "d", "diagnose").drain()
+    change = adopt(fleet, formula_science(), "r1", job.id)
+    make_worker(fleet, formula_science(), settings).drain()
+    after = view_rotor(fleet, "r1").state
+    assert before is not None
+    assert after is not None
+    assert after.sealed
+    assert before.meta["model"] == change.body["models"]["before"]
+    assert after.meta["model"] == change.body["models"]["after"] != before.meta["model"]
+    assert after.meta["log_evidence"] > before.meta["log_evidence"] + 5
+    found = reads.basis(fleet, formula_science(), "r1", Which())
+    told = reads.posterior(fleet, formula_science(), found)["parameters"]
+    size = told["campaign offset (campaign visit 1)"]
+    assert abs(size["mean"] - 5 * NOISE) < 3 * size["sd"] < 3 * NOISE
+    back_out(fleet, formula_science(), "r1", job.id)
+    make_worker(fleet, formula_science(), settings).drain()
+    again = view_rotor(fleet, "r1").state
+    assert again is not None
+    assert again.digest == before.digest
+
+
+def test_effects_through_the_creep_are_the_same_model_after_a_journey_as_json() -> None:
+    """Wear of a lot by the blade's hours, and fouling by the rotor's, on the shipped surrogate."""
+    base = rotor_blade()
+    box = {"tbc_thickness": (1.0, 1.3), "t1t_rate": (0.85, 0.95)}
+    narrow = replace(
+        base.network,
+        parameters=tuple(
+            replace(p, prior=Prior("uniform", *box[p.name])) if p.name in box else p
+            for p in base.network.parameters
+        ),
+    )
+    before = Model.of(narrow, base.surrogate)
+    families = {f.name: f for f in FAMILIES}
+    facts = {
+        "B1": Facts(coating_lot="C1"),
+        "B2": Facts(coating_lot="C2"),
+        "B3": Facts(coating_lot="C2", offset_h=8000.0),
+    }
+    worn = Cell(families["coating wear"], "linear", "coating_lot", "C2")
+    fouled = Cell(families["fouling"], "early", "all")
+    after = with_effects(before, [worn, fouled], facts, {})
+    science = CoreScience(model=before)
+    card = science.builtin("rotor-blade")
+    told = with_more(None, effects_between(before.network, after.network))
+    varied = science.vary(card, json.loads(json.dumps(told)))
+    assert varied.digest == after.digest != card.digest
+    assert {d.blades for d in varied.network.drifts} == {("B2", "B3"), None}
+    told["effects"]["drifts"][0]["blades"] = ["B2"]
+    assert science.vary(card, told).digest != after.digest, "the negative control"
+    with pytest.raises(InputError, match="effects on top"):
+        effects_between(after.network, before.network)
+
+
 def test_a_family_of_an_input_that_the_model_has_not_is_refused_before_anything_is_queued(
     fleet: SqlStore,
 ) -> None:
@@ -118,3 +193,20 @@ def test_a_family_of_an_input_that_the_model_has_not_is_refused_before_anything_
         with pytest.raises(InputError, match=at):
             request_diagnosis(fleet, science, "r1", families, compare=True, horizon_h=None)
     assert request_diagnosis(fleet, science, "r1", [worn], compare=True, horizon_h=None)[1]
+
+
+def test_a_dormant_input_that_woke_is_told_and_woken_again_in_its_place() -> None:
+    before = creep_specimens.network()
+    after = creep_specimens.freed(before, {"tertiary": "shared"})
+    told = effects_between(before, after)
+    assert [(p["name"], p["level"]) for p in told["parameters"]] == [("tertiary", "shared")]
+    assert (told["drifts"], told["biases"]) == ([], [])
+    assert vary(before, creep_specimens.HORIZON_H, {"effects": told}) == after
+
+
+def test_only_what_was_dormant_can_wake() -> None:
+    before = creep_specimens.network()
+    awake = replace(before.parameter("n"), prior=Prior("uniform", 2.0, 3.0))
+    told = {"parameters": [asdict(awake)]}
+    with pytest.raises(FaultsError, match=r"network\.effects"):
+        vary(before, creep_specimens.HORIZON_H, {"effects": told})

@@ -8,9 +8,11 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import ConfigDict, Field, FiniteFloat, StringConstraints
 
+from service.api.routers.adoptions import adoption_out
 from service.api.schemas import Body, Id
-from service.api.services import Cursor, Limit, Name, Wired, moment, page, page_size
+from service.api.services import Cursor, Limit, Name, Services, Wired, moment, page, page_size
 from service.handlers import diagnoses as use
+from service.handlers.adoptions import standing
 from service.ports import JobRecord
 
 router = APIRouter(prefix="/v1/rotors/{r}/diagnoses", tags=["diagnoses"])
@@ -85,6 +87,14 @@ def diagnosis_out(job: JobRecord) -> dict[str, Any]:
     }
 
 
+def whole(services: Services, job: JobRecord) -> dict[str, Any]:
+    """A diagnosis with the last entry of the log that adopted it or backed it out."""
+    assert job.rotor_id is not None
+    change = standing(services.store, job.rotor_id, job.id)
+    adoption = None if change is None else adoption_out(job.rotor_id, change)
+    return diagnosis_out(job) | {"adoption": adoption}
+
+
 @router.post("", status_code=202, summary="Look for effects that the model lacks")
 def post_diagnosis(r: Name, services: Wired, body: DiagnosisIn | None = None) -> JSONResponse:
     asked = body or DiagnosisIn()
@@ -98,7 +108,7 @@ def post_diagnosis(r: Name, services: Wired, body: DiagnosisIn | None = None) ->
     )
     headers = {"Location": f"/v1/rotors/{r}/diagnoses/{job.id}"}
     headers |= {} if new else {"Idempotent-Replayed": "true"}
-    return JSONResponse({"diagnosis": diagnosis_out(job)}, 202, headers=headers)
+    return JSONResponse({"diagnosis": whole(services, job)}, 202, headers=headers)
 
 
 @router.get("", summary="Diagnoses without their results, the newest first")
@@ -119,9 +129,9 @@ def listed(job: JobRecord) -> dict[str, Any]:
 
 @router.get("/{d}", summary="A diagnosis: how far it is, and what was found")
 def get_diagnosis(r: Name, d: Name, services: Wired) -> dict[str, Any]:
-    return diagnosis_out(use.find_diagnosis(services.store, r, d))
+    return whole(services, use.find_diagnosis(services.store, r, d))
 
 
 @router.delete("/{d}", summary="Cancel a diagnosis; one that has ended stays as it is")
 def delete_diagnosis(r: Name, d: Name, services: Wired) -> dict[str, Any]:
-    return diagnosis_out(use.cancel_diagnosis(services.store, r, d))
+    return whole(services, use.cancel_diagnosis(services.store, r, d))

@@ -48,6 +48,7 @@ def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
         services.settings.particles if body.particles is None else body.particles,
         body.seed,
         network,
+        body.adopt,
     )
     answer = {
         "id": rotor.id,
@@ -57,6 +58,7 @@ def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
         "particles": rotor.particles,
         "seed": rotor.seed,
         "network": rotor.network,
+        "adopt": rotor.adopt,
         "created_at": moment(rotor.created_at),
     }
     headers = {"Location": f"/v1/rotors/{rotor.id}"}

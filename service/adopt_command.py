@@ -1,0 +1,52 @@
+"""``bladetwin adopt``: what a diagnosis named, into a rotor's model or out of it, over HTTP."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import httpx
+import typer
+
+from service.client import Client
+from service.diagnose_command import AwayError
+
+
+def adopt(
+    rotor: Annotated[str, typer.Argument(help="The rotor.")],
+    diagnosis: Annotated[str, typer.Argument(help="The diagnosis, by its id.")],
+    out: Annotated[
+        bool, typer.Option("--back-out", help="Bring the network before the adoption back.")
+    ] = False,
+    wait: Annotated[
+        float, typer.Option(help="Wait so many seconds for the sealed posterior; 0: do not.")
+    ] = 0.0,
+    url: Annotated[str, typer.Option(help="The service.")] = "http://127.0.0.1:8000",
+    key: Annotated[str | None, typer.Option(help="An API key with read and operate.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Adopt the effect that a diagnosis named, or back it out; the posterior follows by itself."""
+    try:
+        with Client(url, key=key) as twin:
+            told = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
+            if wait > 0:
+                twin.wait_for(rotor, told["head_seq"], wait)
+                told["rotor"] = twin.wait_sealed(rotor, wait)
+    except httpx.TransportError as error:
+        raise AwayError(
+            f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."
+        ) from None
+    if as_json:
+        typer.echo(json.dumps(told))
+        return
+    one = told["adoption"]
+    what = "backed out" if one["what"] == "back-out" else "adopted"
+    typer.echo(f"rotor {rotor}: {what} with entry {one['seq']}")
+    for effect in one["effects"]:
+        size = effect["amplitude"]
+        typer.echo(f"  {effect['name']}: {size['mean']:.3g} ± {size['sd']:.2g} {size['of']}")
+    if one["readings_since"]:
+        typer.echo(f"  {one['readings_since']} readings came since the diagnosis")
+    if "rotor" in told:
+        version, digest = told["rotor"]["version"], told["rotor"]["posterior"]["state_digest"]
+        typer.echo(f"  sealed as version {version}: {digest[:16]}…")

@@ -1,0 +1,120 @@
+"""The exact twin with one effect that can be adopted: a campaign whose readings are off.
+
+`diagnose` names the campaign that lies farthest from the blades' lines, if the chi-square says that
+something is missing, and `update` takes the offset, as large as it was named, from its readings.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from core.course import Bias, Course
+from core.network import Network, Parameter
+from core.observation import Inspection, digest_of
+from core.prior import Prior
+from service.fake import FakeScience, FakeState
+from service.ports import BladeRecord, Json, ModelCard, Progress, RotorSpec
+from service.variant import effects_between, vary
+
+
+def digest(network: Network) -> str:
+    return hashlib.sha256(json.dumps(network.to_json()).encode()).hexdigest()
+
+
+def corrected(network: Network, readings: Sequence[Inspection]) -> list[Inspection]:
+    """The readings less the offsets that the network knows."""
+    return [
+        replace(r, values=r.values - sum(_offset(network, one, r) for one in network.biases))
+        for r in readings
+    ]
+
+
+def _offset(network: Network, one: Bias, reading: Inspection) -> float:
+    size = network.parameter(one.name).prior.mean
+    assert size is not None
+    return size * one.share(reading.time_h, reading.instrument, reading.campaign)
+
+
+class Offsets(FakeScience):
+    """The twin whose campaigns may read too much."""
+
+    def vary(self, card: ModelCard, asked: Json | None) -> ModelCard:
+        if asked is None:
+            return card
+        network = vary(card.network, card.horizon_h, asked)
+        return replace(card, network=network, digest=digest(network))
+
+    def update(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        readings: Sequence[Inspection],
+        previous: Any,
+        *,
+        quick: bool,
+    ) -> FakeState:
+        own = corrected(card.network, readings)
+        state = super().update(card, rotor, own, previous, quick=quick)
+        meta = {**state.meta, "events_digest": digest_of(readings), "model": card.digest}
+        return FakeState(meta, state.arrays)
+
+    def diagnose(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        facts: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        families: Sequence[Json],
+        compare_h: float | None,
+        progress: Progress,
+    ) -> Json:
+        own = corrected(card.network, readings)
+        found = super().diagnose(card, rotor, facts, own, families, compare_h, progress)
+        if found["verdict"] == "adequate":
+            return found
+        off = self._off(own)
+        campaign = max(off, key=lambda name: abs(off[name]))
+        name = f"campaign offset (campaign {campaign})"
+        more = self._with(card.network, name, campaign, off[campaign])
+        cell = {"name": name, "words": name, "family": "campaign offset", "kind": "sensor"}
+        cell |= {"target": "elongation", "how": "plus", "shape": "constant", "whom": "campaign"}
+        amplitude = {"mean": off[campaign], "sd": 0.01, "of": "added to elongation"}
+        effect = cell | {"value": campaign, "clock": "rotor", "step_h": None}
+        return found | {
+            "verdict": "effect",
+            "names": [name],
+            "claimed": True,
+            "effects": [effect | {"amplitude": amplitude}],
+            "models": {"before": card.digest, "after": digest(more)},
+            "adds": effects_between(card.network, more),
+        }
+
+    @staticmethod
+    def _off(readings: Sequence[Inspection]) -> dict[str, float]:
+        """Mean distance of each campaign from the lines through the readings of the others."""
+        found = {}
+        for campaign in {r.campaign for r in readings if r.campaign is not None}:
+            rest = [r for r in readings if r.campaign != campaign]
+            away = []
+            for one in (r for r in readings if r.campaign == campaign):
+                own = [(r.time_h, float(r.values[0])) for r in rest if r.blade == one.blade]
+                h, y = np.array(own).T
+                away.append(float(one.values[0]) - (h @ y) / (h @ h) * one.time_h)
+            found[campaign] = float(np.mean(away))
+        return found
+
+    @staticmethod
+    def _with(network: Network, name: str, campaign: str, size: float) -> Network:
+        amplitude = Parameter(name, "shared", Prior("normal", -1.0, 1.0, size, 0.01), nominal=0.0)
+        bias = Bias(name, "elongation", Course.of(1.0), campaign=campaign)
+        return replace(
+            network,
+            parameters=(*network.parameters, amplitude),
+            biases=(*network.biases, bias),
+        )
