@@ -132,12 +132,23 @@ def demo(
     particles: Annotated[int, typer.Option(help="Particles per blade.")] = 10_000,
     seed: Annotated[int, typer.Option(help="Seed of the rotor.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("bladetwin-demo"),
+    effects: Annotated[
+        bool, typer.Option(help="Readings with effects in them that the model lacks.")
+    ] = True,
     as_json: Json = False,
 ) -> None:
     """The main job: a rotor of 100 blades over HTTP, held against finite-element truth."""
     from service.demo import run
 
-    run(keep=keep, port=port, particles=particles, seed=seed, out=out, as_json=as_json)
+    run(
+        keep=keep,
+        port=port,
+        particles=particles,
+        seed=seed,
+        out=out,
+        as_json=as_json,
+        effects=effects,
+    )
 
 
 @models.command("build")

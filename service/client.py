@@ -115,6 +115,22 @@ class Client:
     def model(self, name: str) -> Json:
         return self._call("GET", _path("models", name))
 
+    def register(self, builtin: str, patience_s: float = 600.0) -> Json:
+        """A built-in model registered, and what it is; one that is there already stays as it is.
+
+        Raises TimeoutError when it takes longer than `patience_s`, RuntimeError when it fails.
+        """
+        job: Json = self._call("POST", "/v1/models", json={"builtin": builtin})["job"]
+        end = time.monotonic() + patience_s
+        while job["status"] in ("queued", "running"):
+            if time.monotonic() > end:
+                raise TimeoutError(f"{builtin} was not registered within {patience_s:g} s")
+            time.sleep(0.1)
+            job = self._call("GET", _path("jobs", job["id"]))
+        if job["status"] != "done":
+            raise RuntimeError(f"{builtin} was not registered: {job}")
+        return self.model(builtin)
+
     def create_rotor(
         self,
         rotor: str,

@@ -3,7 +3,8 @@
 The same rotor as `inspection_plan`, but for
 
     a coating lot that wears   blades of lot C2 lose `LOST` of their coating by 50,000 h, linearly:
-                               finite-element histories on the mesh ``fine``
+                               finite-element histories; each blade's elongation on the mesh
+                               ``fine`` grows by the share that its wear adds on ``coarse``
     a scanner set to zero      all elongations of outage 2 read `OFFSET` mm too much
       anew
 
@@ -25,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.blade import BOUNDS, simulate_history
+from core.blade import BOUNDS, simulate, simulate_history
 from core.builtin import inspection_plan
 from core.builtin.inspection_plan import Plan, blades, times
 from core.builtin.rotor_blade import WIDER
@@ -33,6 +34,7 @@ from core.builtin.rotor_blade import WIDER
 Array = NDArray[np.float64]
 SHIPPED = Path(__file__).with_name("worn_plan.npz")
 COMMAND = "bladetwin model readings rotor-blade-worn"
+MESH = "coarse"  # a share hardly knows the mesh; a worn blade on ``fine`` takes long
 LOTS = ("C1", "C2", "C3")
 LOST, LOST_BY_H = 0.40, 50_000.0
 OFFSET, CAMPAIGN = 0.02, "outage-2"
@@ -56,13 +58,15 @@ def course(inputs: dict[str, float]) -> dict[str, Any]:
 
 
 def run(number: int) -> Array:
-    """Elongation (T,) [mm] of a worn blade, by finite elements."""
+    """Elongation of a blade that wears over that of the same blade that does not, (T,)."""
     inputs = dict(zip(BOUNDS, map(float, inspection_plan.truth_inputs()[number]), strict=True))
     bounds = {**BOUNDS, **WIDER}
-    return simulate_history(course(inputs), "fine", time_h=times(), bounds=bounds).elongation
+    worn = simulate_history(course(inputs), MESH, time_h=times(), bounds=bounds).elongation
+    sound = simulate(inputs, MESH, time_h=times()).elongation
+    return np.where(sound > 0, worn / np.where(sound > 0, sound, 1.0), 1.0)
 
 
-def simulate(
+def simulate_all(
     folder: str | Path, workers: int = 2, progress: Callable[[int, int], None] | None = None
 ) -> dict[int, Array]:
     """The worn blades' runs in small files of `folder`; a cut campaign goes on where it was."""
@@ -84,10 +88,10 @@ def simulate(
 
 
 def make(runs: dict[int, Array], out: str | Path = SHIPPED) -> Plan:
-    """The worn blades' curves as one small file."""
+    """The worn blades' shares as one small file."""
     arrays: dict[str, Any] = {
         "numbers": np.array(sorted(runs)),
-        "elongation": np.stack([runs[n] for n in sorted(runs)]),
+        "share": np.stack([runs[n] for n in sorted(runs)]),
     }
     np.savez_compressed(out, **arrays)
     return load(out)
@@ -97,13 +101,13 @@ def load(path: str | Path = SHIPPED) -> Plan:
     """The plan with both effects; its `elongation` holds the worn blades' curves."""
     plan = inspection_plan.load()
     with np.load(path, allow_pickle=False) as data:
-        curves = dict(zip(data["numbers"].tolist(), data["elongation"], strict=True))
+        shares = dict(zip(data["numbers"].tolist(), data["share"], strict=True))
     elongation = plan.elongation.copy()
     names = list(blades())
     moved: dict[str, Array] = {}
-    for number, curve in curves.items():
-        moved[names[number]] = curve - elongation[number]
-        elongation[number] = curve
+    for number, share in shares.items():
+        moved[names[number]] = elongation[number] * (share - 1.0)
+        elongation[number] = elongation[number] * share
 
     def added(blade: str, own_h: float) -> float:
         return float(np.interp(own_h, plan.time_h, moved[blade])) if blade in moved else 0.0

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from core.builtin.inspection_plan import HELD_OUT_H, OUTAGES_H, Plan, blades
+from service.demo.loop import lines
 from service.demo.result import LOCAL, SHOWN, Result
 
 mpl.use("Agg")
@@ -123,4 +124,6 @@ def print_table(result: Result, out: Path) -> None:
     console = Console()
     console.print(table)
     seconds = ", ".join(f"{k} {v:.1f} s" for k, v in result.seconds.items())
+    for line in [] if result.loop is None else lines(result.loop):
+        console.print(line, highlight=False)
     console.print(f"{seconds}\npicture: {out / 'demo.png'}, figures: {out / 'result.json'}")

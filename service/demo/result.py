@@ -23,6 +23,7 @@ class Result:
     local       blade → name → (mean, sd, truth)
     held_out    blade → (own hours, reading, mean, lower, upper, total sd)
     curve       prediction of the shown blade over its life
+    loop        what the model was found to lack, where that was asked (`service.demo.loop`)
     """
 
     rotor: Json
@@ -31,6 +32,7 @@ class Result:
     held_out: dict[str, tuple[float, float, float, float, float, float]]
     curve: Json
     seconds: dict[str, float] = field(default_factory=dict)
+    loop: Json | None = None
 
     @property
     def coverage(self) -> float:
@@ -65,6 +67,7 @@ class Result:
             "held_out_rmse_mm": self.forecast_error[0],
             "held_out_bias_mm": self.forecast_error[1],
             "local_coverage_95": {n: self.local_coverage(n) for n in LOCAL},
+            "loop": self.loop,
             "seconds": {k: round(v, 2) for k, v in self.seconds.items()},
             "held_out": self.held_out,
         }

@@ -23,10 +23,11 @@ from typing import Any
 
 from rich.console import Console
 
-from core.builtin import inspection_plan
+from core.builtin import inspection_plan, worn_plan
 from core.builtin.inspection_plan import Plan
 from core.errors import BladetwinError
 from service.client import Client
+from service.demo.loop import closed
 from service.demo.result import Result, collect
 from service.demo.stream import steps
 from service.progress import bar
@@ -81,12 +82,23 @@ def service(folder: Path, port: int | None = None) -> Iterator[Running]:
                     process.wait()
 
 
-def post_all(client: Client, plan: Plan, particles: int, seed: int, quiet: bool = False) -> int:
-    """Create the rotor and stream every step; the last sequence number."""
+def post_all(
+    client: Client,
+    plan: Plan,
+    particles: int,
+    seed: int,
+    quiet: bool = False,
+    model: str = "rotor-blade",
+) -> int:
+    """Create the rotor and stream every step; the last sequence number.
+
+    A blade tells its coating lot, as a rotor's papers do, whether or not anything is wrong with it.
+    """
     known = inspection_plan.blades()
     first = [b for b in known if not b.endswith("-2")]
-    blades = [{"id": b, "slot": b[1:]} for b in first]
-    client.create_rotor(ROTOR, blades=blades, particles=particles, seed=seed)
+    lot = worn_plan.coating_lot
+    blades = [{"id": b, "slot": b[1:], "coating_lot": lot(b)} for b in first]
+    client.create_rotor(ROTOR, blades=blades, particles=particles, seed=seed, model=model)
     todo = list(steps(plan, seed))
     last = 0
     sent = 0
@@ -99,7 +111,9 @@ def post_all(client: Client, plan: Plan, particles: int, seed: int, quiet: bool 
             if step.retire and step.install:
                 client.retire_blade(ROTOR, step.retire)
                 slot = step.retire[1:]
-                last = client.add_blade(ROTOR, {"id": step.install, "slot": slot})
+                last = client.add_blade(
+                    ROTOR, {"id": step.install, "slot": slot, "coating_lot": lot(step.install)}
+                )
             if step.through:
                 client.wait_for(ROTOR, last, 900)  # the outage ends when its readings count
     return last
@@ -131,12 +145,17 @@ def run(
     seed: int = 0,
     out: Path = Path("bladetwin-demo"),
     as_json: bool = False,
+    effects: bool = True,
 ) -> Result:
-    """The main job; writes ``result.json`` and ``demo.png`` into `out` and prints a table."""
+    """The main job; writes ``result.json`` and ``demo.png`` into `out` and prints a table.
+
+    effects  whether the readings carry effects that nobody declared, for the service to find
+    """
     from service.demo.picture import draw, print_table
 
     out.mkdir(parents=True, exist_ok=True)
-    plan = inspection_plan.load()
+    plan = worn_plan.load() if effects else inspection_plan.load()
+    model = "rotor-blade-wide" if effects else "rotor-blade"
     begun = time.monotonic()
     with (
         tempfile.TemporaryDirectory(prefix="bladetwin-") as folder,
@@ -147,23 +166,27 @@ def run(
         with Client(running.url) as client:
             try:
                 client.ready(180)
+                client.register(model)
                 ready = time.monotonic()
-                last = post_all(client, plan, particles, seed, quiet=as_json)
+                last = post_all(client, plan, particles, seed, as_json, model)
                 posted = time.monotonic()
                 say(f"{len(plan.inspections)} inspections acknowledged")
                 rotor = wait_applied(client, last, 600, quiet=as_json)
                 sealed = time.monotonic()
                 result = collect(client, plan, rotor, ROTOR, quiet=as_json)
+                done = time.monotonic()
+                if effects:
+                    result = closed(client, plan, result, ROTOR, 900, quiet=as_json)
             except (BladetwinError, TimeoutError):
                 say(running.log.read_text()[-3000:], style="dim")
                 raise
-            done = time.monotonic()
             result.seconds.update(
                 start=ready - begun,
                 posting=posted - ready,
                 updating=sealed - posted,
                 reading=done - sealed,
                 twin=done - ready,
+                loop=time.monotonic() - done,
             )
             (out / "result.json").write_text(json.dumps(result.to_json(), indent=1))
             draw(result, plan, out / "demo.png")
