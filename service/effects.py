@@ -29,6 +29,7 @@ from core.diagnosis import (
 )
 from core.diagnosis.clock import with_offsets
 from core.diagnosis.diagnose import MOST, RIVALS
+from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
 from core.errors import InputError
 from core.model import Model
@@ -107,4 +108,4 @@ def diagnosed(
             lambda what: progress(what, next(steps), total),
             work,
         )
-    return to_json(found, case, compared)
+    return to_json(found, case, compared, pictures(found, case))
