@@ -5,10 +5,6 @@ courses      each blade itself (no reading's noise) over the hours, by both mode
              97.5 % of the posterior, mean and sd
 amplitudes   of every effect in the model: prior and posterior density
 parameters   prior's bounds, and where a posterior leans on one
-
-As permanent elongation and creep strain never fall, the hour T at which a blade passes a limit has
-P(T ≤ t) = P(y(t) ≥ limit): its quantiles are read off the courses, for any limit (`passing`). The
-5 % of T, say, is where the course's 95 % passes.
 """
 
 from __future__ import annotations
@@ -36,7 +32,7 @@ Array = NDArray[np.float64]
 Json = dict[str, Any]
 SCHEMA = 1
 HOURS = 21  # of a course
-POINTS = 61  # of a density
+POINTS = 161  # of a density
 EDGE = 0.05  # of the prior's range: so near at its bound …
 NEAR = 3.0  # … and not so many of its own sds away, a posterior leans on it
 LEVELS = (0.025, 0.5, 0.975)
@@ -138,25 +134,6 @@ def _courses(model: Model, state: RotorState, case: Case, quantity: str, hours: 
         for name, row in zip(told, rows, strict=True):
             told[name].append([_short(v) for v in row])
     return told
-
-
-def passing(hours: Sequence[float], course: Sequence[float], limit: float) -> float | None:
-    """The first hour at which a course passes a limit, linear between its hours; None: not by then.
-
-    >>> passing([0.0, 100.0, 200.0], [0.0, 0.4, 0.6], 0.5)
-    150.0
-    >>> passing([0.0, 100.0], [0.0, 0.4], 0.5) is None
-    True
-    """
-    y = np.maximum.accumulate(np.asarray(course, float))
-    above = np.flatnonzero(y >= limit)
-    if not above.size:
-        return None
-    k = int(above[0])
-    if k == 0:
-        return float(hours[0])
-    share = (limit - y[k - 1]) / (y[k] - y[k - 1])
-    return float(hours[k - 1] + share * (hours[k] - hours[k - 1]))
 
 
 def _amplitude(cell: Cell, model: Model, state: RotorState) -> Json:
