@@ -286,5 +286,17 @@ class Client:
         """End a diagnosis that is queued or running; one that has ended stays as it is."""
         return self._call("DELETE", _path("rotors", rotor, "diagnoses", diagnosis))
 
+    def report(self, rotor: str, diagnosis: str, *, limit: float | None = None) -> str:
+        """A finished diagnosis as one HTML file to hand on.
+
+        limit  of the quantity that is forecast [its unit]: shows by how much remaining life moves
+        """
+        path = _path("rotors", rotor, "diagnoses", diagnosis, "report")
+        params = {} if limit is None else {"limit": repr(float(limit))}
+        response = self._http.get(path, params=params)
+        if response.is_error:
+            raise ProblemError(response)
+        return response.text
+
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

@@ -61,7 +61,7 @@ def left_out(seen: Scores) -> LeftOut:
             skipped.add(reading.id)
             continue
         y, precision = float(reading.values[0]), float(k[b, i])
-        if precision > 0:
+        if precision > 0 and np.isfinite(precision):
             off = float(seen.q[b, i]) / precision
             found.append((reading, y - off, precision**-0.5))
     return LeftOut(

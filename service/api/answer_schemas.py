@@ -172,8 +172,71 @@ JOB = having(
     created_at=TEXT,
     finished_at=maybe(TEXT),
 )
+TWICE = having(mean=NUMBER, sd=NUMBER, z=NUMBER)
+COURSE = having(
+    mean=each(each(NUMBER)),
+    sd=each(each(NUMBER)),
+    low=each(each(NUMBER)),
+    median=each(each(NUMBER)),
+    high=each(each(NUMBER)),
+)
+PLACED = having(mean=NUMBER, sd=NUMBER, spread=NUMBER, of=WHOLE, at_low=WHOLE, at_high=WHOLE)
+PICTURES = having(
+    schema=WHOLE,
+    readings=each(
+        having(
+            id=TEXT,
+            blade=TEXT,
+            quantity=TEXT,
+            unit=TEXT,
+            time_h=NUMBER,
+            rotor_h=NUMBER,
+            instrument=maybe(TEXT),
+            campaign=maybe(TEXT),
+            value=NUMBER,
+            before=TWICE,
+            after=TWICE,
+        )
+    ),
+    readings_not_shown=WHOLE,
+    courses=maybe(
+        having(
+            quantity=TEXT,
+            unit=TEXT,
+            time_h=each(NUMBER),
+            blades=each(TEXT),
+            before=COURSE,
+            after=COURSE,
+        )
+    ),
+    amplitudes=each(
+        having(
+            name=TEXT,
+            unit=TEXT,
+            prior=having(low=NUMBER, high=NUMBER, mean=NUMBER, sd=NUMBER),
+            quantiles=each(NUMBER),
+            at_bound=maybe(TEXT),
+            x=each(NUMBER),
+            prior_density=each(NUMBER),
+            density=each(NUMBER),
+        )
+    ),
+    parameters=each(
+        having(
+            name=TEXT,
+            level={"enum": ["shared", "local"]},
+            unit=TEXT,
+            low=NUMBER,
+            high=NUMBER,
+            effect=YES,
+            before=maybe(PLACED),
+            after=maybe(PLACED),
+        )
+    ),
+)
 VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]}
 FOUND = having(
+    ("pictures",),
     verdict=VERDICT,
     names=each(TEXT),
     reasons=each(TEXT),
@@ -191,6 +254,7 @@ FOUND = having(
     readings=having(delivered=WHOLE, used=WHOLE),
     models=having(before=TEXT, after=TEXT),
     before_after=maybe(ANY),
+    pictures=maybe(PICTURES),
     rests_on=having(
         rotor=TEXT,
         through_seq=WHOLE,

@@ -56,6 +56,7 @@ RULES: dict[str, Rule] = {
     f"GET {ROTOR}/diagnoses": Rule("read"),
     f"POST {ROTOR}/diagnoses": Rule("operate"),
     f"GET {ROTOR}/diagnoses/{{d}}": Rule("read"),
+    f"GET {ROTOR}/diagnoses/{{d}}/report": Rule("read"),
     f"DELETE {ROTOR}/diagnoses/{{d}}": Rule("operate"),
     "GET /v1/audit": Rule("operate", beyond=True),
 }

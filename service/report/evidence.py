@@ -7,7 +7,7 @@ from typing import Any
 
 from service.report import figures
 from service.report.markup import Child, Markup, el
-from service.report.sections import ALARM, LEFT, OLDER, SHOWN
+from service.report.sections import ALARM, LEFT, OLDER, SHOWN, changes
 from service.report.tables import cell, figure, note, section, table
 from service.report.words import joined, number, with_sd
 
@@ -90,16 +90,18 @@ def parameters(found: Json) -> Markup:
         if one["effect"]:
             name += " (the effect)"
         a, b = (one[w] for w in figures.BOTH)
-        marks = [m for m in (_mark(a, "before"), _mark(b, "after")) if m]
+        both = [(a, "before"), (b, "after")] if changes(found) else [(a, "")]
+        marks = [said for own, which in both if (said := _mark(own, which))]
+        span = f"{number(one['low'])} … {number(one['high'])}"
         rows.append(
-            [name, _plain(a), _plain(b), f"{number(one['low'])} … {number(one['high'])}",
-             cell("; ".join(marks), kind="mark")]
-        )  # fmt: skip
+            [name, *(_plain(own) for own, _ in both), span, cell("; ".join(marks), kind="mark")]
+        )
     said = (
         "Of a local parameter: the mean over the blades ± the sd of a single blade. A mark says "
         "that the posterior leans on the end of its prior's range and would go on if it could."
     )
-    head = ["", "before", "after", "prior's range", "at its bound"]
+    models = ["before", "after"] if changes(found) else ["the model"]
+    head = ["", *models, "prior's range", "at its bound"]
     return section(title, table(head, rows, (1, 2)), note(said))
 
 
@@ -116,4 +118,4 @@ def _mark(one: Json | None, which: str) -> str:
     for count, side in sides:
         if count:
             told.append(side if one["of"] == 1 else f"{side} for {count} of {one['of']} blades")
-    return f"{which}: {' and '.join(told)}"
+    return f"{which}: ".removeprefix(": ") + " and ".join(told)

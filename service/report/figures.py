@@ -36,6 +36,11 @@ ROWS = 24  # most rows of a picture of groups
 LABEL = 30  # letters of a row's label
 
 
+def named(which: str, *, changed: bool) -> str:
+    """What a model is called: `before` where there is an `after`, else the model itself."""
+    return which if changed else "the model"
+
+
 def fleet(courses: Json, readings: Sequence[Json], *, changed: bool) -> Markup:
     """The blades' mean and a blade's ± 1 sd over the hours, with the readings."""
     hours, quantity, unit = courses["time_h"], courses["quantity"], courses["unit"]
@@ -59,7 +64,10 @@ def fleet(courses: Json, readings: Sequence[Json], *, changed: bool) -> Markup:
     for r in shown:
         where = f"{r['id']}: {r['blade']}, {r['time_h']:,.0f} h, {r['value']:.4g} {unit}"
         parts.append(dot(x(r["time_h"]), frame.y(r["value"]), "reading", 2.0, where))
-    entries = [(f"{w} area", f"{w}: mean of the blades ± 1 sd of a blade") for w in told]
+    entries = [
+        (f"{w} area", f"{named(w, changed=changed)}: mean of the blades ± 1 sd of a blade")
+        for w in told
+    ]
     parts.append(legend(66, 20, [*entries, ("reading", "readings")]))
     return picture(330, *parts, label=f"Fleet mean of {quantity} over hours with readings")
 
@@ -121,7 +129,10 @@ def groups(title: str, rows: Mapping[str, Mapping[str, Sequence[float]]]) -> Mar
         for j, which in enumerate(BOTH[: len(rows[group])]):
             level = top + k * tall + tall * (0.5 if not several else (0.3, 0.7)[j])
             parts += _strip(x, level, rows[group][which], which, most)
-    entries = [(f"{w} mark", f"{w}: mean of the group ± 1.96 se") for w in BOTH[: 1 + several]]
+    entries = [
+        (f"{w} mark", f"{named(w, changed=several)}: mean of the group ± 1.96 se")
+        for w in BOTH[: 1 + several]
+    ]
     parts.append(legend(left, 20, [*entries, ("limit mark", "± 1.96")]))
     return picture(end + 42, *parts, label=title)
 
@@ -157,7 +168,7 @@ def over_hours(readings: Sequence[Json], *, changed: bool) -> Markup:
         parts.append(Frame(x, y, "hours of the rotor [h]", title).drawn())
         parts += [line(left, y(v), left + wide, y(v), "limit") for v in (-SD, SD)]
         parts.append(line(left, y(0.0), left + wide, y(0.0), "zero"))
-        parts.append(words(left + 4, top - 10, w, f"{w} head"))
+        parts.append(words(left + 4, top - 10, named(w, changed=changed), f"{w} head"))
         for r in readings:
             z = max(-most, min(most, r[w]["z"]))
             where = f"{r['id']}: z = {r[w]['z']:.2f}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from service.report.figures import BOTH, label_of
+from service.report.figures import BOTH, label_of, named
 from service.report.markup import Markup
 from service.report.svg import LETTER, WIDE, block, picture, short, words
 
@@ -81,7 +81,7 @@ def _map(
     head = (longest + 10 if turned else 16.0) + 26
     y = head
     for which in BOTH if changed else BOTH[:1]:
-        parts.append(words(left, y - 6, which, f"{which} head"))
+        parts.append(words(left, y - 6, named(which, changed=changed), f"{which} head"))
         for name, members in zip(names, rows.values(), strict=True):
             parts.append(words(left - 8, y + 14, name, "tick", "end"))
             worst: dict[str, Json] = {}

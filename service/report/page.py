@@ -13,7 +13,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from service.report import evidence, sections
+from service.report import evidence, residuals, sections
 from service.report.markup import Markup, el, join
 from service.report.tables import facts, pairs, section
 from service.report.words import do_next, number, verdict
@@ -58,12 +58,12 @@ def report(
     )
     parts = [
         head,
-        sections.known(found),
+        residuals.known(found),
         sections.effects(found),
         sections.before_after(found),
         sections.life(found, limit),
         sections.forecast(found),
-        sections.residuals(found),
+        residuals.residuals(found),
         evidence.evidence(found),
         evidence.held(found),
         evidence.parameters(found),

@@ -75,7 +75,8 @@ def size(effect: Json, unit: str | None, model: str) -> tuple[float, float, str]
         scale, shown = 100.0, "%"
     elif model.startswith("rotor-blade") and on_input(effect):
         _, scale, shown = BLADE_INPUTS.get(effect["target"], ("", 1.0, shown))
-    return sign * scale * told["mean"], scale * told["sd"], shown
+    mean, sd = (math.nan if told[k] is None else scale * told[k] for k in ("mean", "sd"))
+    return sign * mean, sd, shown
 
 
 def on_input(effect: Json) -> bool:
