@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Json = dict[str, Any]
 SCHEMA = 1
 HOURS = 21  # of a course
-POINTS = 161  # of a density
+POINTS = 61  # of a density, over its prior and again over its posterior
 EDGE = 0.05  # of the prior's range: so near at its bound …
 NEAR = 3.0  # … and not so many of its own sds away, a posterior leans on it
 LEVELS = (0.025, 0.5, 0.975)
@@ -143,8 +143,9 @@ def _amplitude(cell: Cell, model: Model, state: RotorState) -> Json:
     a, w = posterior.column(name), posterior.particles.w
     mean = float(w @ a)
     sd = float(np.sqrt(w @ (a - mean) ** 2))
-    ends = (min(mean - 5 * sd, prior.mean - 3 * prior.sd), max(mean + 5 * sd, 3 * prior.sd))
-    x = np.linspace(max(prior.low, ends[0]), min(prior.high, ends[1]), POINTS)
+    ends = (min(mean - 5 * sd, -2 * prior.sd), max(mean + 5 * sd, 2 * prior.sd))
+    wide, near = np.linspace(*ends, POINTS), np.linspace(mean - 4 * sd, mean + 4 * sd, POINTS)
+    x = np.unique(np.clip(np.r_[wide, near], prior.low, prior.high))
     return {
         "name": cell.name,
         "unit": amplitude_unit(cell, model),

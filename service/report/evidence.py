@@ -102,7 +102,7 @@ def parameters(found: Json) -> Markup:
     )
     models = ["before", "after"] if changes(found) else ["the model"]
     head = ["", *models, "prior's range", "at its bound"]
-    return section(title, table(head, rows, (1, 2)), note(said))
+    return section(title, table(head, rows, range(1, len(models) + 2)), note(said))
 
 
 def _plain(one: Json | None) -> str:
