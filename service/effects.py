@@ -31,6 +31,8 @@ from core.diagnosis.clock import with_offsets
 from core.diagnosis.diagnose import MOST, RIVALS
 from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
+from core.diagnosis.rivals import splitting
+from core.diagnosis.separate import separation_json
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
@@ -82,7 +84,7 @@ def diagnosed(
     progress: Progress,
 ) -> Json:
     """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`)."""
-    total = STEPS + 3
+    total = STEPS + 4
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
     every = (*FAMILIES, *families_of(model, families))
@@ -98,7 +100,7 @@ def diagnosed(
     compared: BeforeAfter | None = None
     claimed = found.verdict.word == "effect"
     if claimed and compare_h is not None and held_out(readings, QUANTITY):
-        steps = iter(range(STEPS + 1, total))
+        steps = iter(range(STEPS + 1, total - 1))
         compared = before_after(
             (found.before[0], found.after[0]),
             spec,
@@ -108,4 +110,7 @@ def diagnosed(
             lambda what: progress(what, next(steps), total),
             work,
         )
-    return to_json(found, case, compared, pictures(found, case))
+    progress("pictures and inspections to come", total - 1, total)
+    split = splitting(found, case, work)
+    told = None if split is None else separation_json(split)
+    return to_json(found, case, compared, pictures(found, case), told)

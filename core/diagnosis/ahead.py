@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from core.calibration.state import RotorState, blade_posterior
 from core.errors import InputError
 from core.model import Model
+from core.network import Quantity
 from core.observation import Inspection
 from core.prediction import corrected, inputs_of, noise_of
 from core.smc.particles import normalised
@@ -62,7 +63,8 @@ def candidates(
     readings: Sequence[Inspection],
     ahead_h: Sequence[float] = AHEAD_H,
 ) -> tuple[Candidate, ...]:
-    """Every blade × hour × quantity × instrument; 3-D scans are left out.
+    """Every blade × hour × quantity × instrument; left out are 3-D scans, and quantities that the
+    network declares and the surrogate has no answer for.
 
     Hours count from the blade's latest reading (of a blade without one from zero) as far as the
     model reaches. Instruments are those that read the quantity, and another one.
@@ -72,7 +74,7 @@ def candidates(
         latest[r.blade] = max(latest.get(r.blade, 0.0), r.time_h)
     found = []
     for q in model.network.quantities:
-        if q.kind == "vector":
+        if q.kind == "vector" or not answers(model, q):
             continue
         own = [r for r in readings if r.quantity == q.name]
         used = sorted({r.instrument for r in own if r.instrument is not None})
@@ -89,6 +91,21 @@ def candidates(
                     for name in (*used, ANOTHER if used else None)
                 ]
     return tuple(found)
+
+
+def answers(model: Model, quantity: Quantity) -> bool:
+    """Whether the surrogate answers for a quantity of the network."""
+    part = model.part(quantity.name)
+    middle = np.array([[0.5 * (i.low + i.high) for i in part.inputs]])
+    node = quantity.node or "tip"
+    if quantity.kind != "scalar" and node not in part.named:
+        return False
+    nodes = None if quantity.kind == "scalar" else [part.named[node]]
+    try:
+        part.predict(middle, quantity.name, np.array([0.5 * part.horizon_h]), nodes)
+    except InputError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)

@@ -191,21 +191,39 @@ def _grown(
 
 
 def separation_json(found: Separation, shown: int = 12) -> Json:
-    """The best single readings, what each rival expects of them, and the set."""
+    """The best blade for each quantity, instrument and hour; what rivals expect of it; the set.
+
+    blades_alike  blades of which the same inspection tells nine tenths as much or more
+    """
+    network = found.rivals[0].model.network
+    kinds: dict[object, list[int]] = {}
+    for i, (one, _) in enumerate(found.single):
+        kinds.setdefault((one.quantity, one.instrument, one.ahead_h), []).append(i)
+    single = []
+    for members in list(kinds.values())[:shown]:
+        i = members[0]
+        candidate, told = found.single[i]
+        alike = {
+            found.single[j][0].blade for j in members if found.single[j][1].gain >= 0.9 * told.gain
+        }
+        expect = [
+            {"mean": float(m), "sd": float(s)}
+            for m, s in zip(found.mean[:, i], found.sd[:, i], strict=True)
+        ]
+        unit = network.quantity(candidate.quantity).unit
+        single.append(
+            {
+                **candidate.to_json(),
+                "unit": unit,
+                **_told(told),
+                "blades_alike": len(alike),
+                "expected": expect,
+            }
+        )
     return {
         "rivals": [{"names": list(r.names), "weight": r.weight} for r in found.rivals],
         "entropy_nat": found.entropy,
-        "single": [
-            {
-                **candidate.to_json(),
-                **_told(told),
-                "expected": [
-                    {"mean": float(m), "sd": float(s)}
-                    for m, s in zip(found.mean[:, i], found.sd[:, i], strict=True)
-                ],
-            }
-            for i, (candidate, told) in enumerate(found.single[:shown])
-        ],
+        "single": single,
         "set": [{**candidate.to_json(), **_told(told)} for candidate, told in found.grown],
     }
 

@@ -23,10 +23,12 @@ def to_json(
     case: Case,
     compared: BeforeAfter | None = None,
     pictures: Json | None = None,
+    separating: Json | None = None,
 ) -> Json:
     """Verdict, effects with amplitudes, evidence, everything tried, before and after.
 
-    pictures  what a report shows of it (`core.diagnosis.pictures`)
+    pictures    what a report shows of it (`core.diagnosis.pictures`)
+    separating  inspections that would split what is not separable (`core.diagnosis.separate`)
     """
     verdict = found.verdict
     return {
@@ -60,6 +62,7 @@ def to_json(
         "models": {"before": found.before[0].digest, "after": found.after[0].digest},
         "before_after": None if compared is None else compared_json(compared),
         "pictures": pictures,
+        "separating": separating,
     }
 
 

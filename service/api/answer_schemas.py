@@ -234,9 +234,33 @@ PICTURES = having(
         )
     ),
 )
+CANDIDATE = {
+    "blade": TEXT,
+    "quantity": TEXT,
+    "time_h": NUMBER,
+    "ahead_h": NUMBER,
+    "instrument": maybe(TEXT),
+    "sigma": maybe(NUMBER),
+    "gain_nat": NUMBER,
+    "share": NUMBER,
+    "settled": NUMBER,
+}
+SEPARATING = having(
+    rivals=each(having(names=each(TEXT), weight=NUMBER)),
+    entropy_nat=NUMBER,
+    single=each(
+        having(
+            **CANDIDATE,
+            unit=TEXT,
+            blades_alike=WHOLE,
+            expected=each(having(mean=NUMBER, sd=NUMBER)),
+        )
+    ),
+    set=each(having(**CANDIDATE)),
+)
 VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]}
 FOUND = having(
-    ("pictures",),
+    ("pictures", "separating"),
     verdict=VERDICT,
     names=each(TEXT),
     reasons=each(TEXT),
@@ -255,6 +279,7 @@ FOUND = having(
     models=having(before=TEXT, after=TEXT),
     before_after=maybe(ANY),
     pictures=maybe(PICTURES),
+    separating=maybe(SEPARATING),
     rests_on=having(
         rotor=TEXT,
         through_seq=WHOLE,

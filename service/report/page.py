@@ -13,7 +13,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from service.report import evidence, residuals, sections
+from service.report import evidence, residuals, sections, split
 from service.report.markup import Markup, el, join
 from service.report.tables import facts, pairs, section
 from service.report.words import do_next, number, verdict
@@ -59,6 +59,7 @@ def report(
     parts = [
         head,
         residuals.known(found),
+        split.split(found),
         sections.effects(found),
         sections.before_after(found),
         sections.life(found, limit),
