@@ -1,7 +1,8 @@
 """The rivals of a set that is not separable, calibrated, and the inspections that would split it.
 
-`diagnose` keeps the model and state of the winner alone. The others are calibrated again from the
-same readings, which gives the same states.
+`diagnose` calibrates the weightiest hypotheses alone and keeps the model and state of the winner.
+Here every name of the set gets its best hypothesis, calibrated from the same readings: for those
+that `diagnose` had calibrated that gives the same states.
 """
 
 from __future__ import annotations
@@ -11,38 +12,46 @@ from core.diagnosis.adopt import with_effects
 from core.diagnosis.ahead import candidates
 from core.diagnosis.diagnose import Case, Diagnosis
 from core.diagnosis.separate import Rival, Separation, separate
+from core.errors import InputError
 
 
 def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) -> list[Rival]:
-    """Calibrated hypotheses of the verdict with their shares of the evidence, largest first.
+    """The best hypothesis of each name of the set, with its share of the evidence, largest first.
 
-    Each has the effects that were in the model before, and its own.
+    Each has the effects that were in the model before, and its own. Left out is what the runs have
+    no room for.
     """
     model, state = found.before
-    every = case.scan(model, state).cells
-    noise = case.noise(model, state)
     kept = {e.cell.name: e.cell for e in found.effects}
-    calibrated = {names for names, _ in found.tried}
+    gone = _before(found)
+    every = [c for c in case.scan(model, state).cells if c.name not in gone]
+    noise = case.noise(model, state)
     rivals: list[Rival] = []
     for one in found.verdict.hypotheses:
-        full = next((n for n in calibrated if n[len(n) - len(one.names) :] == one.names), None)
-        if full is None or any(r.names == one.names for r in rivals):
+        covered = {n for r in rivals for n in r.names}
+        new = set(one.names) & set(found.verdict.names) - covered
+        if not new or not set(one.names) <= set(found.verdict.names):
             continue
-        gone = full[: len(full) - len(one.names)]
-        left = [c for c in every if c.name not in gone]
-        if one.cells and max(one.cells) >= len(left):
-            continue
-        own = [left[i] for i in one.cells]
-        if tuple(c.name for c in own) != one.names or not all(n in kept for n in gone):
-            continue
-        taken = [*(kept[n] for n in gone), *own]
+        taken = [*(kept[n] for n in gone), *(every[i] for i in one.cells)]
         if [e.cell for e in found.effects] == taken:
             bigger, made = found.after
         else:
-            bigger = with_effects(model, taken, case.facts, noise)
+            try:
+                bigger = with_effects(model, taken, case.facts, noise)
+            except InputError:
+                continue
             made = update(bigger, case.spec, case.readings, workspace=workspace)
         rivals.append(Rival(one.names, bigger, made, one.weight))
     return rivals
+
+
+def _before(found: Diagnosis) -> tuple[str, ...]:
+    """Names that were in the model when the verdict's hypotheses were tried."""
+    for one in found.verdict.hypotheses:
+        for names, _ in reversed(found.tried):
+            if names[len(names) - len(one.names) :] == one.names:
+                return names[: len(names) - len(one.names)]
+    return ()
 
 
 def splitting(

@@ -23,7 +23,7 @@ from service.report.tables import figure, note, section, table
 from service.report.words import joined, number, with_sd
 
 Json = Mapping[str, Any]
-CURVES = 4
+CURVES = 5
 IDLE = 0.02  # nat: an inspection that tells less tells nothing
 
 
@@ -60,6 +60,9 @@ def split(found: Json) -> Markup | None:
     ]  # fmt: skip
     head = ["one reading", "blades alike", "tells [nat]", "share of the true one", "settles it"]
     parts += [el("h3", "Every kind of reading"), table(head, rows, (1, 2, 3, 4))]
+    missing = [n for n in found["names"] if not any(n in r["names"] for r in told["rivals"])]
+    if missing:
+        parts.append(note(f"Not considered, as it was not calibrated: {joined(missing)}."))
     parts.append(
         note(
             f"There are {number(told['entropy_nat'])} nat to be told. Shares are of the evidence, "

@@ -121,6 +121,22 @@ def test_what_is_known_of_an_unattributed_misfit_is_told() -> None:
     assert "What is known" not in Read(page_of(told("effect"))).said
 
 
+def test_the_inspection_that_splits_the_set_is_told_with_what_it_promises() -> None:
+    said = Read(page_of(told("not separable"))).said
+    assert "Best: permanent tip elongation of blade B1 with another instrument, now" in said
+    assert "from at most 60 % to 90 %" in said
+    assert "settles the question in 70 % of cases" in said
+    assert "root settling: 0.360 ± 0.012 mm" in said
+    assert "The inspection that would" not in Read(page_of(told("effect"))).said
+    idle = told("not separable")
+    for one in idle["separating"]["single"]:
+        one["gain_nat"] = 0.001
+    assert "No single reading that was considered tells them apart" in Read(page_of(idle)).said
+    part = told("not separable", names=["root settling", "tip rub"])
+    assert "as it was not calibrated: tip rub" in Read(page_of(part)).said
+    assert "It was not computed" in Read(page_of(told("not separable", separating=None))).said
+
+
 def test_readings_that_were_not_used_are_called_out() -> None:
     less = told("adequate", readings={"delivered": 12, "used": 11})
     assert "11 used of 12 delivered: NOT THE SAME" in Read(page_of(less)).said

@@ -49,6 +49,7 @@ def told(verdict: str, blade: str = "B1", campaign: str = "spring", **changes: A
         "models": {"before": "d" * 64, "after": "f" * 64},
         "before_after": compared() if verdict == "effect" else None,
         "pictures": pictures(blade, campaign, named=named),
+        "separating": separating(campaign) if verdict == "not separable" else None,
         "rests_on": rested(),
     } | changes  # fmt: skip
 
@@ -85,6 +86,30 @@ def compared() -> Json:
             "before": {"mean": 0.41, "sd": 0.02},
             "after": {"mean": 0.36, "sd": 0.015},
         },
+    }
+
+
+def separating(campaign: str) -> Json:
+    rivals = [[f"campaign offset (campaign {campaign})"], ["root settling"]]
+    one = {
+        "blade": "B1",
+        "quantity": "elongation",
+        "time_h": 32_000.0,
+        "ahead_h": 0.0,
+        "instrument": "another",
+        "sigma": 0.004,
+        "gain_nat": 0.5,
+        "share": 0.9,
+        "settled": 0.7,
+    }
+    expects = [{"mean": 0.3, "sd": 0.01}, {"mean": 0.36, "sd": 0.012}]
+    more = {"unit": "mm", "blades_alike": 3, "expected": expects}
+    later = one | {"ahead_h": 4000.0, "instrument": None, "gain_nat": 0.01}
+    return {
+        "rivals": [{"names": n, "weight": w} for n, w in zip(rivals, (0.6, 0.4), strict=True)],
+        "entropy_nat": 0.673,
+        "single": [one | more, later | more],
+        "set": [one, later | {"gain_nat": 0.6}],
     }
 
 

@@ -52,6 +52,7 @@ def test_the_rivals_are_those_of_the_verdict_with_the_evidence_that_it_saw(
     assert found.verdict.word == "not separable"
     rivals = rivals_of(found, case, work)
     assert {n for r in rivals for n in r.names} == set(found.verdict.names)
+    assert len(rivals) == len(found.verdict.names) == 3
     base, seen = found.before[1].meta["log_evidence"], dict(found.tried)
     for one in rivals:
         gained = one.state.meta["log_evidence"] - base
