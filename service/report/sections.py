@@ -66,7 +66,7 @@ def before_after(found: Json) -> Markup:
         ("log_score", "log score [nat per reading]", 3, "more"),
         ("within_68", "inside the 68 % band", 2, "near 0.68"),
         ("within_95", "inside the 95 % band", 2, "near 0.95"),
-        ("width", f"width of the 95 % band{in_unit}", 3, "less"),
+        ("width", f"width of the 95 % band{in_unit}", 3, "narrow, at a right coverage"),
     ):
         better = improved(key, a[key], b[key])
         kind = "" if better is None else "better" if better else "worse"
@@ -90,12 +90,12 @@ def before_after(found: Json) -> Markup:
 
 
 def improved(key: str, before: float | None, after: float | None) -> bool | None:
-    """Whether a score got better; None: it did not change, or is not known.
+    """Whether a score got better; None: it did not change, or is not known, or cannot tell alone.
 
     >>> improved("rmse", 2.0, 1.0), improved("log_score", 2.0, 1.0), improved("within_95", 1.0, 0.9)
     (True, False, None)
     """
-    if before is None or after is None or before == after:
+    if before is None or after is None or before == after or key == "width":
         return None
     target = {"bias": 0.0, "within_68": 0.68, "within_95": 0.95}
     if key in target:
