@@ -11,8 +11,7 @@ diagnose    all of it in turn
 report      before and after, on readings that neither model used
 left_out    each reading as predicted without itself
 pictures    what a report draws
-ahead       inspections that could be made, and what a model expects of them
-separate    which of them would tell rivals apart; rivals: for a set that is not separable
+separate    which inspections would tell rivals apart; rivals: for a set that is not separable
 tell        as JSON
 """
 

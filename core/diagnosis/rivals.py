@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from core.calibration.online import Workspace, update
 from core.diagnosis.adopt import with_effects
-from core.diagnosis.ahead import candidates
 from core.diagnosis.diagnose import Case, Diagnosis
 from core.diagnosis.separate import Rival, Separation, separate
 from core.errors import InputError
+from core.planning.ahead import candidates
 
 
 def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) -> list[Rival]:

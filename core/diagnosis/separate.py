@@ -1,7 +1,7 @@
 """The inspection that would tell rivals apart: expected information about which one is true.
 
 Rivals k = 1 … K are models with their effects calibrated, p_k their shares of the evidence. Before
-a set of readings y is taken, each expects them to be N(m_k, C_k) (`core.diagnosis.ahead`). What
+a set of readings y is taken, each expects them to be N(m_k, C_k) (`core.planning.ahead`). What
 they are expected to tell is the mutual information of rival and readings,
 
     I(K; y) = Σ_k p_k ∫ N(y; m_k, C_k) log [ N(y; m_k, C_k) / Σ_j p_j N(y; m_j, C_j) ] dy    [nat]
@@ -34,10 +34,10 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from core.calibration.state import RotorState
-from core.diagnosis.ahead import Candidate, Expected, expected
 from core.diagnosis.verdict import NAMED
 from core.errors import InputError
 from core.model import Model
+from core.planning.ahead import Candidate, Expected, expected
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
@@ -173,14 +173,15 @@ def _grown(
     """Greedy: from the best single reading on, the one that adds most to those before."""
     taken, grown = [among[0]], [(asked[among[0]], first)]
     mean = np.array([e.mean for e in told])
+    whole = np.array([e.covariance(among) for e in told])  # (K, B, B)
     while len(taken) < min(count, len(among)):
         best: tuple[float, int, Told] | None = None
         for c in among:
             if c in taken:
                 continue
             which = [*taken, c]
-            covariance = np.array([e.covariance(which) for e in told])
-            both = a_set(p, mean[:, which], covariance)
+            at = [among.index(i) for i in which]
+            both = a_set(p, mean[:, which], whole[:, at][:, :, at])
             if best is None or both.gain > best[0] + 1e-9:
                 best = (both.gain, c, both)
         if best is None or best[0] < grown[-1][1].gain + NOTHING:

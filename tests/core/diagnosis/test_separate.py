@@ -12,7 +12,6 @@ from scipy.stats import norm
 from core.calibration.online import update
 from core.calibration.state import RotorSpec
 from core.diagnosis.adopt import with_effects
-from core.diagnosis.ahead import ANOTHER, Candidate, candidates, expected
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.separate import (
     Rival,
@@ -24,6 +23,7 @@ from core.diagnosis.separate import (
 )
 from core.errors import InputError
 from core.observation import Inspection
+from core.planning.ahead import ANOTHER, Candidate, candidates, expected
 from tests.core.calibration.test_exact import SLOPES, conjugate
 from tests.core.diagnosis.fleet import READING
 

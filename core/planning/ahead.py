@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.state import RotorState, blade_posterior
+from core.calibration.state import Posterior, RotorState, blade_posterior
 from core.errors import InputError
 from core.model import Model
 from core.network import Quantity
 from core.observation import Inspection
 from core.prediction import corrected, inputs_of, noise_of
-from core.smc.particles import normalised
+from core.smc.particles import Particles, normalised
 
 Array = NDArray[np.float64]
 AHEAD_H = (0.0, 4000.0, 8000.0, 16_000.0)
@@ -110,12 +110,14 @@ def answers(model: Model, quantity: Quantity) -> bool:
 
 @dataclass(frozen=True)
 class Expected:
-    """What a model expects of candidates.
+    """What a model expects of C readings, or of other things that its particles tell.
 
-    mean, sd  of the readings, (C,)
+    mean    (C,); noise: variance of surrogate and readings, (C,)
+    blades  by blade its particles' weights (n,) and what they expect less the mean, (n, c)
+    nodes   the same given the shared nodes, (K, C), with their weights node_w (K,)
+    place   blade of each, and its column there
     """
 
-    candidates: tuple[Candidate, ...]
     mean: Array
     noise: Array
     blades: Mapping[str, tuple[Array, Array]]
@@ -130,17 +132,19 @@ class Expected:
         return np.asarray(np.sqrt(np.array(own) + self.noise))
 
     def covariance(self, which: Sequence[int]) -> Array:
-        """Of the readings of these candidates, (k, k)."""
-        at = self.nodes[:, list(which)]
-        out = (at * self.node_w[:, None]).T @ at
-        for i, c in enumerate(which):
-            for j, d in enumerate(which):
-                (blade, p), (other, q) = self.place[c], self.place[d]
-                if blade == other:
-                    w, f = self.blades[blade]
-                    out[i, j] = w @ (f[:, p] * f[:, q])
-            out[i, i] += self.noise[c]
+        """Of the readings of these, (k, k)."""
+        out = self.cross(self)[np.ix_(which, which)] + np.diag(self.noise[list(which)])
         return np.asarray(0.5 * (out + out.T))
+
+    def cross(self, other: Expected) -> Array:
+        """Covariance with what the same state expects of others, without noise, (C, D)."""
+        out = (self.nodes * self.node_w[:, None]).T @ other.nodes
+        for blade in self.blades.keys() & other.blades.keys():
+            (w, f), (_, g) = self.blades[blade], other.blades[blade]
+            rows = [i for i, (b, _) in enumerate(self.place) if b == blade]
+            columns = [i for i, (b, _) in enumerate(other.place) if b == blade]
+            out[np.ix_(rows, columns)] = (f * w[:, None]).T @ g
+        return np.asarray(out)
 
 
 def expected(
@@ -150,10 +154,12 @@ def expected(
     known: Mapping[str, Mapping[str, float]] | None = None,
     *,
     noise: bool = True,
+    most: int | None = None,
 ) -> Expected:
     """Moments of the readings, by the particles of a state.
 
     noise  False: the blades themselves, without readings' noise and biases
+    most   particles of a blade that are used, every n-th of each node; None: all
 
     Raises InputError where there is no candidate.
     """
@@ -162,33 +168,60 @@ def expected(
     by_blade: dict[str, list[int]] = {}
     for c, one in enumerate(asked):
         by_blade.setdefault(one.blade, []).append(c)
-    get = state.arrays.__getitem__
-    node_w = normalised(get("shared/log_w"))
     mean, own_noise = np.zeros(len(asked)), np.zeros(len(asked))
-    nodes = np.zeros((len(node_w), len(asked)))
+    nodes: list[Array] = [np.zeros(0)] * len(asked)
     place: list[tuple[str, int]] = [("", 0)] * len(asked)
     blades = {}
     for blade, members in by_blade.items():
-        posterior = blade_posterior(state.meta, get, blade)
-        w = posterior.particles.w
-        f, v = _answers(model.for_blade(blade), posterior, [asked[c] for c in members],
-                        (known or {}).get(blade), noise=noise)  # fmt: skip
-        mean[members], own_noise[members] = w @ f, w @ v
-        off = f - mean[members]
-        blades[blade] = (w, off)
-        inner = w.reshape(len(node_w), -1)
-        sums = np.maximum(inner.sum(axis=1), 1e-300)
-        shaped = off.reshape(*inner.shape, -1)
-        nodes[:, members] = np.einsum("km,kmc->kc", inner, shaped) / sums[:, None]
+        particles = Drawn.of(state, blade, most)
+        own = [asked[c] for c in members]
+        f, v = _answers(
+            model.for_blade(blade), particles.posterior, own, (known or {}).get(blade), noise=noise
+        )
+        mean[members], off, given = particles.centred(f)
+        own_noise[members] = particles.w @ v
+        blades[blade] = (particles.w, off)
         for i, c in enumerate(members):
-            place[c] = (blade, i)
-    nodes -= node_w @ nodes
-    return Expected(tuple(asked), mean, own_noise, blades, nodes, node_w, tuple(place))
+            place[c], nodes[c] = (blade, i), given[:, i]
+    node_w = normalised(state.arrays["shared/log_w"])
+    return Expected(mean, own_noise, blades, np.stack(nodes, axis=1), node_w, tuple(place))
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A blade's particles, node by node: weights w (n,) of K nodes with as many draws each."""
+
+    posterior: Posterior
+    w: Array
+    node_w: Array
+
+    @staticmethod
+    def of(state: RotorState, blade: str, most: int | None = None) -> Drawn:
+        """All of a state's, or every n-th of each node."""
+        found = blade_posterior(state.meta, state.arrays.__getitem__, blade)
+        node_w = normalised(state.arrays["shared/log_w"])
+        log_w = found.particles.log_w.reshape(len(node_w), -1)
+        step = 1
+        if most is not None:
+            step = max(1, int(np.ceil(log_w.shape[1] / max(1, most // len(node_w)))))
+        kept = np.zeros(log_w.shape, bool)
+        kept[:, ::step] = True
+        few = Particles(found.particles.psi[kept.ravel()], log_w[kept])
+        return Drawn(Posterior(found.names, few), few.w, node_w)
+
+    def centred(self, f: Array) -> tuple[Array, Array, Array]:
+        """Mean (c,) of values (n, c), the values less it, and their means at the nodes (K, c)."""
+        mean = self.w @ f
+        off = f - mean
+        inner = self.w.reshape(len(self.node_w), -1)
+        sums = np.maximum(inner.sum(axis=1), 1e-300)
+        given = np.einsum("km,kmc->kc", inner, off.reshape(*inner.shape, -1)) / sums[:, None]
+        return np.asarray(mean), np.asarray(off), np.asarray(given - self.node_w @ given)
 
 
 def _answers(
     model: Model,
-    posterior: Any,
+    posterior: Posterior,
     asked: Sequence[Candidate],
     known: Mapping[str, float] | None,
     *,
