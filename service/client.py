@@ -229,6 +229,26 @@ class Client:
             "GET", _path("rotors", rotor, "blades", blade, "prediction"), params=params
         )
 
+    def plan(
+        self,
+        rotor: str,
+        *,
+        blade: str | None = None,
+        quantity: str | None = None,
+        time_h: float | None = None,
+        parameter: str | None = None,
+        count: int = 3,
+    ) -> Json:
+        """Inspections by how much they would narrow a blade's prediction, or a parameter.
+
+        time_h   hour of the prediction [h]; None: the model's last
+        """
+        params: dict[str, str] = {"count": str(count)}
+        params |= {} if time_h is None else {"time_h": repr(float(time_h))}
+        for name, value in (("blade", blade), ("quantity", quantity), ("parameter", parameter)):
+            params |= {} if value is None else {name: value}
+        return self._call("GET", _path("rotors", rotor, "plan"), params=params)
+
     def events(
         self, rotor: str, *, after: int | None = None, silence_s: float = 60.0
     ) -> Iterator[Json]:

@@ -234,17 +234,16 @@ PICTURES = having(
         )
     ),
 )
-CANDIDATE = {
+READABLE = {
     "blade": TEXT,
     "quantity": TEXT,
     "time_h": NUMBER,
     "ahead_h": NUMBER,
     "instrument": maybe(TEXT),
     "sigma": maybe(NUMBER),
-    "gain_nat": NUMBER,
-    "share": NUMBER,
-    "settled": NUMBER,
 }
+PLANNED = having(**READABLE, sd_after=NUMBER, narrower=NUMBER)
+CANDIDATE = READABLE | {"gain_nat": NUMBER, "share": NUMBER, "settled": NUMBER}
 SEPARATING = having(
     rivals=each(having(names=each(TEXT), weight=NUMBER)),
     entropy_nat=NUMBER,
@@ -355,6 +354,22 @@ ANSWERS: dict[str, Json] = {
     f"GET {ROTOR}/posterior": having(**SUMMARY),
     f"GET {ROTOR}/blades/{{b}}/posterior": having(**SUMMARY, blade=TEXT),
     f"GET {ROTOR}/blades/{{b}}/prediction": PREDICTION,
+    f"GET {ROTOR}/plan": having(
+        rotor=TEXT,
+        target=having(
+            blade=maybe(TEXT),
+            quantity=maybe(TEXT),
+            time_h=maybe(NUMBER),
+            parameter=maybe(TEXT),
+            unit=TEXT,
+            mean=NUMBER,
+            sd=NUMBER,
+        ),
+        single=each(PLANNED),
+        set=each(PLANNED),
+        health=HEALTH,
+        rests_on=RESTS_ON,
+    ),
     f"POST {ROTOR}/diagnoses": having(diagnosis=DIAGNOSIS),
     f"GET {ROTOR}/diagnoses": paged(
         having(**DIAGNOSIS_LISTED, verdict={"type": ["string", "null"]}, names=maybe(each(TEXT)))

@@ -21,6 +21,7 @@ from service.api.routers import (
     events,
     inspections,
     models,
+    plans,
     reads,
     reports,
     rotors,
@@ -89,7 +90,18 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     app.state.revisions = revisions
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
-    for module in (system, models, rotors, inspections, reads, events, diagnoses, reports, audit):
+    for module in (
+        system,
+        models,
+        rotors,
+        inspections,
+        reads,
+        plans,
+        events,
+        diagnoses,
+        reports,
+        audit,
+    ):
         app.include_router(module.router)
     problems.install(app)
     add_layers(app, services, app.state.requests)

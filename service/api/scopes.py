@@ -52,6 +52,7 @@ RULES: dict[str, Rule] = {
     f"GET {ROTOR}/posterior": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/posterior": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/prediction": Rule("read"),
+    f"GET {ROTOR}/plan": Rule("read"),
     f"GET {ROTOR}/events": Rule("read"),
     f"GET {ROTOR}/diagnoses": Rule("read"),
     f"POST {ROTOR}/diagnoses": Rule("operate"),
