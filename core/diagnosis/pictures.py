@@ -137,23 +137,31 @@ def _courses(model: Model, state: RotorState, case: Case, quantity: str, hours: 
 
 
 def _amplitude(cell: Cell, model: Model, state: RotorState) -> Json:
-    name = parameter_name(cell)
+    name, origin = parameter_name(cell), 0.0
     prior = model.network.parameter(name).prior
     posterior = shared_posterior(state.meta, state.arrays.__getitem__)
     a, w = posterior.column(name), posterior.particles.w
     mean = float(w @ a)
     sd = float(np.sqrt(w @ (a - mean) ** 2))
-    ends = (min(mean - 5 * sd, -2 * prior.sd), max(mean + 5 * sd, 2 * prior.sd))
+    typical = prior.quantile(np.array([0.02, 0.98]))
+    ends = (min(mean - 5 * sd, typical[0], origin), max(mean + 5 * sd, typical[1], origin))
     wide, near = np.linspace(*ends, POINTS), np.linspace(mean - 4 * sd, mean + 4 * sd, POINTS)
     x = np.unique(np.clip(np.r_[wide, near], prior.low, prior.high))
+    stretch = 1.0 / x if prior.log_scale else np.ones(len(x))
+    drawn = prior.quantile((np.arange(2000) + 0.5) / 2000)
     return {
         "name": cell.name,
         "unit": amplitude_unit(cell, model),
-        "prior": {"low": prior.low, "high": prior.high, "mean": prior.mean, "sd": prior.sd},
-        "quantiles": [_short(v) for v in quantiles(a, w, LEVELS)],
+        "prior": {
+            "low": prior.low - origin,
+            "high": prior.high - origin,
+            "mean": _short(float(drawn.mean()) - origin),
+            "sd": _short(float(drawn.std())),
+        },
+        "quantiles": [_short(v - origin) for v in quantiles(a, w, LEVELS)],
         "at_bound": leans(prior, a, w),
-        "x": [_short(v) for v in x],
-        "prior_density": [_short(v) for v in np.exp(prior.log_density_u(x))],
+        "x": [_short(v - origin) for v in x],
+        "prior_density": [_short(v) for v in np.exp(prior.log_density_u(prior.to_u(x))) * stretch],
         "density": [_short(v) for v in density(a, w, x, prior.low, prior.high)],
     }
 

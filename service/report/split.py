@@ -62,7 +62,7 @@ def split(found: Json) -> Markup | None:
     parts += [el("h3", "Every kind of reading"), table(head, rows, (1, 2, 3, 4))]
     missing = [n for n in found["names"] if not any(n in r["names"] for r in told["rivals"])]
     if missing:
-        parts.append(note(f"Not considered, as it was not calibrated: {joined(missing)}."))
+        parts.append(note(f"Not among those told apart here: {joined(missing)}."))
     parts.append(
         note(
             f"There are {number(told['entropy_nat'])} nat to be told. Shares are of the evidence, "

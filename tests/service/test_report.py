@@ -133,7 +133,7 @@ def test_the_inspection_that_splits_the_set_is_told_with_what_it_promises() -> N
         one["gain_nat"] = 0.001
     assert "No single reading that was considered tells them apart" in Read(page_of(idle)).said
     part = told("not separable", names=["root settling", "tip rub"])
-    assert "as it was not calibrated: tip rub" in Read(page_of(part)).said
+    assert "Not among those told apart here: tip rub" in Read(page_of(part)).said
     assert "It was not computed" in Read(page_of(told("not separable", separating=None))).said
 
 
