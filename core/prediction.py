@@ -210,6 +210,7 @@ def predict(
     instrument: str | None = None,
     known: Mapping[str, float] | None = None,
     reader: tuple[str | None, str | None] | None = None,
+    sigma: float | None = None,
 ) -> Prediction:
     """Predict `quantity` at `times` [h] from a blade's posterior.
 
@@ -217,6 +218,7 @@ def predict(
     component   for 3-D deformation: 0, 1, 2 for x, y, z
     noise       False: the blade itself, without one more reading's noise
     instrument  of that reading (default: `instrument_of`); a new one has its prior's noise
+    sigma       noise of that reading where it is known [unit]; None: as calibrated
     reader      (instrument, campaign): what their reading says, with their biases; None: the
                 blade itself
     Raises RangeError for times or nodes outside the model, InputError for a bad probability and
@@ -256,21 +258,26 @@ def predict(
     sd = gain * np.hypot(sd, declared.numerical * mean)
     corrected_mean = gain * mean + offset
     own = sigma_delta**2 + (left * gain * mean) ** 2  # of the discrepancy, by particle
-    if instrument is None and noise:
+    if instrument is None and noise and sigma is None:
         instrument = instrument_of(thin, declared)
-    sigma = noise_of(model, thin, quantity, instrument) if noise else np.zeros(len(w))
+    own_noise = np.zeros(len(w))
+    if noise:
+        if sigma is None:
+            own_noise = noise_of(model, thin, quantity, instrument)
+        else:
+            own_noise += sigma
     centre = w @ corrected_mean
     by_parameters, by_discrepancy = split_variance(mean, corrected_mean - mean, w)
     parts = {
         "parameters": np.sqrt(by_parameters),
         "surrogate": np.sqrt(w @ sd**2),
         "discrepancy": np.sqrt(by_discrepancy + w @ own),
-        "noise": np.full(time.size, np.sqrt(w @ sigma**2)),
+        "noise": np.full(time.size, np.sqrt(w @ own_noise**2)),
     }
     parts["total"] = np.sqrt(sum(v**2 for v in parts.values()))
     tail = (1 - probability) / 2
     p = np.array([tail, 1 - tail, *QUANTILES])
-    q = mixture_quantiles(corrected_mean, np.sqrt(sd**2 + own + sigma[:, None] ** 2), w, p)
+    q = mixture_quantiles(corrected_mean, np.sqrt(sd**2 + own + own_noise[:, None] ** 2), w, p)
     return Prediction(
         quantity,
         declared.unit,

@@ -248,6 +248,26 @@ class Client:
             "GET", _path("rotors", rotor, "blades", blade, "prediction"), params=params
         )
 
+    def plan(
+        self,
+        rotor: str,
+        *,
+        blade: str | None = None,
+        quantity: str | None = None,
+        time_h: float | None = None,
+        parameter: str | None = None,
+        count: int = 3,
+    ) -> Json:
+        """Inspections by how much they would narrow a blade's prediction, or a parameter.
+
+        time_h   hour of the prediction [h]; None: the model's last
+        """
+        params: dict[str, str] = {"count": str(count)}
+        params |= {} if time_h is None else {"time_h": repr(float(time_h))}
+        for name, value in (("blade", blade), ("quantity", quantity), ("parameter", parameter)):
+            params |= {} if value is None else {name: value}
+        return self._call("GET", _path("rotors", rotor, "plan"), params=params)
+
     def events(
         self, rotor: str, *, after: int | None = None, silence_s: float = 60.0
     ) -> Iterator[Json]:
@@ -320,6 +340,18 @@ class Client:
             if page["next"] is None:
                 return
             params["cursor"] = page["next"]
+
+    def report(self, rotor: str, diagnosis: str, *, limit: float | None = None) -> str:
+        """A finished diagnosis as one HTML file to hand on.
+
+        limit  of the quantity that is forecast [its unit]: shows by how much remaining life moves
+        """
+        path = _path("rotors", rotor, "diagnoses", diagnosis, "report")
+        params = {} if limit is None else {"limit": repr(float(limit))}
+        response = self._http.get(path, params=params)
+        if response.is_error:
+            raise ProblemError(response)
+        return response.text
 
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

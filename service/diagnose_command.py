@@ -134,6 +134,16 @@ def read_families(file: Path) -> list[Told]:
     return told
 
 
+def write(file: Path, page: str) -> None:
+    """A report to its file. InputError: it cannot be written."""
+    try:
+        file.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            "--html", str(file), f"cannot be written: {error}", "name another"
+        ) from None
+
+
 def diagnose(
     rotor: Annotated[str, typer.Argument(help="The rotor.")],
     url: Annotated[str, typer.Option(help="The service.")] = "http://127.0.0.1:8000",
@@ -147,16 +157,29 @@ def diagnose(
     adopt: Annotated[
         bool, typer.Option("--adopt", help="Adopt what the diagnosis names, if it does.")
     ] = False,
+    html: Annotated[
+        Path | None, typer.Option(help="Write the report, one HTML file, to this file.")
+    ] = None,
+    limit: Annotated[
+        float | None,
+        typer.Option(help="Of the forecast quantity: the report tells the life left until it."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Which effects a rotor's model lacks. Exit status 0: none; 3: some, named or not; 1: error."""
     own = [] if families is None else read_families(families)
+    if limit is not None and html is None:
+        raise InputError("--limit", limit, "is for the report", "give --html FILE as well")
+    if html is not None and not html.absolute().parent.is_dir():
+        raise InputError("--html", str(html), "lies in no folder", "make the folder first")
     try:
         with Client(url, key=key) as twin, shown(quiet=as_json) as show:
             told = twin.diagnose(rotor, families=own, compare=not no_compare)
             told = awaited(twin, told, show, LOOK_S)
             if adopt and told["status"] == "done" and told["result"]["verdict"] == "effect":
                 told |= twin.adopt(rotor, told["id"])
+            if html is not None and told["status"] == "done":
+                write(html, twin.report(rotor, told["id"], limit=limit))
     except httpx.TransportError as error:
         raise AwayError(
             f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."

@@ -31,7 +31,10 @@ from core.diagnosis import (
 from core.diagnosis.clock import with_offsets
 from core.diagnosis.diagnose import STEPS
 from core.diagnosis.grammar import families_for
+from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
+from core.diagnosis.rivals import splitting
+from core.diagnosis.separate import separation_json
 from core.diagnosis.transfer import conditions, transferred
 from core.errors import InputError
 from core.model import Model
@@ -97,7 +100,7 @@ def diagnosed(
 
     ``adds`` is what an effect that is claimed adds to the rotor's network (`service.variant`).
     """
-    total = STEPS + 3 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
+    total = STEPS + 4 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
     case = Case(spec, tuple(readings), facts, families_of(model, families))
@@ -113,7 +116,7 @@ def diagnosed(
     quantity = compared(readings)
     claimed = found.verdict.word == "effect"
     if claimed and compare_h is not None and held_out(readings, quantity):
-        steps = iter(range(STEPS + 1, total))
+        steps = iter(range(STEPS + 1, total - 1))
         both = before_after(
             (found.before[0], found.after[0]),
             spec,
@@ -123,10 +126,13 @@ def diagnosed(
             lambda what: progress(what, next(steps), total),
             work,
         )
-    told = to_json(found, case, both)
+    progress("pictures and inspections to come", total - 1, total)
+    split = splitting(found, case, work)
+    apart = None if split is None else separation_json(split)
+    told = to_json(found, case, both, pictures(found, case), apart)
     if claimed and compare_h is not None:
         models = (found.before[0], found.after[0])
-        steps = iter(range(STEPS + 3, total))
+        steps = iter(range(STEPS + 3, total - 1))
         held = transferred(
             models, spec, readings, quantity, lambda what: progress(what, next(steps), total), work
         )

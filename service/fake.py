@@ -40,6 +40,7 @@ from service.ports import (
     ModelCard,
     NoiseFrom,
     Output,
+    PlanTarget,
     Progress,
     RotorSpec,
 )
@@ -185,6 +186,49 @@ class FakeScience:
             "models": {"before": card.digest, "after": card.digest},
             "before_after": None,
             "adds": None,
+        }
+
+    def plan(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blades: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        target: PlanTarget,
+        count: int,
+    ) -> Json:
+        """Each blade's elongation at its latest hour, singly, by exact conditioning."""
+        latest = {b.id: HORIZON_H / 2 for b in blades}
+        latest |= {r.blade: r.time_h for r in sorted(readings, key=lambda r: r.time_h)}
+        own = {b.id: self.moments(get, b.id) for b in blades}
+        aim = np.ones(2) if target.parameter is None else np.array([1.0, 0.0])
+        if target.parameter == "offset":
+            aim = np.array([0.0, 1.0])
+        hour = 1.0 if target.time_h is None else target.time_h / HORIZON_H
+        mean, covariance = own[target.blade or blades[0].id]
+        variance = float(aim @ covariance @ aim) * hour**2
+        single = []
+        for b in blades:
+            h = max(latest[b.id], 1.0) / HORIZON_H
+            of_blade = own[b.id][1]
+            seen = float(of_blade.sum()) * h**2 + SIGMA**2
+            if b.id == target.blade:
+                shared = float(aim @ covariance @ np.ones(2))
+            else:
+                shared = float((aim @ covariance)[0] * of_blade[0].sum() / covariance[0, 0])
+            left = float(np.sqrt(max(variance - (shared * hour * h) ** 2 / seen, 0.0)))
+            told = {"blade": b.id, "quantity": "elongation", "time_h": h * HORIZON_H}
+            told |= {"ahead_h": 0.0, "instrument": None, "sigma": None, "sd_after": left}
+            single.append(told | {"narrower": 1 - left / variance**0.5 if variance else 0.0})
+        single.sort(key=lambda one: (one["sd_after"], one["blade"]))
+        centre = float(aim @ mean) * hour
+        return {
+            "unit": "mm",
+            "mean": centre,
+            "sd": variance**0.5,
+            "single": single,
+            "set": single[:1],
         }
 
     def update(

@@ -180,6 +180,24 @@ class Science(Protocol):
         instrument: str | None,
         known: Mapping[str, float] | None,
     ) -> Prediction: ...
+    def plan(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blades: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        target: PlanTarget,
+        count: int,
+    ) -> Json:
+        """By how much inspections would narrow the target (`core.planning.worth`).
+
+        blades     that run; readings: those that count
+        Returns `unit`, `mean` and `sd` of the target, `single` readings and the best `set`, each
+        with `sd_after` and `narrower`. Raises InputError where there is nothing to inspect.
+        """
+        ...
+
     def warm(self, card: ModelCard) -> None: ...
     def check_families(self, card: ModelCard, families: Sequence[Json]) -> None:
         """Refuse families of effects (`core.diagnosis.Family`) that the model cannot be asked for.
@@ -207,6 +225,16 @@ class Science(Protocol):
         Raises InputError where there is nothing to diagnose.
         """
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class PlanTarget:
+    """What is to be known better: a blade's quantity at an hour, or a parameter."""
+
+    blade: str | None
+    quantity: str | None
+    time_h: float | None
+    parameter: str | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ from service.ports import (
     ModelCard,
     NoiseFrom,
     Output,
+    PlanTarget,
     Progress,
     RotorSpec,
 )
@@ -252,6 +253,21 @@ class CoreScience:
         )
         state = self.update(card, spec, [first], None, quick=False)
         self.update(card, spec, [first, later], state, quick=True)
+
+    def plan(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blades: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        target: PlanTarget,
+        count: int,
+    ) -> Json:
+        from service.worth import planned
+
+        state = self.restore(meta, get)
+        return planned(self._model(card), state, blades, readings, target, count)
 
     def check_families(self, card: ModelCard, families: Sequence[Json]) -> None:
         from service.effects import families_of

@@ -45,11 +45,14 @@ class Turn:
     """What was weighed, and what was taken of it: names, none where nothing earned its place.
 
     rivals  the calibrated ones, by the names that the turn would add
+    cells   of the scan that found the hypotheses; before: effects that were in the model by then
     """
 
     hypotheses: tuple[Hypothesis, ...]
     took: tuple[str, ...]
     rivals: Mapping[tuple[str, ...], Rival]
+    cells: tuple[Cell, ...] = ()
+    before: tuple[Cell, ...] = ()
 
     @property
     def evidence(self) -> dict[str, float]:

@@ -181,7 +181,7 @@ class _Search:
         best = max(rivals, key=lambda n: rivals[n].gained, default=None)
         if best and rivals[best].gained < taken.gained + self.price * len(best):
             best = None
-        return Turn(weighed, best or (), rivals)
+        return Turn(weighed, best or (), rivals, tuple(scan.cells), taken.effects)
 
     def needed(self, taken: Rival) -> Rival:
         """Without the effects that do not earn their place beside the others."""

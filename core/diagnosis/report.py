@@ -3,8 +3,8 @@
 Held out is the latest third of the readings, one at least, of every second blade (in the order of
 names, of those with two readings or more): later times, on blades whose lots, instruments and
 campaigns the other blades still speak of. Each model predicts the *reading*, with the bias of
-whoever took it; the score is the log density of a normal with the prediction's mean and sd [nat per
-reading].
+whoever took it and the reading's own noise where it has one; the score is the log density of a
+normal with the prediction's mean and sd [nat per reading].
 """
 
 from __future__ import annotations
@@ -135,6 +135,7 @@ def score(
             instrument=r.instrument if model.network.quantity(r.quantity).by_instrument else None,
             known=(known or {}).get(r.blade),
             reader=(r.instrument, r.campaign),
+            sigma=r.sigma,
         )
         mean.append(got.mean[0])
         sd.append(got.sd["total"][0])

@@ -18,8 +18,18 @@ from core.diagnosis.verdict import Verdict, describe
 Json = dict[str, Any]
 
 
-def to_json(found: Diagnosis, case: Case, compared: BeforeAfter | None = None) -> Json:
-    """Verdict, effects with amplitudes, evidence, everything tried, before and after."""
+def to_json(
+    found: Diagnosis,
+    case: Case,
+    compared: BeforeAfter | None = None,
+    pictures: Json | None = None,
+    separating: Json | None = None,
+) -> Json:
+    """Verdict, effects with amplitudes, evidence, everything tried, before and after.
+
+    pictures    what a report shows of it (`core.diagnosis.pictures`)
+    separating  inspections that would split what is not separable (`core.diagnosis.separate`)
+    """
     verdict = found.verdict
     return {
         "verdict": verdict.word,
@@ -51,6 +61,8 @@ def to_json(found: Diagnosis, case: Case, compared: BeforeAfter | None = None) -
         },
         "models": {"before": found.before[0].digest, "after": found.after[0].digest},
         "before_after": None if compared is None else compared_json(compared),
+        "pictures": pictures,
+        "separating": separating,
     }
 
 
@@ -61,6 +73,7 @@ def cell_json(cell: Cell) -> Json:
         "words": describe(cell),
         "family": cell.family.name,
         "kind": cell.family.kind,
+        "on": cell.family.target,
         "target": cell.family.of,
         "how": cell.family.how,
         "shape": cell.shape,

@@ -173,6 +173,91 @@ JOB = having(
     created_at=TEXT,
     finished_at=maybe(TEXT),
 )
+TWICE = having(mean=NUMBER, sd=NUMBER, z=NUMBER)
+COURSE = having(
+    mean=each(each(NUMBER)),
+    sd=each(each(NUMBER)),
+    low=each(each(NUMBER)),
+    median=each(each(NUMBER)),
+    high=each(each(NUMBER)),
+)
+PLACED = having(mean=NUMBER, sd=NUMBER, spread=NUMBER, of=WHOLE, at_low=WHOLE, at_high=WHOLE)
+PICTURES = having(
+    schema=WHOLE,
+    readings=each(
+        having(
+            id=TEXT,
+            blade=TEXT,
+            quantity=TEXT,
+            unit=TEXT,
+            time_h=NUMBER,
+            rotor_h=NUMBER,
+            instrument=maybe(TEXT),
+            campaign=maybe(TEXT),
+            value=NUMBER,
+            before=TWICE,
+            after=TWICE,
+        )
+    ),
+    readings_not_shown=WHOLE,
+    courses=maybe(
+        having(
+            quantity=TEXT,
+            unit=TEXT,
+            time_h=each(NUMBER),
+            blades=each(TEXT),
+            before=COURSE,
+            after=COURSE,
+        )
+    ),
+    amplitudes=each(
+        having(
+            name=TEXT,
+            unit=TEXT,
+            prior=having(low=NUMBER, high=NUMBER, mean=NUMBER, sd=NUMBER),
+            quantiles=each(NUMBER),
+            at_bound=maybe(TEXT),
+            x=each(NUMBER),
+            prior_density=each(NUMBER),
+            density=each(NUMBER),
+        )
+    ),
+    parameters=each(
+        having(
+            name=TEXT,
+            level={"enum": ["shared", "local"]},
+            unit=TEXT,
+            low=NUMBER,
+            high=NUMBER,
+            effect=YES,
+            before=maybe(PLACED),
+            after=maybe(PLACED),
+        )
+    ),
+)
+READABLE = {
+    "blade": TEXT,
+    "quantity": TEXT,
+    "time_h": NUMBER,
+    "ahead_h": NUMBER,
+    "instrument": maybe(TEXT),
+    "sigma": maybe(NUMBER),
+}
+PLANNED = having(**READABLE, sd_after=NUMBER, narrower=NUMBER)
+CANDIDATE = READABLE | {"gain_nat": NUMBER, "share": NUMBER, "settled": NUMBER}
+SEPARATING = having(
+    rivals=each(having(names=each(TEXT), weight=NUMBER)),
+    entropy_nat=NUMBER,
+    single=each(
+        having(
+            **CANDIDATE,
+            unit=TEXT,
+            blades_alike=WHOLE,
+            expected=each(having(mean=NUMBER, sd=NUMBER)),
+        )
+    ),
+    set=each(having(**CANDIDATE)),
+)
 VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]}
 ADOPTION = having(
     rotor=TEXT,
@@ -188,7 +273,7 @@ ADOPTION = having(
     at=TEXT,
 )
 FOUND = having(
-    ("adds", "not_adopted"),
+    ("adds", "conditions", "not_adopted", "pictures", "separating"),
     verdict=VERDICT,
     names=each(TEXT),
     reasons=each(TEXT),
@@ -207,7 +292,19 @@ FOUND = having(
     models=having(before=TEXT, after=TEXT),
     before_after=maybe(ANY),
     adds=maybe(having(parameters=each(ANY), drifts=each(ANY), biases=each(ANY))),
+    conditions=each(
+        having(
+            input=TEXT,
+            value=NUMBER,
+            holds=YES,
+            blades=each(TEXT),
+            before=ANY,
+            after=ANY,
+        )
+    ),
     not_adopted=TEXT,
+    pictures=maybe(PICTURES),
+    separating=maybe(SEPARATING),
     rests_on=having(
         rotor=TEXT,
         through_seq=WHOLE,
@@ -287,6 +384,22 @@ ANSWERS: dict[str, Json] = {
     f"GET {ROTOR}/posterior": having(**SUMMARY),
     f"GET {ROTOR}/blades/{{b}}/posterior": having(**SUMMARY, blade=TEXT),
     f"GET {ROTOR}/blades/{{b}}/prediction": PREDICTION,
+    f"GET {ROTOR}/plan": having(
+        rotor=TEXT,
+        target=having(
+            blade=maybe(TEXT),
+            quantity=maybe(TEXT),
+            time_h=maybe(NUMBER),
+            parameter=maybe(TEXT),
+            unit=TEXT,
+            mean=NUMBER,
+            sd=NUMBER,
+        ),
+        single=each(PLANNED),
+        set=each(PLANNED),
+        health=HEALTH,
+        rests_on=RESTS_ON,
+    ),
     f"POST {ROTOR}/diagnoses": having(diagnosis=DIAGNOSIS),
     f"GET {ROTOR}/diagnoses": paged(
         having(**DIAGNOSIS_LISTED, verdict={"type": ["string", "null"]}, names=maybe(each(TEXT)))

@@ -22,7 +22,9 @@ from service.api.routers import (
     events,
     inspections,
     models,
+    plans,
     reads,
+    reports,
     rotors,
     system,
 )
@@ -89,8 +91,19 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     app.state.revisions = revisions
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
-    known = (system, models, rotors, inspections, reads, events, diagnoses, adoptions, audit)
-    for module in known:
+    for module in (
+        system,
+        models,
+        rotors,
+        inspections,
+        reads,
+        plans,
+        events,
+        diagnoses,
+        adoptions,
+        reports,
+        audit,
+    ):
         app.include_router(module.router)
     problems.install(app)
     add_layers(app, services, app.state.requests)

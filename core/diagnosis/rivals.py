@@ -1,0 +1,59 @@
+"""The rivals of a set that is not separable, calibrated, and the inspections that would split it.
+
+`diagnose` calibrates the weightiest hypotheses of a turn alone. Here every name of the set gets its
+best hypothesis, calibrated from the same readings.
+"""
+
+from __future__ import annotations
+
+from core.calibration.online import Workspace, update
+from core.diagnosis.adopt import with_effects
+from core.diagnosis.diagnose import Case, Diagnosis
+from core.diagnosis.separate import Rival, Separation, separate
+from core.errors import InputError
+from core.planning.ahead import candidates
+
+
+def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) -> list[Rival]:
+    """The best hypothesis of each name of the set, with its share of the evidence, largest first.
+
+    Each has the effects that were in the model before, and its own. Left out is what the runs have
+    no room for.
+    """
+    model, state = found.before
+    if (turn := found.open) is None:
+        return []
+    noise, allowed = case.noise(model, state), set(found.verdict.names)
+    rivals: list[Rival] = []
+    for one in turn.hypotheses:
+        covered = {n for r in rivals for n in r.names}
+        if not set(one.names) - covered or not set(one.names) <= allowed:
+            continue
+        if (known := turn.rivals.get(one.names)) is not None:
+            rivals.append(Rival(one.names, known.model, known.state, one.weight))
+            continue
+        try:
+            more = (*turn.before, *(turn.cells[i] for i in one.cells))
+            bigger = with_effects(model, more, case.facts, noise)
+        except InputError:
+            continue
+        made = update(bigger, case.spec, case.readings, workspace=workspace)
+        rivals.append(Rival(one.names, bigger, made, one.weight))
+    return rivals
+
+
+def splitting(
+    found: Diagnosis, case: Case, workspace: Workspace | None = None
+) -> Separation | None:
+    """Inspections that would split a set that is not separable.
+
+    None for every other verdict, where fewer than two of the set could be calibrated, and where no
+    blade has hours left in the model.
+    """
+    if found.verdict.word != "not separable":
+        return None
+    rivals = rivals_of(found, case, workspace)
+    asked = candidates(found.before[0], case.spec.blades, case.readings)
+    if len(rivals) < 2 or not asked:
+        return None
+    return separate(rivals, asked, case.spec.known)

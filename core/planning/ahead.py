@@ -1,0 +1,254 @@
+"""Inspections that could be made, and what a calibrated model expects them to read.
+
+A candidate is one reading of one blade at an hour to come, by an instrument, in a campaign of its
+own (those that were are over). What a model expects of several is taken for normal, with the
+particles' own moments,
+
+    m_c = E f_c,     C_cd = Cov(f_c, f_d) + [c = d] E(s_c² + sigma_c²)
+
+f being the blade's answer with the biases of whoever reads. On one blade the covariance is that of
+its joint particles; between blades only the shared parameters s are common, so it is the covariance
+of E[f_c | s] and E[f_d | s] over the shared nodes. The surrogate's error s_c counts as independent
+between readings, as in the calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.state import Posterior, RotorState, blade_posterior
+from core.errors import InputError
+from core.model import Model
+from core.network import Quantity
+from core.observation import Inspection
+from core.prediction import corrected, inputs_of, noise_of
+from core.smc.particles import Particles, normalised
+
+Array = NDArray[np.float64]
+AHEAD_H = (0.0, 4000.0, 8000.0, 16_000.0)
+TO_COME = "to come"  # a campaign that is none of those that were
+ANOTHER = "another"  # an instrument that is none of those that read
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One reading that could be taken.
+
+    time_h      blade's hours; ahead_h: from the blade's latest reading on
+    instrument  None: as readings name none; `ANOTHER`: one that has not read this rotor yet
+    sigma       its noise, where readings give theirs [unit]; None: as calibrated
+    """
+
+    blade: str
+    quantity: str
+    time_h: float
+    ahead_h: float
+    instrument: str | None = None
+    sigma: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain dictionary."""
+        return asdict(self)
+
+
+def candidates(
+    model: Model,
+    blades: Sequence[str],
+    readings: Sequence[Inspection],
+    ahead_h: Sequence[float] = AHEAD_H,
+) -> tuple[Candidate, ...]:
+    """Every blade × hour × quantity × instrument; left out are 3-D scans, and quantities that the
+    network declares and the surrogate has no answer for.
+
+    Hours count from the blade's latest reading (of a blade without one from zero) as far as the
+    model reaches. Instruments are those that read the quantity, and another one.
+    """
+    latest: dict[str, float] = {}
+    for r in readings:
+        latest[r.blade] = max(latest.get(r.blade, 0.0), r.time_h)
+    found = []
+    for q in model.network.quantities:
+        if q.kind == "vector" or not answers(model, q):
+            continue
+        own = [r for r in readings if r.quantity == q.name]
+        used = sorted({r.instrument for r in own if r.instrument is not None})
+        told = [r.sigma for r in own if r.sigma is not None]
+        sigma = float(median(told)) if told and len(told) == len(own) else None
+        horizon = model.part(q.name).horizon_h
+        for blade in blades:
+            for ahead in ahead_h:
+                hour = latest.get(blade, 0.0) + ahead
+                if not 0 < hour <= horizon:
+                    continue
+                found += [
+                    Candidate(blade, q.name, hour, float(ahead), name, sigma)
+                    for name in (*used, ANOTHER if used else None)
+                ]
+    return tuple(found)
+
+
+def answers(model: Model, quantity: Quantity) -> bool:
+    """Whether the surrogate answers for a quantity of the network."""
+    part = model.part(quantity.name)
+    middle = np.array([[0.5 * (i.low + i.high) for i in part.inputs]])
+    node = quantity.node or "tip"
+    if quantity.kind != "scalar" and node not in part.named:
+        return False
+    nodes = None if quantity.kind == "scalar" else [part.named[node]]
+    try:
+        part.predict(middle, quantity.name, np.array([0.5 * part.horizon_h]), nodes)
+    except InputError:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a model expects of C readings, or of other things that its particles tell.
+
+    mean    (C,); noise: variance of surrogate and readings, (C,)
+    blades  by blade its particles' weights (n,) and what they expect less the mean, (n, c)
+    nodes   the same given the shared nodes, (K, C), with their weights node_w (K,)
+    place   blade of each, and its column there
+    """
+
+    mean: Array
+    noise: Array
+    blades: Mapping[str, tuple[Array, Array]]
+    nodes: Array
+    node_w: Array
+    place: tuple[tuple[str, int], ...]
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of each reading, (C,)."""
+        own = [float(self.blades[b][0] @ self.blades[b][1][:, i] ** 2) for b, i in self.place]
+        return np.asarray(np.sqrt(np.array(own) + self.noise))
+
+    def covariance(self, which: Sequence[int]) -> Array:
+        """Of the readings of these, (k, k)."""
+        out = self.cross(self)[np.ix_(which, which)] + np.diag(self.noise[list(which)])
+        return np.asarray(0.5 * (out + out.T))
+
+    def cross(self, other: Expected) -> Array:
+        """Covariance with what the same state expects of others, without noise, (C, D)."""
+        out = (self.nodes * self.node_w[:, None]).T @ other.nodes
+        for blade in self.blades.keys() & other.blades.keys():
+            (w, f), (_, g) = self.blades[blade], other.blades[blade]
+            rows = [i for i, (b, _) in enumerate(self.place) if b == blade]
+            columns = [i for i, (b, _) in enumerate(other.place) if b == blade]
+            out[np.ix_(rows, columns)] = (f * w[:, None]).T @ g
+        return np.asarray(out)
+
+
+def expected(
+    model: Model,
+    state: RotorState,
+    asked: Sequence[Candidate],
+    known: Mapping[str, Mapping[str, float]] | None = None,
+    *,
+    noise: bool = True,
+    most: int | None = None,
+) -> Expected:
+    """Moments of the readings, by the particles of a state.
+
+    noise  False: the blades themselves, without readings' noise and biases
+    most   particles of a blade that are used, every n-th of each node; None: all
+
+    Raises InputError where there is no candidate.
+    """
+    if not asked:
+        raise InputError("candidates", 0, "cannot be ranked", "give blades, hours and quantities")
+    by_blade: dict[str, list[int]] = {}
+    for c, one in enumerate(asked):
+        by_blade.setdefault(one.blade, []).append(c)
+    mean, own_noise = np.zeros(len(asked)), np.zeros(len(asked))
+    nodes: list[Array] = [np.zeros(0)] * len(asked)
+    place: list[tuple[str, int]] = [("", 0)] * len(asked)
+    blades = {}
+    for blade, members in by_blade.items():
+        particles = Drawn.of(state, blade, most)
+        own = [asked[c] for c in members]
+        f, v = _answers(
+            model.for_blade(blade), particles.posterior, own, (known or {}).get(blade), noise=noise
+        )
+        mean[members], off, given = particles.centred(f)
+        own_noise[members] = particles.w @ v
+        blades[blade] = (particles.w, off)
+        for i, c in enumerate(members):
+            place[c], nodes[c] = (blade, i), given[:, i]
+    node_w = normalised(state.arrays["shared/log_w"])
+    return Expected(mean, own_noise, blades, np.stack(nodes, axis=1), node_w, tuple(place))
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A blade's particles, node by node: weights w (n,) of K nodes with as many draws each."""
+
+    posterior: Posterior
+    w: Array
+    node_w: Array
+
+    @staticmethod
+    def of(state: RotorState, blade: str, most: int | None = None) -> Drawn:
+        """All of a state's, or every n-th of each node."""
+        found = blade_posterior(state.meta, state.arrays.__getitem__, blade)
+        node_w = normalised(state.arrays["shared/log_w"])
+        log_w = found.particles.log_w.reshape(len(node_w), -1)
+        step = 1
+        if most is not None:
+            step = max(1, int(np.ceil(log_w.shape[1] / max(1, most // len(node_w)))))
+        kept = np.zeros(log_w.shape, bool)
+        kept[:, ::step] = True
+        few = Particles(found.particles.psi[kept.ravel()], log_w[kept])
+        return Drawn(Posterior(found.names, few), few.w, node_w)
+
+    def centred(self, f: Array) -> tuple[Array, Array, Array]:
+        """Mean (c,) of values (n, c), the values less it, and their means at the nodes (K, c)."""
+        mean = self.w @ f
+        off = f - mean
+        inner = self.w.reshape(len(self.node_w), -1)
+        sums = np.maximum(inner.sum(axis=1), 1e-300)
+        given = np.einsum("km,kmc->kc", inner, off.reshape(*inner.shape, -1)) / sums[:, None]
+        return np.asarray(mean), np.asarray(off), np.asarray(given - self.node_w @ given)
+
+
+def _answers(
+    model: Model,
+    posterior: Posterior,
+    asked: Sequence[Candidate],
+    known: Mapping[str, float] | None,
+    *,
+    noise: bool,
+) -> tuple[Array, Array]:
+    """Of one blade's candidates: f (N, c) with biases, variance of surrogate and noise (N, c)."""
+    n = len(posterior.particles.log_w)
+    f, v = np.zeros((n, len(asked))), np.zeros((n, len(asked)))
+    for quantity in sorted({one.quantity for one in asked}):
+        declared, part = model.network.quantity(quantity), model.part(quantity)
+        members = [i for i, one in enumerate(asked) if one.quantity == quantity]
+        hours = np.unique([asked[i].time_h for i in members])
+        nodes = None if declared.kind == "scalar" else [part.named[declared.node or "tip"]]
+        x = inputs_of(model, posterior, quantity, known)
+        y, s = (a.reshape(n, len(hours)) for a in part.predict(x, quantity, hours, nodes))
+        for i in members:
+            one = asked[i]
+            at = int(np.searchsorted(hours, one.time_h))
+            reader = (one.instrument, TO_COME) if noise else None
+            gain, offset, sigma_delta, left = corrected(
+                model, posterior, declared, np.array([one.time_h]), None, reader
+            )
+            f[:, i] = gain[:, 0] * y[:, at] + offset[:, 0]
+            sd = gain[:, 0] * np.hypot(s[:, at], declared.numerical * y[:, at])
+            v[:, i] = sd**2 + sigma_delta[0] ** 2 + (left[0] * f[:, i]) ** 2
+            if noise:
+                name = one.instrument if declared.by_instrument else None
+                own = noise_of(model, posterior, quantity, name) if one.sigma is None else one.sigma
+                v[:, i] += np.square(own)
+    return f, v

@@ -1,0 +1,175 @@
+"""Sections of a report, each from the diagnosis' JSON; without its data it says what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from service.report import figures
+from service.report.life import Life, lives
+from service.report.markup import Child, Markup, el
+from service.report.tables import cell, figure, note, section, table
+from service.report.words import capital, number, sentence, with_sd
+
+Json = Mapping[str, Any]
+ALARM, LEFT = 0.05, 0.01  # of core.diagnosis.verdict
+SHOWN = 12
+OLDER = "This diagnosis was made by a release that did not keep {}. Ask for a new one to have them."
+
+
+def effects(found: Json) -> Markup:
+    """Effects with amplitude, band and what they mean."""
+    pictures = found.get("pictures") or {}
+    told = {one["name"]: one for one in pictures.get("amplitudes", ())}
+    model = found["rests_on"]["model"]
+    title = "The effect" if found["claimed"] else "Effects that were calibrated, not claimed"
+    if not found["effects"]:
+        return section("Effects", el("p", "No effect was put into the model."))
+    parts: list[Child] = []
+    for one in found["effects"]:
+        known = told.get(one["name"])
+        parts.append(el("h3", one["name"]))
+        parts.append(el("p", capital(sentence(one, known and known["unit"], model)) + "."))
+        parts.append(note(f"{one['words']}. Kind: {one['kind']}."))
+        if known is None:
+            continue
+        share = 100.0 if known["unit"] == "1" else 1.0
+        unit = "%" if share == 100.0 else known["unit"]
+        low, middle, high = (number(share * q) for q in known["quantiles"])
+        said = f"Median {middle} {unit}, 95 % between {low} and {high} {unit}."
+        if known["at_bound"]:
+            said += f" The amplitude leans on its {known['at_bound']} bound: it may be larger."
+        parts.append(figure(figures.amplitude(known), said))
+    if not told:
+        parts.append(note(OLDER.format("the amplitudes' densities")))
+    parts.append(el("p", f"Log evidence gained by all of it: {number(found['gained_nat'])} nat."))
+    return section(title, *parts)
+
+
+def before_after(found: Json) -> Markup:
+    """Both models on readings that neither used."""
+    title = "Before and after, on readings that neither model used"
+    compared, words = (
+        found["before_after"],
+        "compared where an effect is claimed, unless told not to",
+    )
+    if compared is None:
+        return section(title, el("p", f"Not compared: the two models are {words}."))
+    a, b = compared["before"], compared["after"]
+    unit = (found.get("pictures") or {}).get("courses") or {}
+    unit = unit["unit"] if unit.get("quantity") == compared["quantity"] else ""
+    in_unit = f" [{unit}]" if unit else ""
+    rows: list[list[Child]] = []
+    for key, what, digits, good in (
+        ("rmse", f"RMSE{in_unit}", 3, "less"),
+        ("bias", f"bias, prediction − reading{in_unit}", 3, "near 0"),
+        ("log_score", "log score [nat per reading]", 3, "more"),
+        ("within_68", "inside the 68 % band", 2, "near 0.68"),
+        ("within_95", "inside the 95 % band", 2, "near 0.95"),
+        ("width", f"width of the 95 % band{in_unit}", 3, "narrow, at a right coverage"),
+    ):
+        better = improved(key, a[key], b[key])
+        kind = "" if better is None else "better" if better else "worse"
+        told = "–" if better is None else "better" if better else "worse"
+        after = cell(number(b[key], digits), numeric=True, kind=kind)
+        rows.append([what, number(a[key], digits), after, good, told])
+    forecast = compared["forecast"]
+    at = f"fleet's mean {compared['quantity']} at {number(forecast['time_h'])} h{in_unit}"
+    ahead = [with_sd(forecast[w]["mean"], forecast[w]["sd"]) for w in figures.BOTH]
+    rows.append([at, *ahead, "", "moves by " + number(_moved(forecast))])
+    said = (
+        f"{a['count']} readings of {compared['quantity']}, the latest of every second blade: both "
+        "models were calibrated without them, and then predicted them."
+    )
+    held = {w: [z for z in compared[w]["z"] if z is not None] for w in figures.BOTH}
+    strips = figures.groups("z of held-out readings", {"held out": held})
+    return section(
+        title, el("p", said), table(["", "before", "after", "good is", ""], rows, (1, 2)),
+        figure(strips, "Held-out readings: how many sd each lies from its prediction."),
+    )  # fmt: skip
+
+
+def improved(key: str, before: float | None, after: float | None) -> bool | None:
+    """Whether a score got better; None: it did not change, or is not known, or cannot tell alone.
+
+    >>> improved("rmse", 2.0, 1.0), improved("log_score", 2.0, 1.0), improved("within_95", 1.0, 0.9)
+    (True, False, None)
+    """
+    if before is None or after is None or before == after or key == "width":
+        return None
+    target = {"bias": 0.0, "within_68": 0.68, "within_95": 0.95}
+    if key in target:
+        off = abs(before - target[key]), abs(after - target[key])
+        return None if abs(off[0] - off[1]) < 1e-9 else off[1] < off[0]
+    return after > before if key == "log_score" else after < before
+
+
+def _moved(forecast: Json) -> float | None:
+    a, b = forecast["before"]["mean"], forecast["after"]["mean"]
+    return None if a is None or b is None else b - a
+
+
+def life(found: Json, limit: float | None) -> Markup | None:
+    """Hours until the limit, before and after; None where no limit is given."""
+    if limit is None:
+        return None
+    courses = (found.get("pictures") or {}).get("courses")
+    title = "Remaining life"
+    if courses is None:
+        return section(title, note(OLDER.format("the blades' courses")))
+    every = lives(courses, found["pictures"]["readings"], limit)
+    reach = number(courses["time_h"][-1])
+    what = f"{number(limit)} {courses['unit']} of {figures.label_of(courses['quantity'])}"
+    parts: list[Child] = [
+        el(
+            "p",
+            f"Limit: {what}. The model covers {reach} h; a blade that does not pass the limit by "
+            "then is shown as beyond.",
+        )
+    ]
+    both, moved = changes(found), [one.moved_h for one in every if one.moved_h is not None]
+    if both and moved:
+        parts.append(
+            el(
+                "p",
+                f"On average over the {len(moved)} blades that pass it in both models the median "
+                f"hour moves by {number(sum(moved) / len(moved))} h, at most by "
+                f"{number(max(moved, key=abs))} h.",
+            )
+        )
+    rows = [
+        [one.blade, number(one.now_h), _hours(one.before, one.now_h)]
+        + both * [_hours(one.after, one.now_h), number(one.moved_h)]
+        for one in every[:SHOWN]
+    ]
+    head = ["blade", "hours now", "hours left"]
+    if both:
+        head[2:] = ["hours left before", "hours left after", "median moves by [h]"]
+    parts.append(table(head, rows, (1, 4)))
+    first = f"The {SHOWN} of {len(every)} blades that pass first. " * (len(every) > SHOWN)
+    parts.append(note(f"{first}Median and, in brackets, 95 % of the hours left."))
+    return section(title, *parts)
+
+
+def _hours(one: Life, now: float) -> str:
+    def left(hour: float | None) -> str:
+        return "beyond" if hour is None else number(max(0.0, hour - now))
+
+    return f"{left(one.median)} ({left(one.early)} … {left(one.late)})"
+
+
+def changes(found: Json) -> bool:
+    """Whether a model with effects stands beside the one as it was."""
+    return bool(found["effects"])
+
+
+def forecast(found: Json) -> Markup:
+    """The blades' mean over the hours by both models."""
+    pictures, title = found.get("pictures"), "Forecast"
+    if not pictures or not pictures["courses"]:
+        return section(title, note(OLDER.format("the blades' courses")))
+    drawn = figures.fleet(pictures["courses"], pictures["readings"], changed=changes(found))
+    count = len(pictures["courses"]["blades"])
+    return section(
+        title, figure(drawn, f"Mean over {count} blades and the band of a single one, ± 1 sd.")
+    )

@@ -1,0 +1,77 @@
+"""Held-out readings are predicted with their own noise, and pictures tell what the particles do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from core.calibration.online import update
+from core.calibration.state import RotorSpec, blade_posterior
+from core.diagnosis.pictures import density, leans, quantiles
+from core.diagnosis.report import score
+from core.observation import Inspection
+from core.prediction import predict
+from core.prior import Prior
+from tests.core.calibration.test_exact import SLOPES, conjugate, exact, readings
+
+MODEL = conjugate(2)
+
+
+def test_a_reading_that_tells_its_noise_is_scored_with_it() -> None:
+    """Off-centre by two sds of the exact prediction, of a reading of 0.05."""
+    data = readings(3, [0.0, 0.6], seed=9, sigma=0.2)
+    state = update(MODEL, RotorSpec("r", ("b0", "b1", "b2"), particles=12800, seed=1), data)
+    mean, cov, _ = exact(MODEL, data, 3, 2)
+    row = np.zeros(7)
+    row[0], row[3], row[4] = 0.8, SLOPES[0], SLOPES[1] * 2.0
+    at, own = float(row @ mean), float(np.sqrt(row @ cov @ row))
+    sd = np.hypot(own, 0.05)
+    held = Inspection("h", "b1", "y", 2.0, np.array([at + 2 * sd]), sigma=0.05)
+    got = score(MODEL, state, [held])
+    assert got.z[0] == pytest.approx(2.0, abs=0.2)
+    assert got.log_score == pytest.approx(norm.logpdf(2.0) - np.log(sd), abs=0.4)
+    assert got.width == pytest.approx(2 * 1.96 * sd, rel=0.08)
+    untold = Inspection("h", "b1", "y", 2.0, held.values)
+    assert score(MODEL, state, [untold]).width > 1.05 * got.width, "the prior's noise is larger"
+
+
+def test_a_known_noise_is_the_blades_own_band_and_that_noise() -> None:
+    data = readings(2, [0.0, 0.6], seed=3, sigma=0.2)
+    state = update(MODEL, RotorSpec("r", ("b0", "b1"), particles=1600, seed=1), data)
+    posterior = blade_posterior(state.meta, state.arrays.__getitem__, "b0")
+    blade = predict(MODEL, posterior, "y", [1.0], noise=False)
+    reading = predict(MODEL, posterior, "y", [1.0], sigma=0.3)
+    assert reading.sd["total"][0] == pytest.approx(np.hypot(blade.sd["total"][0], 0.3), rel=1e-12)
+    still = predict(MODEL, posterior, "y", [1.0], noise=False, sigma=0.3)
+    assert still.sd["total"][0] == blade.sd["total"][0]
+
+
+def test_a_density_integrates_to_one_and_is_the_normal_that_was_drawn() -> None:
+    rng = np.random.default_rng(1)
+    a, w = rng.normal(0.3, 0.1, 4000), np.full(4000, 1 / 4000)
+    x = np.linspace(-0.2, 0.8, 401)
+    got = density(a, w, x, -5.0, 5.0)
+    assert np.trapezoid(got, x) == pytest.approx(1.0, abs=1e-3)
+    assert got.max() == pytest.approx(norm.pdf(0.0) / 0.1, rel=0.08)
+    cut = a[a > 0.3]
+    x = np.linspace(0.3, 0.8, 401)
+    got = density(cut, np.full(len(cut), 1 / len(cut)), x, 0.3, 5.0)
+    assert np.trapezoid(got, x) == pytest.approx(1.0, abs=0.01), "nothing leaks over the bound"
+    assert quantiles(a, w, [0.5])[0] == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("middle", "sd", "said"),
+    [(0.0, 0.1, "low"), (1.0, 0.1, "high"), (0.5, 0.1, None), (0.04, 0.002, None)],
+)
+def test_a_posterior_leans_on_a_bound_only_where_it_would_go_on(
+    middle: float, sd: float, said: str | None
+) -> None:
+    """The last one lies near the bound and is 20 sds away; and the prior itself leans nowhere."""
+    prior = Prior("uniform", 0.0, 1.0)
+    drawn = middle + sd * np.random.default_rng(2).normal(size=4000)
+    a = drawn[(drawn >= 0) & (drawn <= 1)]
+    assert leans(prior, a, np.full(len(a), 1 / len(a))) == said
+    flat = np.linspace(0.0, 1.0, 1001)
+    assert leans(prior, flat, np.full(1001, 1 / 1001)) is None

@@ -1,0 +1,84 @@
+"""A set that is not separable by design, and the inspections that split it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.calibration.online import Workspace, update
+from core.calibration.state import RotorSpec
+from core.diagnosis.diagnose import Case, Diagnosis, diagnose
+from core.diagnosis.grammar import Facts
+from core.diagnosis.rivals import rivals_of, splitting
+from core.diagnosis.separate import separation_json
+from core.observation import Inspection
+from tests.core.calibration.test_exact import SLOPES, conjugate
+from tests.core.diagnosis.fleet import READING
+
+MODEL, SIGMA, BLADES = conjugate(2), 0.15, 10
+SPEC = RotorSpec("r", tuple(f"b{b}" for b in range(BLADES)), particles=1600, seed=3)
+
+
+def confounded() -> list[Inspection]:
+    """The second campaign, 0.6 too long, was the only one that instrument g2 read."""
+    rng = np.random.default_rng(11)
+    found = []
+    for b in range(BLADES):
+        local = np.array([-1.0, 0.0]) + 0.6 * rng.normal(size=2)
+        for k, t in enumerate((0.5, 1.0, 1.5)):
+            y = 1.6 + SLOPES[0] * local[0] + SLOPES[1] * t * local[1] + SIGMA * rng.normal()
+            found.append(
+                Inspection(f"{b}-{k}", f"b{b}", "y", t, np.array([y + 0.6 * (k == 1)]), sigma=SIGMA,
+                           campaign=f"c{k}", instrument="g2" if k == 1 else "g1")
+            )  # fmt: skip
+    return found
+
+
+@pytest.fixture(scope="module")
+def torn() -> tuple[Diagnosis, Case, Workspace]:
+    data, work = confounded(), Workspace()
+    families = [f for f in READING if f.name in ("instrument offset", "campaign offset")]
+    case = Case(SPEC, tuple(data), {b: Facts() for b in SPEC.blades}, families)
+    state = update(MODEL, SPEC, data, workspace=work)
+    return diagnose(MODEL, state, case, workspace=work), case, work
+
+
+def test_the_rivals_are_those_of_the_verdict_with_the_evidence_that_it_saw(
+    torn: tuple[Diagnosis, Case, Workspace],
+) -> None:
+    found, case, work = torn
+    assert found.verdict.word == "not separable"
+    rivals = rivals_of(found, case, work)
+    assert {n for r in rivals for n in r.names} == set(found.verdict.names)
+    assert len(rivals) == len(found.verdict.names) == 3
+    base, seen = found.before[1].meta["log_evidence"], dict(found.tried)
+    for one in rivals:
+        gained = one.state.meta["log_evidence"] - base
+        assert gained == pytest.approx(seen[one.names], abs=1e-12)
+
+
+def test_the_suspect_instrument_reads_again_and_then_another_one(
+    torn: tuple[Diagnosis, Case, Workspace],
+) -> None:
+    """A reading by g2 tells its own offset from the campaign's; g1's takes an instrument more."""
+    found, case, work = torn
+    split = splitting(found, case, work)
+    assert split is not None
+    told = separation_json(split)
+    best = {one["instrument"]: one for one in reversed(told["single"])}
+    assert told["single"][0]["instrument"] == "g2"
+    assert best["g2"]["gain_nat"] > 0.3
+    assert best["g1"]["gain_nat"] < 0.02, "all rivals expect the same of the usual instrument"
+    assert told["single"][0]["blades_alike"] == BLADES
+    first, second, *_ = told["set"]
+    assert {first["instrument"], second["instrument"]} == {"g2", "another"}
+    assert second["share"] > first["share"] > max(r["weight"] for r in told["rivals"])
+
+
+def test_other_verdicts_have_nothing_to_split(torn: tuple[Diagnosis, Case, Workspace]) -> None:
+    found, case, work = torn
+    for word in ("adequate", "effect", "unattributed"):
+        other = replace(found, verdict=replace(found.verdict, word=word))
+        assert splitting(other, case, work) is None

@@ -1,0 +1,144 @@
+"""What an inspection is worth: against exact normals, and against calibrations with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.calibration.online import update
+from core.calibration.state import RotorSpec, RotorState, blade_posterior, shared_posterior
+from core.errors import InputError
+from core.observation import Inspection
+from core.planning.ahead import ANOTHER, Candidate, candidates
+from core.planning.worth import Target, worth
+from core.prediction import predict
+from tests.core.calibration.test_exact import SLOPES, conjugate, exact, readings
+
+MODEL, BLADES, SIGMA = conjugate(2), 3, 0.2
+SPEC = RotorSpec("r", tuple(f"b{b}" for b in range(BLADES)), particles=12_800, seed=1)
+DATA = readings(BLADES, [0.0, 0.6], seed=9, sigma=SIGMA)
+AIM = Target("b1", "y", 2.0)
+ASKED = tuple(
+    Candidate(blade, "y", hour, hour - 0.6, None, SIGMA)
+    for blade in SPEC.blades
+    for hour in (0.6, 1.2, 2.0)
+)
+
+
+@pytest.fixture(scope="module")
+def state() -> RotorState:
+    return update(MODEL, SPEC, DATA)
+
+
+def row(blade: str, hour: float) -> np.ndarray:
+    out, b = np.zeros(1 + 2 * BLADES), int(blade[1:])
+    out[0] = 0.8
+    out[1 + 2 * b : 3 + 2 * b] = [SLOPES[0], SLOPES[1] * hour]
+    return out
+
+
+def left(aim: np.ndarray, chosen: list[Candidate]) -> float:
+    """The exact sd of a linear quantity once these are read."""
+    _, cov, _ = exact(MODEL, DATA, BLADES, 2)
+    g = np.array([row(c.blade, c.time_h) for c in chosen])
+    inner = g @ cov @ g.T + SIGMA**2 * np.eye(len(g))
+    c = g @ cov @ aim
+    return float(np.sqrt(aim @ cov @ aim - c @ np.linalg.solve(inner, c)))
+
+
+def test_what_each_reading_leaves_is_what_exact_normals_leave(state: RotorState) -> None:
+    got = worth(MODEL, state, AIM, ASKED)
+    aim = row("b1", 2.0)
+    _, cov, _ = exact(MODEL, DATA, BLADES, 2)
+    now = float(np.sqrt(aim @ cov @ aim))
+    assert got.sd == pytest.approx(now, rel=0.06)
+    for candidate, sd in got.single:
+        true = left(aim, [candidate])
+        assert sd / got.sd == pytest.approx(true / now, abs=0.05), candidate
+    best = got.single[0][0]
+    assert (best.blade, best.time_h) == ("b1", 2.0)
+    others = [sd for c, sd in got.single if c.blade != "b1"]
+    assert min(others) > 0.9 * got.sd, "the control: other blades tell of the shared one alone"
+
+
+def test_a_set_is_chosen_and_valued_as_exact_conditioning_does(state: RotorState) -> None:
+    got = worth(MODEL, state, AIM, ASKED, count=3)
+    now = worth(MODEL, state, AIM, ASKED).sd
+    aim = row("b1", 2.0)
+    _, cov, _ = exact(MODEL, DATA, BLADES, 2)
+    true_now = float(np.sqrt(aim @ cov @ aim))
+    sds = [sd for _, sd in got.grown]
+    assert sds == sorted(sds, reverse=True)
+    for k in range(1, len(got.grown) + 1):
+        chosen = [c for c, _ in got.grown[:k]]
+        assert sds[k - 1] / now == pytest.approx(left(aim, chosen) / true_now, abs=0.06)
+    assert len({id(c) for c, _ in got.grown}) == len(got.grown), "no reading twice"
+
+
+@pytest.mark.parametrize("y", [0.5, 2.5])
+def test_calibrating_with_the_reading_leaves_the_sd_that_was_said(
+    state: RotorState, y: float
+) -> None:
+    """Whatever it reads; of a worthless reading (another blade) next to nothing changes."""
+    told = {(c.blade, c.time_h): sd for c, sd in worth(MODEL, state, AIM, ASKED).single}
+    for blade in ("b1", "b2"):
+        more = Inspection("new", blade, "y", 2.0, np.array([y]), sigma=SIGMA)
+        made = update(MODEL, SPEC, [*DATA, more])
+        posterior = blade_posterior(made.meta, made.arrays.__getitem__, "b1")
+        after = predict(MODEL, posterior, "y", [2.0], noise=False).sd["total"][0]
+        assert after == pytest.approx(told[blade, 2.0], rel=0.08)
+
+
+def test_parameters_are_narrowed_as_exact_normals_say(state: RotorState) -> None:
+    _, cov, _ = exact(MODEL, DATA, BLADES, 2)
+    for target, aim in (
+        (Target(parameter="s"), np.eye(7)[0]),
+        (Target("b1", parameter="l1"), np.eye(7)[4]),
+    ):
+        got = worth(MODEL, state, target, ASKED)
+        now = float(np.sqrt(aim @ cov @ aim))
+        assert got.sd == pytest.approx(now, rel=0.08)
+        for candidate, sd in got.single:
+            assert sd / got.sd == pytest.approx(left(aim, [candidate]) / now, abs=0.06)
+    shared = shared_posterior(state.meta, state.arrays.__getitem__)
+    assert worth(MODEL, state, Target(parameter="s"), ASKED).mean == pytest.approx(
+        float(shared.particles.mean[0])
+    )
+
+
+def test_fewer_particles_rank_alike(state: RotorState) -> None:
+    whole, few = (worth(MODEL, state, AIM, ASKED, most=m) for m in (None, 1500))
+    assert few.single[0][0] == whole.single[0][0]
+    assert few.single[0][1] / few.sd == pytest.approx(whole.single[0][1] / whole.sd, abs=0.06)
+
+
+def test_a_noisier_reading_is_worth_less_and_a_useless_one_nothing(state: RotorState) -> None:
+    sharp = ASKED[5]
+    vague = replace(sharp, sigma=50.0)
+    got = dict(worth(MODEL, state, AIM, [sharp, vague]).single)
+    assert got[sharp] < 0.8 * got[vague]
+    assert got[vague] == pytest.approx(worth(MODEL, state, AIM, [vague]).sd, rel=1e-3)
+
+
+def test_candidates_start_from_each_blades_latest_reading_and_end_with_the_model() -> None:
+    data = [replace(r, instrument="g1", sigma=0.1) for r in DATA]
+    found = candidates(MODEL, SPEC.blades, data, (0.0, 1.0, 1e9))
+    assert {(c.time_h, c.ahead_h) for c in found} == {(0.6, 0.0), (1.6, 1.0)}
+    assert {c.instrument for c in found} == {"g1", ANOTHER}
+    assert {c.sigma for c in found} == {0.1}
+    assert {c.sigma for c in candidates(MODEL, ["b0"], [replace(data[0], sigma=None)])} == {None}
+
+
+def test_a_target_that_is_none_is_refused(state: RotorState) -> None:
+    for target, said in (
+        (Target(), "not complete"),
+        (Target("b1", "y"), "not complete"),
+        (Target(parameter="colour"), "not known here"),
+        (Target(parameter="l1"), "not known here"),
+    ):
+        with pytest.raises(InputError, match=said):
+            worth(MODEL, state, target, ASKED)
+    with pytest.raises(InputError, match="cannot be ranked"):
+        worth(MODEL, state, AIM, [])

@@ -1,0 +1,313 @@
+"""The report of a diagnosis: whole, quiet, escaped, and served with its tag and its policy."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from sqlalchemy import update
+
+from service.client import Client, ProblemError
+from service.handlers.diagnoses import request_diagnosis
+from service.report import markup
+from service.report.life import lives
+from service.report.page import policy, report, style
+from service.report.residuals import groups_of
+from service.store import tables as t
+from service.store.engine import transaction
+from service.store.unit_of_work import SqlStore
+from service.worker.loop import Worker
+from tests.service.test_diagnoses import command, diagnoser, straight
+from tests.service.told import Json, course, pictures, told
+
+__all__ = ["diagnoser", "straight"]  # fixtures
+VERDICTS = ("adequate", "effect", "not separable", "unattributed")
+HOSTILE = (
+    "<script>alert(1)</script>",
+    '"><img src=x onerror=alert(1)>',
+    "'/></title></style><svg onload=alert(1)>",
+    "]]>&amp;\x00\ud800 {color}",
+)
+VOID = {"meta"}
+
+
+class Read(HTMLParser):
+    """Reads a page strictly: elements are closed in order; what it loads or runs is listed."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.active: list[str] = []
+        self.words: list[str] = []
+        self.feed(page)
+        self.close()
+        assert self.open == [], "every element is closed"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        names = [name for name, _ in attrs]
+        assert len(names) == len(set(names))
+        bad = [n for n in names if n.startswith("on") or n in ("src", "href", "style", "action")]
+        if tag in ("script", "img", "iframe", "object", "embed", "link", "form", "base") or bad:
+            self.active.append(f"{tag} {bad}")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def said(self) -> str:
+        return " ".join(self.words)
+
+
+def page_of(found: Json, limit: float | None = None) -> str:
+    return report(found, "r1", "d1", "2031-05-04T10:00:00.000Z", limit)
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_a_report_loads_and_runs_nothing_and_is_whole(verdict: str) -> None:
+    page = page_of(told(verdict), 0.35)
+    read = Read(page)
+    assert read.active == []
+    assert "url(" not in page
+    assert "@import" not in page
+    assert set(re.findall(r"https?://[^\s\"'<]*", page)) <= {"http://www.w3.org/2000/svg"}
+    assert read.tags.count("svg") >= 5
+    assert "nan" not in page.lower().replace("maintenance", "")
+    assert f"<style>{style()}</style>" in page, "what the policy's digest is of"
+    for heading in ("Forecast", "Residuals", "Parameters before and after", "What it rests on"):
+        assert heading in read.said
+
+
+def test_the_policy_allows_one_style_sheet_and_nothing_else() -> None:
+    parts = dict(p.split(" ", 1) for p in policy().split("; "))
+    assert parts["default-src"] == "'none'"
+    assert re.fullmatch(r"'sha256-[A-Za-z0-9+/]{43}='", parts["style-src"])
+    assert "unsafe" not in policy()
+
+
+def test_the_verdict_is_said_in_one_sentence_with_size_sd_and_unit() -> None:
+    said = Read(page_of(told("effect"))).said
+    assert (
+        "The model of rotor r1 lacks campaign offset (campaign spring): readings of elongation "
+        "taken in campaign spring say 0.0199 ± 0.0021 mm too much" in said
+    )
+    assert "−75 %" in said, "RMSE on readings not used, 0.02 to 0.005"
+    assert (
+        "its readings cannot tell which of these it is" in Read(page_of(told("not separable"))).said
+    )
+    assert "No cause is named" in Read(page_of(told("unattributed"))).said
+    adequate = Read(page_of(told("adequate"))).said
+    assert "explains the 12 readings" in adequate
+    assert "after" not in re.findall(r"z by blade and inspection", adequate)
+
+
+def test_what_is_known_of_an_unattributed_misfit_is_told() -> None:
+    said = Read(page_of(told("unattributed"))).said
+    assert "3 readings of visit spring lie 3.5 sd above the model's prediction" in said
+    assert "A misfit of any course by age gains 4 nat" in said
+    assert "What is known" not in Read(page_of(told("effect"))).said
+
+
+def test_the_inspection_that_splits_the_set_is_told_with_what_it_promises() -> None:
+    said = Read(page_of(told("not separable"))).said
+    assert "Best: permanent tip elongation of blade B1 with another instrument, now" in said
+    assert "from at most 60 % to 90 %" in said
+    assert "settles the question in 70 % of cases" in said
+    assert "root settling: 0.360 ± 0.012 mm" in said
+    assert "The inspection that would" not in Read(page_of(told("effect"))).said
+    idle = told("not separable")
+    for one in idle["separating"]["single"]:
+        one["gain_nat"] = 0.001
+    assert "No single reading that was considered tells them apart" in Read(page_of(idle)).said
+    part = told("not separable", names=["root settling", "tip rub"])
+    assert "Not among those told apart here: tip rub" in Read(page_of(part)).said
+    assert "It was not computed" in Read(page_of(told("not separable", separating=None))).said
+
+
+def test_readings_that_were_not_used_are_called_out() -> None:
+    less = told("adequate", readings={"delivered": 12, "used": 11})
+    assert "11 used of 12 delivered: NOT THE SAME" in Read(page_of(less)).said
+    assert "NOT THE SAME" not in Read(page_of(told("adequate"))).said
+
+
+def test_a_posterior_at_its_bound_is_marked() -> None:
+    assert "before: lower for 2 of 3 blades" in Read(page_of(told("effect"))).said
+    free = told("effect")
+    free["pictures"]["parameters"][0]["before"]["at_low"] = 0
+    assert "lower for" not in Read(page_of(free)).said
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_names_that_users_chose_never_become_markup(verdict: str, name: str) -> None:
+    found = told(verdict, blade=name, campaign=name, reasons=[name])
+    for one in found["pictures"]["readings"]:
+        one["id"] = one["instrument"] = name
+    found["tried"][0]["what"] = name
+    read = Read(report(found, name, name, name, 0.35))
+    assert read.active == []
+    assert markup.clean(name) in read.said
+    assert read.tags.count("style") == 1
+    page_of(found).encode("utf-8")
+
+
+def test_the_reader_sees_what_is_not_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutant: text that is taken for markup."""
+    monkeypatch.setattr(markup, "text", lambda child: markup.Markup(child))
+    found = told("effect", blade=HOSTILE[1], campaign=HOSTILE[1])
+    try:
+        active = Read(page_of(found)).active
+    except AssertionError:
+        return
+    assert active
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_an_older_result_still_renders_and_says_what_is_missing(verdict: str) -> None:
+    old = told(verdict)
+    del old["pictures"]
+    for one in old["effects"]:
+        del one["on"]
+    read = Read(page_of(old, 0.35))
+    assert "release that did not keep" in read.said
+    assert "t1t_rate" in read.said, "parameters without their bounds"
+    bare = old | {"evidence": {}, "calibrated": [], "tried": [], "holds": [], "p": None}
+    bare |= {"parameters": {"before": {}, "after": {}}, "gained_nat": None}
+    assert Read(page_of(bare)).active == []
+
+
+def test_scores_that_are_not_finite_are_shown_as_missing() -> None:
+    found = told("effect", gained_nat=None, p=None, p_after=None)
+    for key in ("rmse", "log_score", "bias"):
+        found["before_after"]["after"][key] = None
+    found["before_after"]["forecast"]["after"] = {"mean": None, "sd": None}
+    found["effects"][0]["amplitude"] |= {"mean": None, "sd": None}
+    assert "None" not in Read(page_of(found)).said
+
+
+def test_the_life_left_is_where_the_course_passes_the_limit() -> None:
+    """Lines: 1e-5 and 0.8e-5 mm/h pass 0.2 mm at 20,000 and 25,000 h."""
+    seen = pictures("B1", "spring", named=True)
+    first = {one.blade: one for one in lives(seen["courses"], seen["readings"], 0.2)}["B1"]
+    assert first.before.median == pytest.approx(20_000.0)
+    assert first.after.median == pytest.approx(25_000.0)
+    assert first.moved_h == pytest.approx(5_000.0)
+    assert first.before.early == pytest.approx(20_000 / 1.1)
+    assert first.before.late == pytest.approx(20_000 / 0.9)
+    assert first.now_h == 32_000.0
+    said = Read(page_of(told("effect"), 0.35)).said
+    assert "Limit: 0.35 mm of permanent tip elongation" in said
+    assert "Remaining life" not in Read(page_of(told("effect"))).said
+    beyond = lives(seen["courses"], seen["readings"], 5.0)
+    assert all(one.after.median is None and one.moved_h is None for one in beyond)
+
+
+def test_a_hundred_blades_and_many_groups_are_all_drawn() -> None:
+    found = told("effect")
+    seen = found["pictures"]
+    one = seen["readings"][0]
+    seen["readings"] = [
+        one | {"id": f"{b}-{k}", "blade": f"blade-{b:03d}", "campaign": f"outage {k:02d}",
+               "rotor_h": 1000.0 * k, "time_h": 1000.0 * k}
+        for b in range(130) for k in range(30)
+    ]  # fmt: skip
+    courses = seen["courses"]
+    courses["blades"] = [f"blade-{b:03d}" for b in range(130)]
+    for which in ("before", "after"):
+        courses[which] = {k: v * 43 + v[:1] for k, v in course(1e-5).items()}
+    page = page_of(found, 0.2)
+    cells = re.findall(r'class="cell [a-z]\d"><title>', page)
+    assert len(cells) == 2 * 130 * 30
+    assert "The 24 that stand out most." in page
+    assert len(page) < 4_000_000
+
+
+def test_groups_that_stand_out_come_first() -> None:
+    (name, z), *_ = groups_of(told("unattributed")["pictures"]["readings"])
+    assert (name, z) == ("visit spring", [3.5, 3.5, 3.5])
+
+
+@pytest.fixture
+def finished(store: SqlStore, straight: str, science: Any) -> Callable[[Json | None, str], str]:
+    """A diagnosis that has ended with this result."""
+
+    def end(found: Json | None, status: str = "done") -> str:
+        job, _ = request_diagnosis(store, science, straight, (), compare=True, horizon_h=None)
+        with transaction(store.engine, write=True) as connection:
+            text = None if found is None else json.dumps(found)
+            values = {"status": status, "result": text, "finished_at": 1.9e9}
+            connection.execute(update(t.job).where(t.job.c.id == job.id).values(values))
+        return job.id
+
+    return end
+
+
+def test_a_report_is_served_with_its_tag_and_a_policy_of_its_own(
+    api: httpx.Client, finished: Callable[..., str]
+) -> None:
+    name = finished(told("effect"))
+    where = f"/v1/rotors/r1/diagnoses/{name}/report"
+    got = api.get(where)
+    assert (got.status_code, got.headers["content-type"]) == (200, "text/html; charset=utf-8")
+    assert got.headers["content-security-policy"] == f"{policy()}; frame-ancestors 'none'"
+    assert got.headers["x-content-type-options"] == "nosniff"
+    assert Read(got.text).active == []
+    again = api.get(where, headers={"If-None-Match": got.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert again.headers["etag"] == got.headers["etag"]
+    limited = api.get(where, params={"limit": 0.35})
+    assert "Remaining life" in limited.text
+    assert limited.headers["etag"] != got.headers["etag"]
+    plain = api.get(f"/v1/rotors/r1/diagnoses/{name}")
+    assert plain.headers["content-security-policy"].startswith("default-src 'self'")
+    assert Client(http=api).report("r1", name, limit=0.35) == limited.text
+
+
+def test_a_report_that_is_not_there_says_why(
+    api: httpx.Client, finished: Callable[..., str]
+) -> None:
+    running = finished(None, "running")
+    answer = api.get(f"/v1/rotors/r1/diagnoses/{running}/report")
+    assert (answer.status_code, answer.json()["type"]) == (409, "urn:bladetwin:problem:not-yet")
+    cancelled = finished(None, "cancelled")
+    answer = api.get(f"/v1/rotors/r1/diagnoses/{cancelled}/report")
+    assert answer.status_code == 404
+    assert "it is cancelled" in answer.json()["detail"]
+    for bad in ("0", "-1", "nan", "inf", "far"):
+        answer = api.get(f"/v1/rotors/r1/diagnoses/{running}/report", params={"limit": bad})
+        assert answer.status_code == 422, bad
+    with pytest.raises(ProblemError, match="404"):
+        Client(http=api).report("r1", "zz")
+
+
+def test_the_command_writes_the_report(
+    api: httpx.Client, straight: str, diagnoser: Worker, tmp_path: Path
+) -> None:
+    file = tmp_path / "r1.html"
+    done = command(api, diagnoser, "--html", str(file), "--limit", "0.5")
+    assert done.exit_code == 0, done.output
+    read = Read(file.read_text(encoding="utf-8"))
+    assert "The model explains the 9 readings of rotor r1" in read.said
+    assert "release that did not keep" in read.said, "the exact twin keeps no pictures"
+    refused = command(api, diagnoser, "--limit", "0.5")
+    assert "--html" in str(refused.exception)
+    refused = command(api, diagnoser, "--html", str(tmp_path / "none" / "x.html"))
+    assert "make the folder first" in str(refused.exception)
+
+
+def test_the_same_result_gives_the_same_bytes() -> None:
+    found = told("effect")
+    assert page_of(found) == page_of(copy.deepcopy(found))
