@@ -2,8 +2,9 @@
 
 SQLite runs in WAL mode with a busy timeout of 30 s and full synchronisation; a transaction that
 writes begins with ``BEGIN IMMEDIATE``, so that two writers queue instead of failing half-way.
-PostgreSQL runs READ COMMITTED; rows are locked by name where order matters. `now_s()` is the
-database's clock, the only clock that leases know.
+PostgreSQL runs READ COMMITTED; rows are locked by name where order matters, and a transaction whose
+process says nothing for `SILENT_S` is ended by the server: a frozen process does not hold its locks
+for ever. `now_s()` is the database's clock, the only clock that leases know.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from core.errors import InputError
 from service.errors import StoreAwayError
 
 WRITE = "bladetwin_write"
+SILENT_S = 30.0
 
 
 class now_s(FunctionElement[float]):
@@ -52,7 +54,9 @@ def open_engine(url: str) -> Engine:
     backend = parsed.get_backend_name()
     if backend == "postgresql":
         parsed = parsed.set(drivername="postgresql+psycopg")
-        return create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True)
+        engine = create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True)
+        event.listen(engine, "connect", _prepare_postgres)
+        return engine
     if backend != "sqlite" or not parsed.database or parsed.database == ":memory:":
         raise InputError(
             "BLADETWIN_DATABASE_URL",
@@ -74,6 +78,12 @@ def open_engine(url: str) -> Engine:
 def _prepare_sqlite(connection: Any, record: Any) -> None:
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "cache_size=-32000"):
         connection.execute(f"PRAGMA {pragma}").close()
+
+
+def _prepare_postgres(connection: Any, record: Any) -> None:
+    milliseconds = round(1e3 * SILENT_S)
+    connection.execute(f"SET idle_in_transaction_session_timeout = {milliseconds}").close()
+    connection.commit()
 
 
 def _begin_sqlite(connection: Connection) -> None:
