@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from sqlalchemy import Connection, Double, Engine, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError, OperationalError
+from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import FunctionElement
@@ -95,14 +95,18 @@ def _begin_sqlite(connection: Connection) -> None:
 def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
     """One transaction: committed at the end, rolled back on any error.
 
-    StoreAwayError: the database does not answer; what it said is the error's cause.
+    StoreAwayError: the database does not answer, or ended the connection, whatever the driver
+    calls that; what it said is the error's cause.
     """
     try:
         with engine.connect() as connection:
             connection = connection.execution_options(**{WRITE: write})
             with connection.begin():
                 yield connection
-    except (OperationalError, PoolTimeoutError) as error:
+    except (DBAPIError, PoolTimeoutError) as error:
+        lost = isinstance(error, DBAPIError) and error.connection_invalidated
+        if not (lost or isinstance(error, (OperationalError, PoolTimeoutError))):
+            raise
         raise StoreAwayError(type(getattr(error, "orig", None) or error).__name__) from error
 
 

@@ -9,6 +9,7 @@ import time
 
 import pytest
 from sqlalchemy import text
+from sqlalchemy.exc import ProgrammingError
 
 from service.errors import StoreAwayError
 from service.store import engine as engines
@@ -57,3 +58,33 @@ def test_without_the_limit_a_frozen_process_keeps_its_locks(
     monkeypatch.setattr(engines, "SILENT_S", 0.0)
     with pytest.raises(StoreAwayError, match="QueryCanceled"):
         locked_out(database_url)
+
+
+@on_postgresql
+def test_a_process_that_wakes_after_it_is_told_that_nothing_was_stored(
+    database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engines, "SILENT_S", SILENT_S)
+    engine = open_engine(database_url)
+    with transaction(engine, write=True) as connection:
+        connection.execute(text("CREATE TABLE thing (id INTEGER)"))
+
+    def freeze() -> None:
+        with transaction(engine, write=True) as connection:
+            connection.execute(text("INSERT INTO thing VALUES (1)"))
+            time.sleep(3 * SILENT_S)
+
+    with pytest.raises(StoreAwayError, match="nothing was stored"):
+        freeze()
+    with transaction(engine, write=True) as connection:
+        assert connection.execute(text("SELECT count(*) FROM thing")).scalar() == 0
+        connection.execute(text("INSERT INTO thing VALUES (2)"))
+    engine.dispose()
+
+
+@on_postgresql
+def test_a_mistake_of_ours_is_not_taken_for_a_database_that_is_away(database_url: str) -> None:
+    engine = open_engine(database_url)
+    with pytest.raises(ProgrammingError), transaction(engine, write=True) as connection:
+        connection.execute(text("SELECT * FROM nothing_of_that_name"))
+    engine.dispose()
