@@ -63,9 +63,16 @@ class Plan:
 
 
 def disturbed(
-    plan: Plan, database_url: str, progress: Progress, start: Start | None = None
+    plan: Plan,
+    database_url: str,
+    progress: Progress,
+    start: Start | None = None,
+    disturb: Callable[[Processes], str] | None = None,
 ) -> tuple[Findings, Ledger, Json]:
-    """Post the traffic while processes are killed; what the tables hold, what clients saw."""
+    """Post the traffic while processes are killed; what the tables hold, what clients saw.
+
+    disturb   done instead of a kill; what it says is counted
+    """
     chosen = random.Random(plan.seed)
     ledger, killed = Ledger(), Counter[str]()
     settings = plan.settings(database_url)
@@ -81,7 +88,10 @@ def disturbed(
                 progress(ledger.readings)
                 if when and ledger.readings >= when[0]:
                     time.sleep(chosen.uniform(0.0, 0.05))
-                    killed[running.kill(chosen, plan.share_of_api)] += 1
+                    if disturb is None:
+                        killed[running.kill(chosen, plan.share_of_api)] += 1
+                    else:
+                        killed[disturb(running)] += 1
                     when.pop(0)
                 time.sleep(0.002)
             progress(ledger.readings)

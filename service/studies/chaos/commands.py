@@ -7,7 +7,7 @@ import platform
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -103,5 +103,46 @@ def chaos(
     }
     passed = all(one["passed"] for one in results.values())
     write(head | {"passed": passed, "databases": results}, made_by, out)
+    if not passed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def faults(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Faults, by the beginning of their name; all.")
+    ] = None,
+    trials: Annotated[int, typer.Option(help="How often each is tried.")] = 20,
+    database: Databases = "both",
+    seed: Annotated[int, typer.Option(help="Seed of the readings and of what is chosen.")] = 7,
+    out: Out = None,
+) -> None:
+    """Each fault many times: killed, stopped, cut off, locked, full, clock, repeated, damaged."""
+    from service.studies.chaos import faults as study
+    from service.studies.chaos.postgres import Server
+
+    began_on, made_by = machine(), commit()
+    kinds = ("sqlite", "postgresql") if database == "both" else (database,)
+    wanted = [n for n in study.NAMES if not names or any(n.startswith(one) for one in names)]
+    if not wanted:
+        raise typer.BadParameter(f"no fault begins so; there are: {', '.join(study.NAMES)}")
+    rows: list[dict[str, Any]] = []
+    with ExitStack() as stack:
+        server = stack.enter_context(Server()) if "postgresql" in kinds else None
+        for name in wanted:
+            fault = study.FAULTS.get(name)
+            for kind in kinds if fault is None else [k for k in kinds if k in fault.on]:
+                if fault is None and kind == "sqlite":
+                    continue
+                with study.database(kind, server) as url, bar(name[:24], trials) as step:
+                    if fault is not None:
+                        rows.append(study.tried(fault, kind, url, trials, seed, step))
+                    elif server is not None:
+                        rows.append(study.tried_under_load(name, server, url, trials, seed))
+    passed = all(row["passed"] for row in rows)
+    head = {"seed": seed, "trials": trials, "machine": began_on, "passed": passed}
+    write(head | {"rows": rows}, made_by, out)
+    if out is not None:
+        (out / "table.md").write_text(study.table(rows))
     if not passed:
         raise typer.Exit(1)
