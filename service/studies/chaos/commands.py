@@ -15,7 +15,7 @@ import typer
 
 from service.progress import bar
 from service.studies import app
-from service.studies.result import commit, write
+from service.studies.result import commit, keep, write
 
 Out = Annotated[Path | None, typer.Option(help="Folder of the result.")]
 Databases = Annotated[
@@ -127,6 +127,7 @@ def faults(
     if not wanted:
         raise typer.BadParameter(f"no fault begins so; there are: {', '.join(study.NAMES)}")
     rows: list[dict[str, Any]] = []
+    head = {"seed": seed, "trials": trials, "machine": began_on}
     with ExitStack() as stack:
         server = stack.enter_context(Server()) if "postgresql" in kinds else None
         for name in wanted:
@@ -139,10 +140,10 @@ def faults(
                         rows.append(study.tried(fault, kind, url, trials, seed, step))
                     elif server is not None:
                         rows.append(study.tried_under_load(name, server, url, trials, seed))
+                if out is not None:  # a study that is cut leaves what it has
+                    keep(head | {"rows": rows}, made_by, out)
+                    (out / "table.md").write_text(study.table(rows))
     passed = all(row["passed"] for row in rows)
-    head = {"seed": seed, "trials": trials, "machine": began_on, "passed": passed}
-    write(head | {"rows": rows}, made_by, out)
-    if out is not None:
-        (out / "table.md").write_text(study.table(rows))
+    write(head | {"passed": passed, "rows": rows}, made_by, out)
     if not passed:
         raise typer.Exit(1)
