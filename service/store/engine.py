@@ -2,8 +2,9 @@
 
 SQLite runs in WAL mode with a busy timeout of 30 s and full synchronisation; a transaction that
 writes begins with ``BEGIN IMMEDIATE``, so that two writers queue instead of failing half-way.
-PostgreSQL runs READ COMMITTED; rows are locked by name where order matters. `now_s()` is the
-database's clock, the only clock that leases know.
+PostgreSQL runs READ COMMITTED; rows are locked by name where order matters, and a transaction whose
+process says nothing for `SILENT_S` is ended by the server: a frozen process does not hold its locks
+for ever. `now_s()` is the database's clock, the only clock that leases know.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from sqlalchemy import Connection, Double, Engine, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError, OperationalError
+from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import FunctionElement
@@ -22,6 +23,7 @@ from core.errors import InputError
 from service.errors import StoreAwayError
 
 WRITE = "bladetwin_write"
+SILENT_S = 30.0
 
 
 class now_s(FunctionElement[float]):
@@ -52,7 +54,9 @@ def open_engine(url: str) -> Engine:
     backend = parsed.get_backend_name()
     if backend == "postgresql":
         parsed = parsed.set(drivername="postgresql+psycopg")
-        return create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True)
+        engine = create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True)
+        event.listen(engine, "connect", _prepare_postgres)
+        return engine
     if backend != "sqlite" or not parsed.database or parsed.database == ":memory:":
         raise InputError(
             "BLADETWIN_DATABASE_URL",
@@ -76,6 +80,12 @@ def _prepare_sqlite(connection: Any, record: Any) -> None:
         connection.execute(f"PRAGMA {pragma}").close()
 
 
+def _prepare_postgres(connection: Any, record: Any) -> None:
+    milliseconds = round(1e3 * SILENT_S)
+    connection.execute(f"SET idle_in_transaction_session_timeout = {milliseconds}").close()
+    connection.commit()
+
+
 def _begin_sqlite(connection: Connection) -> None:
     write = connection.get_execution_options().get(WRITE, False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
@@ -85,14 +95,18 @@ def _begin_sqlite(connection: Connection) -> None:
 def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
     """One transaction: committed at the end, rolled back on any error.
 
-    StoreAwayError: the database does not answer; what it said is the error's cause.
+    StoreAwayError: the database does not answer, or ended the connection, whatever the driver
+    calls that; what it said is the error's cause.
     """
     try:
         with engine.connect() as connection:
             connection = connection.execution_options(**{WRITE: write})
             with connection.begin():
                 yield connection
-    except (OperationalError, PoolTimeoutError) as error:
+    except (DBAPIError, PoolTimeoutError) as error:
+        lost = isinstance(error, DBAPIError) and error.connection_invalidated
+        if not (lost or isinstance(error, (OperationalError, PoolTimeoutError))):
+            raise
         raise StoreAwayError(type(getattr(error, "orig", None) or error).__name__) from error
 
 

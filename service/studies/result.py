@@ -27,9 +27,15 @@ def write(result: dict[str, Any], made_by: str | None, out: Path | None) -> None
 
     made_by   the commit when the study began: a checkout may move on meanwhile
     """
+    text = keep(result, made_by, out)
+    typer.echo(text)
+
+
+def keep(result: dict[str, Any], made_by: str | None, out: Path | None) -> str:
+    """The same without the stdout; the text."""
     head = {"command": " ".join(["bladetwin", *sys.argv[1:]]), "commit": made_by}
     text = json.dumps(head | result, indent=1)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         (out / "result.json").write_text(text + "\n")
-    typer.echo(text)
+    return text

@@ -29,7 +29,7 @@ from service.store.engine import now_s, transaction
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.diagnosing import diagnose
 from service.worker.heartbeat import heartbeats
-from service.worker.lease import Role
+from service.worker.lease import Role, over
 
 log = logging.getLogger("bladetwin.worker")
 c = t.job.c
@@ -65,7 +65,7 @@ def holds(lease: JobLease) -> ColumnElement[bool]:
 
 def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") -> JobLease | None:
     """Take the oldest job of the role's kinds that nobody alive holds."""
-    free = or_(c.lease_until.is_(None), c.lease_until <= now_s())
+    free = or_(c.lease_until.is_(None), over(c.lease_until, lease_s))
     rested = or_(c.not_before.is_(None), c.not_before <= now_s())
     first = select(c.id).where(c.status.in_(("queued", "running")), takes(role), free, rested)
     first = first.order_by(c.created_at).limit(1)

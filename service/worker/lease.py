@@ -18,6 +18,11 @@ entries that come with it or after it are applied with it. Nothing is claimed ov
 A rotor is also claimed by name, to rebuild what was damaged (`claim_rotor`): under the same fence,
 and never from a worker whose lease still runs.
 
+The database's clock may be set back, and what was written before lies in its future then. A lease
+that ends later than any could that was given now (`AHEAD` times the caller's own) is over, and what
+began in the future began long ago: a rotor does not stand still until the clock has caught up. The
+fence makes that safe. The pause after a failed update alone may last longer; `retry` ends it.
+
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
 
@@ -61,6 +66,7 @@ KINDS: dict[Role, tuple[Kind, ...]] = {
     "diagnose": (),
 }
 FOREVER = 1e12  # s
+AHEAD = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,22 +96,34 @@ def remodelled() -> ColumnElement[bool]:
 
 def overdue(overdue_s: float) -> ColumnElement[bool]:
     """The rotor has been provisional for too long."""
-    return and_(c.provisional_since.is_not(None), c.provisional_since <= now_s() - overdue_s)
+    return and_(c.provisional_since.is_not(None), passed(c.provisional_since, overdue_s))
 
 
-def unheld() -> ColumnElement[bool]:
+def passed(since: ColumnElement[float], seconds: float) -> ColumnElement[bool]:
+    """So many seconds have passed since a moment; one in the future is from another clock."""
+    return or_(since <= now_s() - seconds, since > now_s() + 1.0)
+
+
+def over(until: ColumnElement[float], lease_s: float) -> ColumnElement[bool]:
+    """A lease has run out, or is longer than one that is given now."""
+    return or_(until <= now_s(), until > now_s() + AHEAD * lease_s)
+
+
+def unheld(lease_s: float) -> ColumnElement[bool]:
     """Nobody alive holds the rotor."""
-    return or_(c.lease_until.is_(None), c.lease_until <= now_s())
+    return or_(c.lease_until.is_(None), over(c.lease_until, lease_s))
 
 
-def ran_out() -> ColumnElement[bool]:
+def ran_out(lease_s: float) -> ColumnElement[bool]:
     """Somebody held the rotor and did not give it back."""
-    return c.lease_until <= now_s()
+    return over(c.lease_until, lease_s)
 
 
-def claimable(kind: Kind, *, quiet_s: float, overdue_s: float) -> ColumnElement[bool]:
+def claimable(
+    kind: Kind, *, lease_s: float, quiet_s: float, overdue_s: float
+) -> ColumnElement[bool]:
     """There is work of this kind, nobody alive holds it, and no pause is running."""
-    free = unheld()
+    free = unheld(lease_s)
     late = overdue(overdue_s)
     due = {
         "late": and_(late, free),
@@ -113,7 +131,7 @@ def claimable(kind: Kind, *, quiet_s: float, overdue_s: float) -> ColumnElement[
             pending(), not_(remodelled()), or_(free, and_(c.sealing == true(), not_(late)))
         ),
         "model": and_(remodelled(), free),
-        "quiet": and_(not_(pending()), free, c.dirty_since <= now_s() - quiet_s),
+        "quiet": and_(not_(pending()), free, passed(c.dirty_since, quiet_s)),
     }[kind]
     rested = or_(c.not_before.is_(None), c.not_before <= now_s())
     return and_(c.dirty == true(), c.blocked == false(), rested, due)
@@ -149,7 +167,7 @@ def claim(
     anything else when it was provisional for `overdue_s`.
     """
     for kind in KINDS[role]:
-        due = claimable(kind, quiet_s=quiet_s, overdue_s=min(overdue_s, FOREVER))
+        due = claimable(kind, lease_s=lease_s, quiet_s=quiet_s, overdue_s=min(overdue_s, FOREVER))
         lease = _claim(engine, owner, lease_s, kind in ("late", "quiet"), due)
         if lease is not None:
             return lease
@@ -177,7 +195,7 @@ def _claim(
                 owner=owner,
                 lease_until=now_s() + lease_s,
                 sealing=sealing,
-                takeovers=c.takeovers + case((ran_out(), 1), else_=0),
+                takeovers=c.takeovers + case((ran_out(lease_s), 1), else_=0),
             )
             .returning(c.fence, c.applied_seq, c.version, c.attempts)
         )
@@ -192,7 +210,7 @@ def claim_rotor(engine: Engine, rotor_id: str, owner: str, lease_s: float) -> Le
     """
     take = (
         update(t.cursor)
-        .where(c.rotor_id == rotor_id, unheld())
+        .where(c.rotor_id == rotor_id, unheld(lease_s))
         .values(fence=c.fence + 1, owner=owner, lease_until=now_s() + lease_s, sealing=False)
         .returning(c.fence, c.applied_seq, c.version, c.attempts)
     )

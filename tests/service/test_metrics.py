@@ -167,7 +167,7 @@ def test_only_a_lease_that_ran_out_is_a_takeover(api: httpx.Client, store: SqlSt
 def test_a_claim_that_counts_every_lease_is_noticed(
     api: httpx.Client, store: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(leases, "ran_out", lambda: true())
+    monkeypatch.setattr(leases, "ran_out", lambda lease_s: true())
     assert taken_over(store, api) != [0, 1, 1], "mutant"
 
 

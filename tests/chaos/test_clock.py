@@ -1,0 +1,130 @@
+"""The database's clock may be set forward or back: no rotor stands still, none is taken twice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from sqlalchemy import true
+
+from core.observation import Inspection
+from service.bootstrap import make_worker
+from service.errors import LostLeaseError
+from service.settings import Settings
+from service.store.unit_of_work import SqlStore
+from service.studies.chaos.check import check
+from service.studies.chaos.clock import Clock
+from service.studies.chaos.twin import Descent
+from service.worker import lease as leases
+from service.worker.jobs import claim_job
+from service.worker.loop import Worker
+
+Make = Callable[..., Inspection]
+Post = Callable[..., int]
+LEASE_S, HOUR = 30.0, 3600.0
+
+
+@pytest.fixture
+def twin(store: SqlStore, settings: Settings) -> Worker:
+    return make_worker(store, Descent(provisional=True), settings, "twin")
+
+
+def test_a_dead_workers_rotor_is_taken_over_though_the_clock_was_set_back(
+    store: SqlStore, rotor: str, reading: Make, post: Post
+) -> None:
+    clock, engine = Clock(store.engine), store.engine
+    post(rotor, reading("a"))
+    assert leases.claim(engine, "dead", LEASE_S) is not None
+    assert leases.claim(engine, "other", LEASE_S) is None
+    clock.ahead = -HOUR
+    lease = leases.claim(engine, "other", LEASE_S)
+    assert lease is not None
+    assert lease.fence == 2
+    assert leases.claim(engine, "third", LEASE_S) is None, "the new lease holds"
+    assert clock.asked > 0
+
+
+def test_a_dead_workers_job_is_taken_over_though_the_clock_was_set_back(store: SqlStore) -> None:
+    clock = Clock(store.engine)
+    with store.write() as tx:
+        tx.records.put_job("j1", "diagnose", {})
+    assert claim_job(store.engine, "dead", LEASE_S, "diagnose") is not None
+    assert claim_job(store.engine, "other", LEASE_S, "diagnose") is None
+    clock.ahead = -HOUR
+    assert claim_job(store.engine, "other", LEASE_S, "diagnose") is not None
+
+
+def test_without_the_bound_a_rotor_waits_until_the_clock_has_caught_up(
+    store: SqlStore, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(leases, "AHEAD", 1e9)
+    clock, engine = Clock(store.engine), store.engine
+    post(rotor, reading("a"))
+    assert leases.claim(engine, "dead", LEASE_S) is not None
+    clock.ahead = -HOUR
+    assert leases.claim(engine, "other", LEASE_S) is None, "mutant"
+    clock.ahead = HOUR
+    assert leases.claim(engine, "other", LEASE_S) is not None
+
+
+def test_a_rotor_is_sealed_though_the_clock_was_set_back(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    slow = settings.model_copy(update={"seal_after_s": 60.0, "seal_within_s": 600.0})
+    worker = make_worker(store, Descent(provisional=True), slow, "twin")
+    clock = Clock(store.engine)
+    post(rotor, reading("a"))
+    worker.drain()
+    with store.read() as tx:
+        assert not tx.states.get(rotor).sealed, "it is not quiet yet"
+    clock.ahead = -HOUR
+    worker.drain()
+    with store.read() as tx:
+        assert tx.states.get(rotor).sealed
+
+
+@pytest.mark.parametrize("ahead", [-HOUR, -5.0, 5.0, HOUR])
+def test_a_clock_that_jumps_during_an_update_applies_nothing_twice(
+    store: SqlStore, twin: Worker, rotor: str, reading: Make, post: Post, ahead: float
+) -> None:
+    clock = Clock(store.engine)
+    told = {(rotor, "a"): post(rotor, reading("a"))}
+    first = make_worker(store, Descent(provisional=True), twin.settings, "first").updater
+    lease = leases.claim(store.engine, "first", LEASE_S)
+    assert lease is not None
+    task = first.read(lease)
+    state = first.compute(task, quick=True)
+    clock.ahead = ahead
+    taken = twin.updater.run_once()
+    assert taken == (abs(ahead) == HOUR)
+    change = first.change(task, state)
+    if taken:
+        with pytest.raises(LostLeaseError):
+            first.commit(lease, task, state, change)
+    else:
+        first.commit(lease, task, state, change)
+    twin.drain()
+    assert check(store, told).faults == {}
+
+
+def test_without_the_fence_a_jump_is_seen_in_the_tables(
+    store: SqlStore,
+    twin: Worker,
+    rotor: str,
+    reading: Make,
+    post: Post,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(leases, "holds", lambda lease: true())
+    monkeypatch.setattr(leases, "moves_on", lambda lease: true())
+    clock = Clock(store.engine)
+    told = {(rotor, "a"): post(rotor, reading("a"))}
+    first = make_worker(store, Descent(provisional=True), twin.settings, "first").updater
+    lease = leases.claim(store.engine, "first", LEASE_S)
+    assert lease is not None
+    task = first.read(lease)
+    state = first.compute(task, quick=True)
+    clock.ahead = HOUR
+    assert twin.updater.run_once()
+    first.commit(lease, task, state, first.change(task, state))
+    assert check(store, told).faults

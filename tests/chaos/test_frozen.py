@@ -1,0 +1,90 @@
+"""A process that is frozen inside a transaction does not hold its locks for ever (PostgreSQL).
+
+On SQLite writers wait 30 s for it and are told 503; see the table of faults.
+"""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import ProgrammingError
+
+from service.errors import StoreAwayError
+from service.store import engine as engines
+from service.store.engine import open_engine, transaction
+
+SILENT_S = 0.5
+
+
+def locked_out(url: str) -> float:
+    """How long another writer waits for a row that a frozen process has locked."""
+    engine = open_engine(url)
+    other = open_engine(url)
+    try:
+        with transaction(engine, write=True) as connection:
+            connection.execute(text("CREATE TABLE thing (id INTEGER)"))
+            connection.execute(text("INSERT INTO thing VALUES (1)"))
+        frozen = engine.connect()
+        frozen.execute(text("UPDATE thing SET id = 2"))
+        begun = time.monotonic()
+        with transaction(other, write=True) as connection:
+            connection.execute(text("SET statement_timeout = '5s'"))
+            connection.execute(text("UPDATE thing SET id = 3"))
+        waited = time.monotonic() - begun
+        frozen.invalidate()
+        return waited
+    finally:
+        engine.dispose()
+        other.dispose()
+
+
+on_postgresql = pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
+
+
+@on_postgresql
+def test_the_database_ends_a_transaction_that_says_nothing(
+    database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engines, "SILENT_S", SILENT_S)
+    assert SILENT_S * 0.8 < locked_out(database_url) < 5.0
+
+
+@on_postgresql
+def test_without_the_limit_a_frozen_process_keeps_its_locks(
+    database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engines, "SILENT_S", 0.0)
+    with pytest.raises(StoreAwayError, match="QueryCanceled"):
+        locked_out(database_url)
+
+
+@on_postgresql
+def test_a_process_that_wakes_after_it_is_told_that_nothing_was_stored(
+    database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engines, "SILENT_S", SILENT_S)
+    engine = open_engine(database_url)
+    with transaction(engine, write=True) as connection:
+        connection.execute(text("CREATE TABLE thing (id INTEGER)"))
+
+    def freeze() -> None:
+        with transaction(engine, write=True) as connection:
+            connection.execute(text("INSERT INTO thing VALUES (1)"))
+            time.sleep(3 * SILENT_S)
+
+    with pytest.raises(StoreAwayError, match="nothing was stored"):
+        freeze()
+    with transaction(engine, write=True) as connection:
+        assert connection.execute(text("SELECT count(*) FROM thing")).scalar() == 0
+        connection.execute(text("INSERT INTO thing VALUES (2)"))
+    engine.dispose()
+
+
+@on_postgresql
+def test_a_mistake_of_ours_is_not_taken_for_a_database_that_is_away(database_url: str) -> None:
+    engine = open_engine(database_url)
+    with pytest.raises(ProgrammingError), transaction(engine, write=True) as connection:
+        connection.execute(text("SELECT * FROM nothing_of_that_name"))
+    engine.dispose()
