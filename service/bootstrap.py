@@ -10,12 +10,11 @@ import sys
 import uvicorn
 from fastapi import FastAPI
 
-from core.errors import BladetwinError
 from service.api.app import create_app
 from service.api.loopback import keys_required
 from service.api.services import Services
 from service.api.waiting import Changes
-from service.errors import KeysMissingError
+from service.errors import KeysMissingError, SchemaError
 from service.fake import FakeScience
 from service.handlers.keys import list_keys
 from service.handlers.models import register_builtins
@@ -29,10 +28,6 @@ from service.worker.lease import Role
 from service.worker.loop import Worker, end_with_parent, owner_name, run_worker
 from service.worker.supervise import Supervisor
 from service.worker.wake import open_wake
-
-
-class SchemaError(BladetwinError):
-    """A database whose schema is not that of this release."""
 
 
 def make_science(settings: Settings) -> Science:

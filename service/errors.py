@@ -14,6 +14,8 @@
     ├── DamagedError          a stored part that is not what was written
     ├── DamagedLogError       an entry of the log that is not what was written
     ├── HeldError             a rotor that a worker holds at the moment
+    ├── BackupError           a backup that is not made, or not restored
+    ├── SchemaError           a database whose schema is not that of this release
     ├── LostLeaseError        a worker whose rotor another one has taken
     └── StoreAwayError        the database does not answer; nothing was written
 """
@@ -146,6 +148,19 @@ class KeysMissingError(BladetwinError):
             "`bladetwin keys create NAME --scope read --scope ingest --scope operate`, or serve on "
             "127.0.0.1 with BLADETWIN_KEYS=auto."
         )
+
+
+class BackupError(BladetwinError):
+    """A backup that is not made, or not restored; nothing was changed."""
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        self.problem = problem
+        self.remedy = remedy
+        super().__init__(f"{problem}; nothing was changed. To mend it: {remedy}.")
+
+
+class SchemaError(BladetwinError):
+    """A database whose schema is not that of this release."""
 
 
 class LostLeaseError(BladetwinError):

@@ -2,6 +2,7 @@
 
 A setting is an environment variable ``BLADETWIN_<NAME>``; what is not set has the default below.
 An unknown ``BLADETWIN_…`` variable is refused, so that a misspelt one is never silently ignored.
+The database's URL may stand in a file instead, so that its password is in nobody's environment.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -39,6 +41,9 @@ class Settings(BaseModel):
         "sqlite:///bladetwin.db",
         description="where everything is kept: sqlite:///file.db or postgresql://user@host/name",
         repr=False,
+    )
+    database_url_file: str = Field(
+        "", description="a file with that URL in it, for secrets; read in place of it"
     )
     host: str = Field("127.0.0.1", description="address that `serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `serve` listens on")
@@ -151,6 +156,8 @@ class Settings(BaseModel):
             if field not in cls.model_fields:
                 raise InputError(name, "…", "is no setting", f"use one of {', '.join(names())}")
             values[field] = text
+        if values.get("database_url_file"):
+            values["database_url"] = _secret("database_url", values)
         values |= {name: value for name, value in overrides.items() if value is not None}
         try:
             return cls(**values)
@@ -161,9 +168,34 @@ class Settings(BaseModel):
             raise InputError(name, shown, f"does not fit: {first['msg']}", "correct it") from None
 
     def environ(self) -> dict[str, str]:
-        """The same settings as environment variables, for a child process."""
-        given = self.model_dump().items()
-        return {PREFIX + name.upper(): str(value) for name, value in given if value is not None}
+        """The same settings as environment variables, for a child process.
+
+        A URL that was read from a file is read there again and not handed on.
+        """
+        given = self.model_dump(exclude={"database_url"} if self.database_url_file else None)
+        return {
+            PREFIX + name.upper(): str(value) for name, value in given.items() if value is not None
+        }
+
+
+def _secret(field: str, values: Mapping[str, Any]) -> str:
+    """What the file says that stands for `field`: its text without white space around."""
+    name = f"{PREFIX}{field.upper()}_FILE"
+    path = values[f"{field}_file"]
+    if field in values:
+        raise InputError(
+            name, path, f"and {PREFIX}{field.upper()} are both given", "unset one of them"
+        )
+    try:
+        text = Path(path).read_text().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        problem = f"cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}"
+        raise InputError(
+            name, path, problem, f"let the user {os.geteuid()} of the service read it"
+        ) from None
+    if not text or "\n" in text:
+        raise InputError(name, path, "does not hold one line", "write the value and nothing else")
+    return text
 
 
 def names() -> list[str]:
