@@ -21,4 +21,5 @@ keep() {
 
 keep postgres_password "$(password)"
 keep grafana_password "$(password)"
+keep webhook_key "$(password)$(password)"
 keep database_url "postgresql://bladetwin:$(cat "$folder/postgres_password")@db/bladetwin"

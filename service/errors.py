@@ -13,6 +13,7 @@
     ├── KeysMissingError      a server that would refuse every request
     ├── DamagedError          a stored part that is not what was written
     ├── DamagedLogError       an entry of the log that is not what was written
+    ├── WebhooksOffError      webhooks without the key file that their secrets are made of
     ├── HeldError             a rotor that a worker holds at the moment
     ├── BackupError           a backup that is not made, or not restored
     ├── SchemaError           a database whose schema is not that of this release
@@ -161,6 +162,15 @@ class BackupError(BladetwinError):
 
 class SchemaError(BladetwinError):
     """A database whose schema is not that of this release."""
+
+
+class WebhooksOffError(BladetwinError):
+    """Webhooks are not in use here: nothing to make their secrets of."""
+
+    def __init__(self, setting: str) -> None:
+        self.setting = setting
+        self.remedy = f"set {setting} to a file with 32 or more random bytes"
+        super().__init__(f"webhooks are not in use here. To mend it: {self.remedy}.")
 
 
 class LostLeaseError(BladetwinError):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from core.network import Network
 from core.observation import Inspection
 from service.access import Act, Answers, Audit, Keys
+from service.hooks import Webhooks
 
 Array = np.ndarray[Any, np.dtype[Any]]
 Json = dict[str, Any]
@@ -339,7 +340,7 @@ class JobRecord:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A row of the outbox: kind ``applied`` or ``blocked``, and what it tells."""
+    """A row of the outbox: kind applied, blocked, alarm or diagnosed, and what it tells."""
 
     id: int
     rotor_id: str
@@ -455,6 +456,8 @@ class Transaction(Protocol):
     def answers(self) -> Answers: ...
     @property
     def outbox(self) -> Outbox: ...
+    @property
+    def webhooks(self) -> Webhooks: ...
     def gauges(self) -> Gauges: ...
 
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from core.errors import InputError
+from service.outbound import networks
 
 PREFIX = "BLADETWIN_"
 # Names under the prefix that belong to the tests and not to the service.
@@ -114,6 +115,28 @@ class Settings(BaseModel):
     heartbeat_s: float = Field(
         15.0, gt=0, le=3600, description="a silent stream of events gets a sign of life every, s"
     )
+    webhook_key_file: str = Field(
+        "", description="file of 32 or more random bytes, of which webhooks' secrets are made"
+    )
+    webhook_networks: str = Field(
+        "",
+        description="networks that are not public, or without TLS, to which webhooks may lead, "
+        "with commas between, e.g. 10.20.0.0/16",
+    )
+    webhook_timeout_s: float = Field(
+        10.0, gt=0, le=300, description="a receiver has to answer a webhook within, s"
+    )
+    webhook_max_attempts: int = Field(
+        24, ge=1, le=1000, description="attempts before a webhook's delivery is dead"
+    )
+    webhook_retry_max_s: float = Field(3600.0, ge=0, description="longest pause between them, s")
+    deliverers: int = Field(
+        1,
+        ge=0,
+        le=16,
+        description="processes that send to webhooks, where there is a key file; "
+        "0 = `bladetwin worker --role deliver` does",
+    )
     cache_mb: float = Field(256.0, ge=0, description="decoded arrays kept for reads, MiB")
     rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
     log_level: Literal["debug", "info", "warning", "error"] = Field(
@@ -131,6 +154,12 @@ class Settings(BaseModel):
         for origin in _origins(value):
             if not ORIGIN.fullmatch(origin):
                 raise ValueError(f"{origin!r} is no origin; write https://plant.example:8443")
+        return value
+
+    @field_validator("webhook_networks")
+    @classmethod
+    def _are_networks(cls, value: str) -> str:
+        networks(value)
         return value
 
     @property

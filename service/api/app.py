@@ -24,6 +24,7 @@ from service.api.routers import (
     reads,
     rotors,
     system,
+    webhooks,
 )
 from service.api.services import Services
 from service.handlers.events import newest_notes
@@ -88,7 +89,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     app.state.revisions = revisions
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
-    for module in (system, models, rotors, inspections, reads, events, diagnoses, audit):
+    for module in (system, models, rotors, inspections, reads, events, diagnoses, audit, webhooks):
         app.include_router(module.router)
     problems.install(app)
     add_layers(app, services, app.state.requests)

@@ -25,6 +25,8 @@ from service.ports import Json, Progress, Science
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
+from service.store.log import lock_rotor
+from service.store.outbox import post
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.diagnosing import diagnose
 from service.worker.heartbeat import heartbeats
@@ -175,8 +177,16 @@ class Jobs:
         if lease.kind == DIAGNOSE and lease.rotor_id is not None:
             told = self.progress(lease)
             found = diagnose(self.store, self.science, lease.rotor_id, lease.request, told)
-            return found, lambda tx: None
+            return found, lambda tx: self._told(tx, lease, found)
         raise NotFoundError("kind of job", lease.kind, "run a worker of the release that wrote it")
+
+    @staticmethod
+    def _told(tx: SqlTransaction, lease: JobLease, found: Json) -> None:
+        """A note of the rotor, as of what else happens to it."""
+        assert lease.rotor_id is not None
+        lock_rotor(tx.connection, lease.rotor_id)
+        told = {"diagnosis": lease.id, "verdict": found["verdict"], "names": found["names"]}
+        post(tx.connection, lease.rotor_id, "diagnosed", told)
 
     def progress(self, lease: JobLease) -> Progress:
         """Writes each step with the time left, judged by the steps before, and ends a lost job."""

@@ -313,9 +313,8 @@ def test_the_whole_of_compose_runs_from_the_image_and_writes_nothing_beside_its_
         **given("migrate", secrets),
     )
     token = json.loads(made.stdout)["key"]
-    http = httpx.Client(
-        base_url=f"http://127.0.0.1:{port}", headers={"Authorization": f"Bearer {token}"}
-    )
+    with_key = {"Authorization": f"Bearer {token}"}
+    http = httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=with_key, timeout=60.0)
     with started(image, "api", environ), Client(http=http) as client:
         client.ready(PATIENCE_S)
         healthy = image.run(*health, **environ)

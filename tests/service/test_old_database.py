@@ -206,7 +206,7 @@ def check_as_it_was(client: httpx.Client) -> None:
     status = {one["id"]: one["status"] for one in listed}
     assert status == {"i1": "replaced", "i2": "retracted", "i1b": "counts", "i3": "counts"}
     stuck = got(client, "/v1/rotors/stuck")
-    assert (stuck["status"], stuck["last_error_event"]) == ("blocked", "s1")
+    assert (stuck["status"], stuck["last_error"]["event"]) == ("blocked", "s1")
     assert got(client, "/v1/jobs/5f0e")["status"] == "done"
 
 
@@ -223,7 +223,7 @@ def check_going_on(client: httpx.Client, store: SqlStore) -> None:
     spec = RotorSpec("old", ("B1", "B2", "B3"), 64, 7)
     assert state.digest == SCIENCE.update(CARD, spec, effective(entries), None, quick=False).digest
     assert got(client, "/v1/rotors/old/posterior?version=1")["health"]["status"] == "unknown"
-    assert client.post("/v1/rotors/stuck/retry").status_code == 200
+    assert client.post("/v1/rotors/stuck/retry").status_code == 202
 
 
 def killed(url: str, how: str) -> Any:
