@@ -372,6 +372,8 @@ class Gauges:
     least_ess_ratio: float | None
     oldest_s: float
     jobs: int
+    deliveries_pending: int
+    deliveries_dead: int
 
 
 class Records(Protocol):

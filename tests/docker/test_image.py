@@ -25,8 +25,9 @@ import pytest
 import yaml
 from sqlalchemy import create_engine, make_url, text
 
-from service.client import Client
+from service.client import Client, read_webhook
 from tests.docker.dockerfile import FILE, ROOT, faults, ignored, stages, visible
+from tests.service.receiver import receiving
 
 TEXT = FILE.read_text()
 COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text())
@@ -299,7 +300,8 @@ def test_the_whole_of_compose_runs_from_the_image_and_writes_nothing_beside_its_
 ) -> None:
     before = image.code()
     port = free_port()
-    environ = given("api", secrets, BLADETWIN_PORT=port, BLADETWIN_KEYS="always")
+    near = {"BLADETWIN_WEBHOOK_NETWORKS": "127.0.0.0/8, ::1"}
+    environ = given("api", secrets, BLADETWIN_PORT=port, BLADETWIN_KEYS="always", **near)
     health = stages(TEXT)[-1].argv("HEALTHCHECK")[1:]
     assert image.run(*health, **environ).returncode == 1, "nothing runs yet"
     done = image.run("serve", "--workers", "0", **environ)
@@ -323,7 +325,10 @@ def test_the_whole_of_compose_runs_from_the_image_and_writes_nothing_beside_its_
             started(image, "apply", given("apply", secrets)),
             started(image, "seal", given("seal", secrets)),
             started(image, "diagnose", given("diagnose", secrets)),
+            started(image, "deliver", given("deliver", secrets, **near)),
+            receiving() as receiver,
         ):
+            secret = client.create_webhook("ops", receiver.url)["secret"]
             client.create_rotor("r1", blades=["B1"])
             reading = {
                 "id": "a",
@@ -334,6 +339,9 @@ def test_the_whole_of_compose_runs_from_the_image_and_writes_nothing_beside_its_
             }
             client.wait_for("r1", client.post_inspections("r1", [reading]), PATIENCE_S)
             client.wait_sealed("r1", PATIENCE_S)
+            until("a webhook", lambda: bool(receiver.got))
+            got = receiver.got[0]
+            assert read_webhook(secret, got.headers, got.body, tolerance_s=900.0)
             found = client.diagnose("r1")["id"]
             until("the diagnosis", lambda: client.diagnosis("r1", found)["status"] == "done")
         assert "bladetwin_rotors 1" in http.get("/metrics").text

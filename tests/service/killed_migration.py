@@ -43,12 +43,14 @@ def attempt(url: str, number: int, *, halves: bool) -> None:
     count = 0
 
     @event.listens_for(engine, "after_cursor_execute")
-    def after(connection: Any, cursor: Any, *rest: Any) -> None:
+    def after(connection: Any, cursor: Any, statement: str, *rest: Any) -> None:
         nonlocal count
         count += 1
-        if halves:
-            cursor.execute("COMMIT")
-            cursor.execute("BEGIN IMMEDIATE" if is_sqlite(engine) else "BEGIN")
+        if halves and statement.lstrip().split()[0] in ("CREATE", "ALTER", "INSERT", "UPDATE"):
+            other = connection.connection.cursor()
+            other.execute("COMMIT")
+            other.execute("BEGIN IMMEDIATE" if is_sqlite(engine) else "BEGIN")
+            other.close()
         if count == number:
             os.kill(os.getpid(), signal.SIGKILL)
 

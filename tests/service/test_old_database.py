@@ -116,7 +116,7 @@ def rows() -> list[tuple[str, Row]]:
     old.rows.append(
         ("cursor", {"rotor_id": "stuck", "applied_seq": 0, "version": 0} | cursor | stuck)
     )
-    note = {"id": 1, "rotor_id": "old", "kind": "applied", "at": T0 + 10}
+    note = {"rotor_id": "old", "kind": "applied", "at": T0 + 10}
     told_note = '{"version": 1, "through_seq": 4, "sealed": true}'
     old.rows.append(("outbox", note | {"payload": told_note}))
     return old.rows

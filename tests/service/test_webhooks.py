@@ -332,6 +332,7 @@ def test_a_dead_letter_is_shown_lets_others_pass_and_is_sent_when_asked(
     with serving() as http:
         client = Client(http=http)
         assert client.webhook("ops")["deliveries"] == {"pending": 0, "delivered": 1, "dead": 1}
+        assert "\nbladetwin_deliveries_dead 1\n" in http.get("/metrics").text
         (dead,) = client.deliveries("ops", "dead")
         assert (dead["attempts"], dead["last_error"]) == (3, "answered with status 500")
         assert client.retry_delivery("ops", dead["id"])["status"] == "pending"
