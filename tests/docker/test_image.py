@@ -173,7 +173,7 @@ def shell(image: Image, line: str, folder: Path) -> None:
         env=environ,
         capture_output=True,
         text=True,
-        timeout=900,
+        timeout=1800,
     )
     assert done.returncode == 0, f"RUN {line}\n{done.stdout[-1000:]}{done.stderr[-3000:]}"
 
