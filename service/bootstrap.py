@@ -10,12 +10,11 @@ import sys
 import uvicorn
 from fastapi import FastAPI
 
-from core.errors import BladetwinError
 from service.api.app import create_app
 from service.api.loopback import keys_required
 from service.api.services import Services
 from service.api.waiting import Changes
-from service.errors import KeysMissingError
+from service.errors import KeysMissingError, SchemaError
 from service.fake import FakeScience
 from service.handlers.keys import list_keys
 from service.handlers.models import register_builtins
@@ -25,14 +24,11 @@ from service.store.engine import is_sqlite, open_engine
 from service.store.migrate import current, migrate, newest
 from service.store.unit_of_work import SqlStore
 from service.telemetry import configure_logs
+from service.worker.deliver import Deliverer
 from service.worker.lease import Role
 from service.worker.loop import Worker, end_with_parent, owner_name, run_worker
 from service.worker.supervise import Supervisor
 from service.worker.wake import open_wake
-
-
-class SchemaError(BladetwinError):
-    """A database whose schema is not that of this release."""
 
 
 def make_science(settings: Settings) -> Science:
@@ -104,13 +100,15 @@ def worker_roles(settings: Settings) -> list[Role]:
     """
     if settings.workers == 0:
         return []
+    senders = settings.deliverers if settings.webhook_key_file else 0
+    deliver: list[Role] = ["deliver"] * senders
     diagnose: list[Role] = ["diagnose"] * settings.diagnosers
     if settings.sealers == 0:
         both: list[Role] = ["all"] * settings.workers
-        return both + diagnose
+        return both + diagnose + deliver
     apply: list[Role] = ["apply"] * settings.workers
     seal: list[Role] = ["seal"] * settings.sealers
-    return apply + seal + diagnose
+    return apply + seal + diagnose + deliver
 
 
 class _Server(uvicorn.Server):
@@ -183,6 +181,9 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
     try:
         if not with_parent:
             prepare(store, settings)
+        if role == "deliver":
+            run_worker(Deliverer(store.engine, settings, owner or owner_name()))
+            return
         if role in ("seal", "diagnose"):
             step_back()
         run_worker(make_worker(store, make_science(settings), settings, owner, role))

@@ -53,6 +53,7 @@ class WorkerRole(StrEnum):
     APPLY = "apply"
     SEAL = "seal"
     DIAGNOSE = "diagnose"
+    DELIVER = "deliver"
 
 
 def say(data: dict[str, Any], text: str, *, as_json: bool) -> None:
@@ -81,7 +82,10 @@ def serve(
 def worker(
     role: Annotated[
         WorkerRole,
-        typer.Option(help="apply entries, seal provisional posteriors, both (all), or diagnose."),
+        typer.Option(
+            help="apply entries, seal provisional posteriors, both (all), diagnose, or deliver "
+            "to webhooks."
+        ),
     ] = WorkerRole.ALL,
     owner: Annotated[str | None, typer.Option(hidden=True)] = None,
     end_with_parent: Annotated[bool, typer.Option("--end-with-parent", hidden=True)] = False,

@@ -10,6 +10,7 @@ with Client("http://127.0.0.1:8000") as twin:
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
@@ -19,6 +20,8 @@ from urllib.parse import quote
 import httpx
 
 from core.errors import BladetwinError
+from service.signing import SignatureError as SignatureError
+from service.signing import verified
 from service.sse import events
 
 Json = dict[str, Any]
@@ -56,6 +59,22 @@ def _which(version: int | None, at: str | None) -> dict[str, str]:
     """The query of a version (a number) or of a moment (ISO 8601 with an offset)."""
     told = {"version": None if version is None else str(version), "at": at}
     return {name: value for name, value in told.items() if value is not None}
+
+
+def read_webhook(
+    secret: str, headers: Mapping[str, str], body: bytes, *, tolerance_s: float = 300.0
+) -> Json:
+    """What a webhook's receiver was told: ``{"id", "type", "timestamp", "data"}``.
+
+    secret    as the webhook's creation answered it
+    headers   of the request; body: its bytes as they came, not parsed and written again
+    id        the same each time a message is sent: one that was seen before is to be dropped
+
+    Raises SignatureError where the service did not sign this, or longer ago than `tolerance_s`.
+    """
+    message_id = verified(secret, headers, body, tolerance_s=tolerance_s)
+    told: Json = json.loads(body)
+    return told | {"id": message_id}
 
 
 class Client:
@@ -341,6 +360,35 @@ class Client:
                 return
             params["cursor"] = page["next"]
 
+    def create_webhook(
+        self,
+        webhook: str,
+        url: str,
+        *,
+        events: Sequence[str] | None = None,
+        rotors: Sequence[str] | None = None,
+    ) -> Json:
+        """Have what happens sent to a URL: ``{"webhook", "secret"}``; the secret is shown once.
+
+        events   some of sealed, blocked, alarm, diagnosed; None: all
+        rotors   the only ones; None: all
+        """
+        body: Json = {"id": webhook, "url": url}
+        body |= {} if events is None else {"events": list(events)}
+        body |= {} if rotors is None else {"rotors": list(rotors)}
+        return self._call("POST", "/v1/webhooks", json=body)
+
+    def webhook(self, webhook: str) -> Json:
+        """A webhook, with how many deliveries are pending, delivered and dead."""
+        return self._call("GET", _path("webhooks", webhook))
+
+    def delete_webhook(self, webhook: str) -> Json:
+        return self._call("DELETE", _path("webhooks", webhook))
+
+    def deliveries(self, webhook: str, status: str | None = None) -> Iterator[Json]:
+        """What a webhook was or is to be told, the newest first, page by page."""
+        yield from self._pages(_path("webhooks", webhook, "deliveries"), status=status)
+
     def report(self, rotor: str, diagnosis: str, *, limit: float | None = None) -> str:
         """A finished diagnosis as one HTML file to hand on.
 
@@ -352,6 +400,10 @@ class Client:
         if response.is_error:
             raise ProblemError(response)
         return response.text
+
+    def retry_delivery(self, webhook: str, delivery: str) -> Json:
+        """Have a dead delivery sent again."""
+        return self._call("POST", _path("webhooks", webhook, "deliveries", delivery, "retry"))
 
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

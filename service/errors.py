@@ -14,7 +14,10 @@
     ├── KeysMissingError      a server that would refuse every request
     ├── DamagedError          a stored part that is not what was written
     ├── DamagedLogError       an entry of the log that is not what was written
+    ├── WebhooksOffError      webhooks without the key file that their secrets are made of
     ├── HeldError             a rotor that a worker holds at the moment
+    ├── BackupError           a backup that is not made, or not restored
+    ├── SchemaError           a database whose schema is not that of this release
     ├── LostLeaseError        a worker whose rotor another one has taken
     └── StoreAwayError        the database does not answer; nothing was written
 """
@@ -160,6 +163,28 @@ class KeysMissingError(BladetwinError):
             "`bladetwin keys create NAME --scope read --scope ingest --scope operate`, or serve on "
             "127.0.0.1 with BLADETWIN_KEYS=auto."
         )
+
+
+class BackupError(BladetwinError):
+    """A backup that is not made, or not restored; nothing was changed."""
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        self.problem = problem
+        self.remedy = remedy
+        super().__init__(f"{problem}; nothing was changed. To mend it: {remedy}.")
+
+
+class SchemaError(BladetwinError):
+    """A database whose schema is not that of this release."""
+
+
+class WebhooksOffError(BladetwinError):
+    """Webhooks are not in use here: nothing to make their secrets of."""
+
+    def __init__(self, setting: str) -> None:
+        self.setting = setting
+        self.remedy = f"set {setting} to a file with 32 or more random bytes"
+        super().__init__(f"webhooks are not in use here. To mend it: {self.remedy}.")
 
 
 class LostLeaseError(BladetwinError):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from core.network import Network
 from core.observation import Inspection
 from service.access import Act, Answers, Audit, Keys
+from service.hooks import Webhooks
 
 Array = np.ndarray[Any, np.dtype[Any]]
 Json = dict[str, Any]
@@ -371,7 +372,7 @@ class JobRecord:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A row of the outbox: kind ``applied`` or ``blocked``, and what it tells."""
+    """A row of the outbox: kind applied, blocked, alarm or diagnosed, and what it tells."""
 
     id: int
     rotor_id: str
@@ -403,6 +404,8 @@ class Gauges:
     least_ess_ratio: float | None
     oldest_s: float
     jobs: int
+    deliveries_pending: int
+    deliveries_dead: int
 
 
 class Records(Protocol):
@@ -491,6 +494,8 @@ class Transaction(Protocol):
     def answers(self) -> Answers: ...
     @property
     def outbox(self) -> Outbox: ...
+    @property
+    def webhooks(self) -> Webhooks: ...
     def gauges(self) -> Gauges: ...
 
 

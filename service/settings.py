@@ -2,6 +2,7 @@
 
 A setting is an environment variable ``BLADETWIN_<NAME>``; what is not set has the default below.
 An unknown ``BLADETWIN_…`` variable is refused, so that a misspelt one is never silently ignored.
+The database's URL may stand in a file instead, so that its password is in nobody's environment.
 """
 
 from __future__ import annotations
@@ -9,11 +10,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from core.errors import InputError
+from service.outbound import networks
 
 PREFIX = "BLADETWIN_"
 # Names under the prefix that belong to the tests and not to the service.
@@ -39,6 +42,9 @@ class Settings(BaseModel):
         "sqlite:///bladetwin.db",
         description="where everything is kept: sqlite:///file.db or postgresql://user@host/name",
         repr=False,
+    )
+    database_url_file: str = Field(
+        "", description="a file with that URL in it, for secrets; read in place of it"
     )
     host: str = Field("127.0.0.1", description="address that `serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `serve` listens on")
@@ -109,6 +115,28 @@ class Settings(BaseModel):
     heartbeat_s: float = Field(
         15.0, gt=0, le=3600, description="a silent stream of events gets a sign of life every, s"
     )
+    webhook_key_file: str = Field(
+        "", description="file of 32 or more random bytes, of which webhooks' secrets are made"
+    )
+    webhook_networks: str = Field(
+        "",
+        description="networks that are not public, or without TLS, to which webhooks may lead, "
+        "with commas between, e.g. 10.20.0.0/16",
+    )
+    webhook_timeout_s: float = Field(
+        10.0, gt=0, le=300, description="a receiver has to answer a webhook within, s"
+    )
+    webhook_max_attempts: int = Field(
+        24, ge=1, le=1000, description="attempts before a webhook's delivery is dead"
+    )
+    webhook_retry_max_s: float = Field(3600.0, ge=0, description="longest pause between them, s")
+    deliverers: int = Field(
+        1,
+        ge=0,
+        le=16,
+        description="processes that send to webhooks, where there is a key file; "
+        "0 = `bladetwin worker --role deliver` does",
+    )
     cache_mb: float = Field(256.0, ge=0, description="decoded arrays kept for reads, MiB")
     rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
     log_level: Literal["debug", "info", "warning", "error"] = Field(
@@ -126,6 +154,12 @@ class Settings(BaseModel):
         for origin in _origins(value):
             if not ORIGIN.fullmatch(origin):
                 raise ValueError(f"{origin!r} is no origin; write https://plant.example:8443")
+        return value
+
+    @field_validator("webhook_networks")
+    @classmethod
+    def _are_networks(cls, value: str) -> str:
+        networks(value)
         return value
 
     @property
@@ -151,6 +185,8 @@ class Settings(BaseModel):
             if field not in cls.model_fields:
                 raise InputError(name, "…", "is no setting", f"use one of {', '.join(names())}")
             values[field] = text
+        if values.get("database_url_file"):
+            values["database_url"] = _secret("database_url", values)
         values |= {name: value for name, value in overrides.items() if value is not None}
         try:
             return cls(**values)
@@ -161,9 +197,34 @@ class Settings(BaseModel):
             raise InputError(name, shown, f"does not fit: {first['msg']}", "correct it") from None
 
     def environ(self) -> dict[str, str]:
-        """The same settings as environment variables, for a child process."""
-        given = self.model_dump().items()
-        return {PREFIX + name.upper(): str(value) for name, value in given if value is not None}
+        """The same settings as environment variables, for a child process.
+
+        A URL that was read from a file is read there again and not handed on.
+        """
+        given = self.model_dump(exclude={"database_url"} if self.database_url_file else None)
+        return {
+            PREFIX + name.upper(): str(value) for name, value in given.items() if value is not None
+        }
+
+
+def _secret(field: str, values: Mapping[str, Any]) -> str:
+    """What the file says that stands for `field`: its text without white space around."""
+    name = f"{PREFIX}{field.upper()}_FILE"
+    path = values[f"{field}_file"]
+    if field in values:
+        raise InputError(
+            name, path, f"and {PREFIX}{field.upper()} are both given", "unset one of them"
+        )
+    try:
+        text = Path(path).read_text().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        problem = f"cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}"
+        raise InputError(
+            name, path, problem, f"let the user {os.geteuid()} of the service read it"
+        ) from None
+    if not text or "\n" in text:
+        raise InputError(name, path, "does not hold one line", "write the value and nothing else")
+    return text
 
 
 def names() -> list[str]:

@@ -355,6 +355,26 @@ AUDIT = having(
     status=WHOLE,
     problem=maybe(TEXT),
 )
+WEBHOOK = having(
+    id=TEXT,
+    url=TEXT,
+    events=each(TEXT),
+    rotors=maybe(each(TEXT)),
+    created_at=TEXT,
+    deliveries=having(pending=WHOLE, delivered=WHOLE, dead=WHOLE),
+)
+DELIVERY = having(
+    id=TEXT,
+    number=WHOLE,
+    rotor=TEXT,
+    event=TEXT,
+    status=TEXT,
+    attempts=WHOLE,
+    created_at=TEXT,
+    tried_at=maybe(TEXT),
+    not_before=maybe(TEXT),
+    last_error=maybe(TEXT),
+)
 ROTOR = "/v1/rotors/{r}"
 ANSWERS: dict[str, Json] = {
     "GET /healthz": having(status=TEXT),
@@ -409,5 +429,11 @@ ANSWERS: dict[str, Json] = {
     f"POST {ROTOR}/diagnoses/{{d}}/adoption": having(adoption=ADOPTION, head_seq=WHOLE),
     f"DELETE {ROTOR}/diagnoses/{{d}}/adoption": having(adoption=ADOPTION, head_seq=WHOLE),
     f"GET {ROTOR}/adoptions": paged(ADOPTION),
+    "GET /v1/webhooks": paged(WEBHOOK),
+    "POST /v1/webhooks": having(webhook=WEBHOOK, secret=maybe(TEXT)),
+    "GET /v1/webhooks/{w}": WEBHOOK,
+    "DELETE /v1/webhooks/{w}": having(id=TEXT, deleted=YES),
+    "GET /v1/webhooks/{w}/deliveries": paged(DELIVERY),
+    "POST /v1/webhooks/{w}/deliveries/{d}/retry": DELIVERY,
     "GET /v1/audit": paged(AUDIT),
 }

@@ -27,6 +27,7 @@ from service.api.routers import (
     reports,
     rotors,
     system,
+    webhooks,
 )
 from service.api.services import Services
 from service.handlers.events import newest_notes
@@ -103,6 +104,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         adoptions,
         reports,
         audit,
+        webhooks,
     ):
         app.include_router(module.router)
     problems.install(app)

@@ -81,6 +81,8 @@ def of_database(found: Gauges | None) -> list[str]:
         ("provisional_rotors", "gauge", "Rotors not sealed yet.", found.provisional),
         ("least_ess_ratio", "gauge", "Least effective share of nodes.", found.least_ess_ratio),
         ("jobs", "gauge", "Jobs queued or at work.", found.jobs),
+        ("deliveries_pending", "gauge", "To be sent to webhooks.", found.deliveries_pending),
+        ("deliveries_dead", "gauge", "Given up; sent when asked.", found.deliveries_dead),
         ("entries_applied_total", "counter", "Entries applied.", found.applied),
         ("versions_total", "counter", "Versions of posteriors written.", found.versions),
         ("versions_sealed_total", "counter", "Sealed versions written.", found.seals),

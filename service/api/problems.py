@@ -30,6 +30,7 @@ from service.errors import (
     NotYetError,
     PreconditionError,
     StoreAwayError,
+    WebhooksOffError,
 )
 from service.tokens import redacted
 
@@ -192,6 +193,11 @@ async def _gone(request: Request, error: Any) -> JSONResponse:
     return problem(request, 410, "gone", str(error), faults)
 
 
+async def _hooks_off(request: Request, error: Any) -> JSONResponse:
+    faults = [fault(error.setting, "", "is not set", error.remedy)]
+    return problem(request, 409, "webhooks-off", str(error), faults)
+
+
 async def _moved_on(request: Request, error: Any) -> JSONResponse:
     given = request.headers.get("if-match", "")
     faults = [fault("If-Match", given, "is not its present ETag", error.remedy)]
@@ -238,6 +244,7 @@ HANDLERS = {
     NotYetError: _not_yet,
     GoneError: _gone,
     PreconditionError: _moved_on,
+    WebhooksOffError: _hooks_off,
     DamagedError: _damaged,
     ModelError: _unfit,
     HTTPException: _routed,

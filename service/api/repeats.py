@@ -3,8 +3,9 @@
 After draft-ietf-httpapi-idempotency-key-header. The key is taken in the database before the
 request is looked at, so of two at once one is told to wait (409). The answer of a request that was
 done is kept for BLADETWIN_IDEMPOTENCY_H hours; a request that was refused changed nothing and frees
-its key. The same key with another request is 422. Keys of one client mean nothing for another.
-What is kept of a key is its SHA-256: it is the caller's choice, and may be what it should not be.
+its key, and so does one whose answer holds a secret (`Cache-Control: no-store`). The same key with
+another request is 422. Keys of one client mean nothing for another. What is kept of a key is its
+SHA-256: it is the caller's choice, and may be what it should not be.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Repeats:
 
     def _end(self, named: tuple[str, str, str], start: Message | None, body: bytes) -> None:
         with self.store.write() as tx:
-            if start is None or not 200 <= start["status"] < 300:
+            if start is None or not 200 <= start["status"] < 300 or _secret(start):
                 tx.answers.forget(*named)
                 return
             pairs = [(k.decode("latin-1"), v.decode("latin-1")) for k, v in start["headers"]]
@@ -87,6 +88,11 @@ class Repeats:
         await run_in_threadpool(self._end, named, start, body)
         for message in messages:
             await send(message)
+
+
+def _secret(start: Message) -> bool:
+    """Whether the answer says that nobody may keep it: its request is judged anew."""
+    return "no-store" in Headers(raw=start["headers"]).get("cache-control", "")
 
 
 def fingerprint(request: Request, body: bytes) -> str:

@@ -30,6 +30,7 @@ from pydantic_core import from_json
 from core.observation import Inspection
 from service.api.problems import Fault, RequestError, fault, faults_of_validation
 from service.handlers.inspections import Item
+from service.hooks import Kind
 from service.names import ID_PATTERN, TEXT_PATTERN
 
 Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
@@ -139,6 +140,22 @@ class ModelIn(Body):
     model_config = ConfigDict(json_schema_extra={"examples": [{"builtin": "rotor-blade"}]})
 
     builtin: Id
+
+
+HOOKS: list[JsonValue] = [
+    {"id": "ops", "url": "https://plant.example/twin", "events": ["blocked", "alarm"]}
+]
+
+
+class WebhookIn(Body):
+    """Where to send what happens to rotors; `events` and `rotors` left out: all."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": HOOKS})
+
+    id: Id
+    url: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+    events: list[Kind] | None = Field(None, min_length=1, max_length=10)
+    rotors: list[Id] | None = Field(None, min_length=1, max_length=10_000)
 
 
 class Nothing(Body):

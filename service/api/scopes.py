@@ -62,6 +62,12 @@ RULES: dict[str, Rule] = {
     f"POST {ROTOR}/diagnoses/{{d}}/adoption": Rule("operate"),
     f"DELETE {ROTOR}/diagnoses/{{d}}/adoption": Rule("operate"),
     f"GET {ROTOR}/adoptions": Rule("read"),
+    "GET /v1/webhooks": Rule("operate"),
+    "POST /v1/webhooks": Rule("operate"),
+    "GET /v1/webhooks/{w}": Rule("operate"),
+    "DELETE /v1/webhooks/{w}": Rule("operate"),
+    "GET /v1/webhooks/{w}/deliveries": Rule("operate"),
+    "POST /v1/webhooks/{w}/deliveries/{d}/retry": Rule("operate"),
     "GET /v1/audit": Rule("operate", beyond=True),
 }
 

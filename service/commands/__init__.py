@@ -1,4 +1,4 @@
-"""Commands that operate a service: replay and verify, export and import.
+"""Commands that operate a service: replay, verify, export, import, backup, restore, health.
 
 Each opens the database that the settings name and needs no running service; beside one it goes
 through the same leases as a worker.
@@ -46,9 +46,12 @@ def opened(settings: Settings) -> Iterator[SqlStore]:
 
 def register(app: typer.Typer) -> None:
     """Add every command of this room."""
-    from service.commands import replay, transfer
+    from service.commands import backup, health, replay, transfer
 
     app.command()(replay.replay)
     app.command()(replay.verify)
     app.command()(transfer.export)
     app.command("import")(transfer.import_rotor)
+    app.command()(backup.backup)
+    app.command()(backup.restore)
+    app.command()(health.health)

@@ -37,6 +37,8 @@ def read_gauges(connection: Connection) -> Gauges:
     first = and_(e.rotor_id == c.rotor_id, e.seq == c.applied_seq + 1)
     waiting = select(now_s() - func.min(e.received_at)).select_from(t.cursor).join(t.entry, first)
     queued = select(func.count()).where(j.status.in_(("queued", "running")))
+    of_hooks = select(t.delivery.c.status, func.count()).group_by(t.delivery.c.status)
+    deliveries = {row[0]: row[1] for row in connection.execute(of_hooks)}
     return Gauges(
         rotors=row.rotors,
         backlog=int(row.backlog or 0),
@@ -50,4 +52,6 @@ def read_gauges(connection: Connection) -> Gauges:
         least_ess_ratio=row.ess_ratio,
         oldest_s=max(0.0, connection.execute(waiting).scalar() or 0.0),
         jobs=int(connection.execute(queued).scalar_one()),
+        deliveries_pending=deliveries.get("pending", 0),
+        deliveries_dead=deliveries.get("dead", 0),
     )

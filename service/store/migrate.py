@@ -1,5 +1,9 @@
 """Bring a database to the schema of this release, with Alembic.
 
+SQLite and PostgreSQL both take back schema changes with their transaction, which
+SQLite does only where no one commits in between: the connection has no transactions of the
+driver's own (`isolation_level=None`), and Alembic is told so in migrations/env.py.
+
 Safe to run at the same time from several processes: SQLite's write lock or an advisory lock of
 PostgreSQL lets one go first, and the others find nothing left to do.
 """
@@ -15,6 +19,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, text
 
 import service
+from service.errors import SchemaError
 from service.store.engine import is_sqlite, transaction
 
 LOCK = 0x626C6164
@@ -37,10 +42,20 @@ def _config(connection: Connection | None = None) -> Config:
 
 
 def migrate(engine: Engine) -> str:
-    """Upgrade to the newest schema; its revision."""
+    """Upgrade to the newest schema; its revision.
+
+    All steps are one transaction on either database, so that a process that dies in the middle
+    leaves the schema as it was. SchemaError: the database is of a newer release.
+    """
     with transaction(engine, write=True) as connection:
         if not is_sqlite(engine):
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": LOCK})
+        found = MigrationContext.configure(connection).get_current_revision()
+        if found is not None and found not in revisions():
+            raise SchemaError(
+                f"the database has schema {found}, which this release does not know (its newest is "
+                f"{newest()}); nothing was changed. To mend it: use the release that wrote it."
+            )
         command.upgrade(_config(connection), "head")
     return newest()
 
@@ -48,6 +63,12 @@ def migrate(engine: Engine) -> str:
 def newest() -> str:
     """The revision that this release needs."""
     return str(ScriptDirectory.from_config(_config()).get_current_head())
+
+
+def revisions() -> frozenset[str]:
+    """Every revision that this release knows."""
+    walked = ScriptDirectory.from_config(_config()).walk_revisions()
+    return frozenset(str(one.revision) for one in walked)
 
 
 def current(engine: Engine) -> str | None:

@@ -1,4 +1,5 @@
-"""Notes of what was committed: one for each new version and each blocking of a rotor.
+"""Notes of what was committed: one for each new version and each blocking of a rotor, each alarm,
+each diagnosis that is done. What webhooks ask for is written for them in the same transaction.
 
 A note is written in the transaction that it tells of, after the rotor's cursor was locked, so that
 the numbers of a rotor's notes are in the order of its commits; between rotors they need not be.
@@ -10,12 +11,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
-from sqlalchemy import Connection, Engine, delete, func, select, update
+from sqlalchemy import Connection, Engine, delete, func, insert, select, update
 
 from service.ports import Note
 from service.store import tables as t
-from service.store.engine import transaction
+from service.store.engine import now_s, transaction
+from service.store.log import notify
+from service.store.webhooks import tell
 
 o = t.outbox.c
 
@@ -39,6 +43,17 @@ class SqlOutbox:
         dropped = select(t.cursor.c.outbox_dropped).where(t.cursor.c.rotor_id == rotor_id)
         last = self._connection.execute(select(func.max(o.id))).scalar() or 0
         return number < (self._connection.execute(dropped).scalar() or 0) or number > last
+
+
+def post(connection: Connection, rotor_id: str, kind: str, payload: dict[str, Any]) -> None:
+    """A row of the outbox, in the transaction of what it tells, and a hint to who waits.
+
+    The rotor's row has to be locked, so that its notes are numbered in the order of its commits.
+    """
+    row = {"rotor_id": rotor_id, "kind": kind, "payload": json.dumps(payload), "at": now_s()}
+    connection.execute(insert(t.outbox).values(row))
+    tell(connection, rotor_id, kind, payload)
+    notify(connection, "bladetwin_applied", rotor_id)
 
 
 def trim(engine: Engine, rotor_id: str, keep: int) -> None:

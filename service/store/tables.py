@@ -14,6 +14,8 @@ ended there.
 
 `audit` has a row for each state-changing request and is never thinned; `first_answer` holds what
 requests with an Idempotency-Key were answered, until it expires.
+`webhook` is served by one worker at a time, under fence and lease like a rotor; `delivery` has a
+row for each event that it is to be told, written in the transaction in which that happens.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
 its own; `rotor.adopt` says whether a diagnosis is adopted by itself. `cursor.outbox_dropped` is the
 newest note of the outbox that is no longer kept.
@@ -248,6 +250,42 @@ first_answer = Table(
     Column("begun_at", Double, nullable=False),
     Column("expires_at", Double, nullable=False),
     Index("ix_first_answer_expires_at", "expires_at"),
+)
+
+webhook = Table(
+    "webhook",
+    metadata,
+    Column("id", NAME, primary_key=True),
+    Column("url", Text, nullable=False),
+    Column("events", Text, nullable=False),
+    Column("rotors", Text),
+    Column("salt", String(64), nullable=False),
+    Column("fingerprint", String(64), nullable=False),
+    Column("created_at", Double, nullable=False),
+    Column("fence", BIG, nullable=False),
+    Column("owner", NAME),
+    Column("lease_until", Double),
+    Column("served_at", Double),
+)
+
+delivery = Table(
+    "delivery",
+    metadata,
+    Column("id", BIG, primary_key=True, autoincrement=True),
+    Column("message_id", String(60), nullable=False),
+    Column("webhook_id", NAME, ForeignKey("webhook.id"), nullable=False),
+    Column("rotor_id", NAME, nullable=False),
+    Column("event", String(20), nullable=False),
+    Column("body", Text, nullable=False),
+    Column("status", String(20), nullable=False),
+    Column("attempts", Integer, nullable=False),
+    Column("created_at", Double, nullable=False),
+    Column("not_before", Double),
+    Column("tried_at", Double),
+    Column("last_error", Text),
+    UniqueConstraint("message_id"),
+    Index("ix_delivery_heads", "webhook_id", "status", "rotor_id", "id"),
+    Index("ix_delivery_webhook_id_id", "webhook_id", "id"),
 )
 
 # Array bytes do not compress; PostgreSQL need not try.

@@ -20,6 +20,7 @@ from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
 from service.store.states import SqlStates
 from service.store.trail import SqlAudit
+from service.store.webhooks import SqlWebhooks
 
 
 class SqlTransaction:
@@ -40,6 +41,7 @@ class SqlTransaction:
         self.keys = SqlKeys(connection)
         self.audit = SqlAudit(connection)
         self.answers = SqlAnswers(connection)
+        self.webhooks = SqlWebhooks(connection)
 
     def gauges(self) -> Gauges:
         return read_gauges(self.connection)

@@ -26,6 +26,7 @@ from service.ports import Json, Progress, Science
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
+from service.store.outbox import post
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.diagnosing import diagnose
 from service.worker.heartbeat import heartbeats
@@ -191,6 +192,8 @@ class Jobs:
         """
         assert lease.rotor_id is not None
         tx.log.lock(lease.rotor_id)
+        told = {"diagnosis": lease.id, "verdict": found["verdict"], "names": found["names"]}
+        post(tx.connection, lease.rotor_id, "diagnosed", told)
         option = tx.records.rotor(lease.rotor_id).adopt
         if option != "effect" or found["verdict"] != "effect":
             return found

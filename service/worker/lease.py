@@ -28,10 +28,9 @@ Every condition below is one function, so that a test can take it away and see t
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from sqlalchemy import (
     ColumnElement,
@@ -42,7 +41,6 @@ from sqlalchemy import (
     exists,
     false,
     func,
-    insert,
     not_,
     or_,
     select,
@@ -55,15 +53,17 @@ from service.errors import LostLeaseError
 from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.store.log import lock_rotor, notify
+from service.store.outbox import post
 
 c = t.cursor.c
-Role = Literal["all", "apply", "seal", "diagnose"]
+Role = Literal["all", "apply", "seal", "diagnose", "deliver"]
 Kind = Literal["late", "apply", "model", "quiet"]
 KINDS: dict[Role, tuple[Kind, ...]] = {
     "all": ("late", "apply", "model", "quiet"),
     "apply": ("apply",),
     "seal": ("late", "model", "quiet"),
     "diagnose": (),
+    "deliver": (),
 }
 FOREVER = 1e12  # s
 AHEAD = 10.0
@@ -324,16 +324,9 @@ def release(engine: Engine, owner: str) -> int:
         freed = connection.execute(
             update(t.cursor).where(c.owner == owner).values(lease_until=None, owner=None)
         ).rowcount
-        connection.execute(
-            update(t.job).where(t.job.c.owner == owner).values(lease_until=None, owner=None)
-        )
+        for table in (t.job, t.webhook):
+            own = table.c.owner == owner
+            connection.execute(update(table).where(own).values(lease_until=None, owner=None))
         if freed:
             notify(connection, "bladetwin_work")
         return freed
-
-
-def post(connection: Connection, rotor_id: str, kind: str, payload: dict[str, Any]) -> None:
-    """A row of the outbox, in the transaction of what it tells, and a hint to who waits."""
-    row = {"rotor_id": rotor_id, "kind": kind, "payload": json.dumps(payload), "at": now_s()}
-    connection.execute(insert(t.outbox).values(row))
-    notify(connection, "bladetwin_applied", rotor_id)

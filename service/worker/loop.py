@@ -12,6 +12,7 @@ import os
 import signal
 import threading
 from types import FrameType
+from typing import Protocol
 
 from service.errors import StoreAwayError
 from service.ports import Science
@@ -99,7 +100,14 @@ def end_with_parent(stream: int = 0) -> None:
     threading.Thread(target=watch, name="parent", daemon=True).start()
 
 
-def run_worker(worker: Worker) -> None:
+class Stoppable(Protocol):
+    """What runs until it is stopped: a `Worker`, a `Deliverer`."""
+
+    def stop(self, signum: int | None = None, frame: FrameType | None = None) -> None: ...
+    def run(self) -> None: ...
+
+
+def run_worker(worker: Stoppable) -> None:
     """Run in the main thread of a process of its own; SIGTERM and SIGINT stop it."""
     signal.signal(signal.SIGTERM, worker.stop)
     signal.signal(signal.SIGINT, worker.stop)

@@ -43,6 +43,7 @@ from service.store.outbox import trim
 from service.store.states import digests, thin, write_state
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker import lease as leases
+from service.worker.alarm import alarm
 from service.worker.heartbeat import heartbeats
 from service.worker.lease import Lease
 
@@ -272,6 +273,7 @@ class Updater:
                 meta=dict(state.meta),
                 created_at=0.0,
             )
+            alarm(connection, record)
             write_state(connection, record, changed)
         memory = Memory(version, task.through, state, sha256, task.entries)
         self._memory[lease.rotor_id] = memory

@@ -25,9 +25,13 @@ from schemathesis.specs.openapi.checks import (
     response_schema_conformance,
     status_code_conformance,
 )
+from sqlalchemy import update
 
 from service.api.routers import rotors
 from service.bootstrap import make_worker
+from service.handlers.webhooks import create_webhook
+from service.store import tables as t
+from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 from tests.service.adopting import Offsets
@@ -43,7 +47,12 @@ CHECKS = [
     response_schema_conformance,
 ]
 READING = {"id": "i1", "blade": "B1", "quantity": "elongation", "time_h": 8000.0, "value": 0.11}
-NAMES = {"r": "r1", "b": "B1", "i": "i1", "m": "rotor-blade", "id": "none", "d": "d1"}
+NAMES = {"r": "r1", "b": "B1", "i": "i1", "m": "rotor-blade", "id": "none", "d": "d1", "w": "w1"}
+DOOMED = {"DELETE /v1/webhooks/{w}": {"w": "w2"}}  # others still need the first one
+FOR_OPERATORS = {
+    *("GET /v1/audit", "GET /v1/webhooks", "GET /v1/webhooks/{w}"),
+    "GET /v1/webhooks/{w}/deliveries",
+}
 
 
 @pytest.fixture
@@ -59,12 +68,28 @@ def science() -> Offsets:
     return Offsets()
 
 
+@pytest.fixture
+def hooks(tmp_path: Any, store: SqlStore, rotor: str) -> Json:
+    """Settings with which webhooks are in use; two are there, and a delivery of the first."""
+    file = tmp_path / "webhook_key"
+    file.write_text("7d" * 32)
+    for name in ("w1", "w2"):
+        create_webhook(store, str(file), "", name, "https://plant.example/x", None, None)
+    with store.write() as tx:
+        note(tx.connection, rotor, "blocked", {"error": "e", "event": None})
+        first = update(t.delivery).where(t.delivery.c.webhook_id == "w1")
+        tx.connection.execute(first.values(message_id="d1"))
+    return {"webhook_key_file": str(file)}
+
+
 def fitted(label: str, body: Any) -> Any:
     """A body whose names are those of things that are there, so that some requests are done."""
     if not isinstance(body, dict):
         return body
     if label == "POST /v1/rotors":
         return body | {"model": "rotor-blade", "network": None, "blades": [{"id": "B1"}]}
+    if label == "POST /v1/webhooks":
+        return body | {"url": "https://plant.example/x"}
     if label.endswith("/inspections"):
         known = {"blade": "B1", "quantity": "elongation", "time_h": 8000.0, "values": [0.1]}
         known |= {"value": None, "nodes": None, "unit": "mm"}
@@ -116,7 +141,8 @@ def send(
     @given(case=operation.as_strategy(generation_mode=mode))
     def one(case: Any) -> None:
         if known:
-            case.path_parameters = {name: NAMES[name] for name in case.path_parameters or {}}
+            names = NAMES | DOOMED.get(operation.label, {})
+            case.path_parameters = {name: names[name] for name in case.path_parameters or {}}
             case.body = fitted(operation.label, case.body)
         answer = case.call_and_validate(
             base_url=str(client.base_url), headers=headers, checks=CHECKS
@@ -131,12 +157,13 @@ def test_the_document_is_kept_where_no_key_is_needed(
     rotor: str,
     worker: Worker,
     store: SqlStore,
+    hooks: Json,
     post: Callable[..., int],
     reading: Callable[..., Any],
 ) -> None:
     through = post(rotor, *visits(reading, OFF))
     worker.drain()
-    with serving() as client:
+    with serving(**hooks) as client:
         client.post("/v1/rotors/r1/inspections", json=READING)
         worker.drain()
         request = {"families": [], "compare": True, "horizon_h": 5e4, "through_seq": through}
@@ -152,11 +179,11 @@ def test_the_document_is_kept_where_no_key_is_needed(
 
 
 def test_the_document_is_kept_where_keys_are_needed(
-    serving: Serving, rotor: str, worker: Worker, key: Callable[..., dict[str, str]]
+    serving: Serving, rotor: str, worker: Worker, key: Callable[..., dict[str, str]], hooks: Json
 ) -> None:
     worker.drain()
     everything = key("read", "ingest", "operate")
-    with serving(keys="always", rate_per_s=0.0) as client:
+    with serving(keys="always", rate_per_s=0.0, **hooks) as client:
         document = client.get("/openapi.json", headers=everything).json()
         without = answered(client, document, {}, 1)
         reader = answered(client, document, key("read"), 1)
@@ -165,7 +192,7 @@ def test_the_document_is_kept_where_keys_are_needed(
     assert {label for label, told in without.items() if set(told) == {401}} == guarded
     # Among requests that do not fit are some whose Authorization does not: 401.
     beyond = {label for label, told in reader.items() if 403 in told}
-    assert beyond == seen_changes(document) | {"GET /v1/audit"}
+    assert beyond == seen_changes(document) | FOR_OPERATORS
     assert all(set(reader[label]) <= {401, 403} for label in beyond)
     assert not [label for label, told in chief.items() if 403 in told or set(told) == {401}]
 
@@ -212,7 +239,14 @@ def examples_of(document: Json) -> Iterator[tuple[str, str, Any]]:
             yield from ((path, kind, body) for body in named)
 
 
-def test_every_example_of_the_document_can_be_posted(api: httpx.Client) -> None:
+def test_every_example_of_the_document_can_be_posted(serving: Serving, tmp_path: Any) -> None:
+    file = tmp_path / "webhook_key"
+    file.write_text("7d" * 32)
+    with serving(webhook_key_file=str(file)) as api:
+        check_examples(api)
+
+
+def check_examples(api: httpx.Client) -> None:
     document = api.get("/openapi.json").json()
     found = list(examples_of(document))
     assert {path for path, _, _ in found} == {
@@ -221,9 +255,10 @@ def test_every_example_of_the_document_can_be_posted(api: httpx.Client) -> None:
         "/v1/rotors/{r}/blades",
         "/v1/rotors/{r}/inspections",
         "/v1/rotors/{r}/diagnoses",
+        "/v1/webhooks",
     }
     order = ["/v1/models", "/v1/rotors", "/v1/rotors/{r}/blades", "/v1/rotors/{r}/inspections"]
-    order.append("/v1/rotors/{r}/diagnoses")
+    order += ["/v1/rotors/{r}/diagnoses", "/v1/webhooks"]
     for path, kind, body in sorted(found, key=lambda one: order.index(one[0])):
         if path == "/v1/rotors":
             body = body | {"network": None}  # the trial's model has other parameters

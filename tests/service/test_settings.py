@@ -50,11 +50,38 @@ def test_kernels_are_compiled_on_demand() -> None:
 def test_the_help_of_serve_lists_every_setting() -> None:
     shown = CliRunner().invoke(app, ["serve", "--help"]).output
     assert [name for name in names() if name not in shown] == []
-    assert len(names()) == 32
+    assert len(names()) == 39
 
 
 def test_no_password_is_shown() -> None:
     assert "secret" not in repr(Settings(database_url="postgresql://u:secret@h/d"))
+
+
+def test_a_database_url_from_a_file_is_handed_on_as_the_file_alone(tmp_path: Path) -> None:
+    file = tmp_path / "database_url"
+    file.write_text("postgresql://u:hidden@h/d\n")
+    settings = Settings.load({"BLADETWIN_DATABASE_URL_FILE": str(file)})
+    assert settings.database_url == "postgresql://u:hidden@h/d"
+    assert "hidden" not in repr(settings) + str(settings.environ())
+    assert Settings.load(settings.environ()) == settings
+
+
+@pytest.mark.parametrize("content", [None, b"", b"one\ntwo", b"\xff\xfe"])
+def test_a_secret_file_that_cannot_be_used_is_named(tmp_path: Path, content: bytes | None) -> None:
+    file = tmp_path / "secret"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(InputError, match="BLADETWIN_DATABASE_URL_FILE"):
+        Settings.load({"BLADETWIN_DATABASE_URL_FILE": str(file)})
+
+
+def test_a_url_given_twice_is_refused_without_showing_it(tmp_path: Path) -> None:
+    file = tmp_path / "database_url"
+    file.write_text("postgresql://u:hidden@h/d")
+    environ = {"BLADETWIN_DATABASE_URL": "postgresql://u:hidden@h/e"}
+    with pytest.raises(InputError, match="both given") as refused:
+        Settings.load(environ | {"BLADETWIN_DATABASE_URL_FILE": str(file)})
+    assert "hidden" not in str(refused.value)
 
 
 def test_a_log_line_is_one_json_object() -> None:

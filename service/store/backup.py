@@ -1,0 +1,184 @@
+"""A SQLite database as one file, while it is written to, and back.
+
+SQLite's online backup copies all pages in one step inside one reading transaction: the copy is the
+database as of one moment, writers go on beside it (they append to the write-ahead log, which the
+reader does not block), and everything that was acknowledged before it began is in it. A copy of the
+file alone is not: what was committed last stands in the write-ahead log beside it.
+
+A file becomes visible under its name only when it is whole: it is written beside, checked, flushed
+to disk, then linked to its name, which fails where the name is taken.
+
+PostgreSQL has its own tools; `dump_command` and `restore_command` say how they are called.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from hashlib import file_digest
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import URL, make_url
+
+from core.errors import InputError
+from service.errors import BackupError
+
+BUSY_S = 30.0
+SIDES = ("-wal", "-shm", "-journal")
+
+
+@dataclass(frozen=True, slots=True)
+class Copied:
+    """What a file holds: entries of all logs, rotors, and the revision of its schema."""
+
+    file: str
+    bytes: int
+    sha256: str
+    schema: str | None
+    rotors: int
+    entries: int
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def sqlite_path(url: str) -> Path | None:
+    """The file of a SQLite database; None: it is PostgreSQL."""
+    parsed = make_url(url)
+    if parsed.get_backend_name() != "sqlite":
+        return None
+    return Path(parsed.database or "")
+
+
+def backup_file(source: Path, target: Path) -> Copied:
+    """Copy the database as it is at one moment into a new file.
+
+    BackupError: the target is taken, the source is no database, or the copy is not sound.
+    """
+    if target.exists():
+        raise BackupError(f"{target} is there already", "choose another name")
+    if not source.is_file():
+        raise BackupError(f"there is no database {source}", "name it by BLADETWIN_DATABASE_URL")
+    return _copied(source, target)
+
+
+def restore_file(backup: Path, target: Path, known: frozenset[str]) -> Copied:
+    """Make the database `target` from a backup; a database that is there is never touched.
+
+    known   the revisions that this release can migrate from
+
+    BackupError: the target is taken, or the backup is not sound or of a newer release.
+    """
+    left = [Path(f"{target}{side}") for side in ("", *SIDES)]
+    taken = [str(path) for path in left if path.exists() and path.stat().st_size]
+    if taken:
+        raise BackupError(
+            f"{' and '.join(taken)} is there already",
+            "stop the service and move it away, or name another file by BLADETWIN_DATABASE_URL",
+        )
+    with _read(backup) as connection:
+        schema = _facts(connection, backup)[0]
+    if schema not in known:
+        raise BackupError(
+            f"{backup} has schema {schema}, which this release does not know",
+            "restore it with the release that wrote it, or a newer one",
+        )
+    for path in left:
+        path.unlink(missing_ok=True)
+    return _copied(backup, target)
+
+
+@contextmanager
+def _read(path: Path) -> Iterator[sqlite3.Connection]:
+    """A connection that cannot write; BackupError where the file is no database."""
+    try:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as opened:
+            opened.execute(f"PRAGMA busy_timeout={int(1000 * BUSY_S)}")
+            yield opened
+    except sqlite3.Error as error:
+        raise BackupError(f"{path} cannot be read as a database: {error}", "check it") from error
+
+
+def _facts(connection: sqlite3.Connection, path: Path) -> tuple[str, int, int]:
+    """Schema, rotors and entries; BackupError where it is none of ours."""
+    names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
+    if not {"alembic_version", "rotor", "event"} <= names:
+        raise BackupError(f"{path} is no database of bladetwin", "check the file")
+    schema = connection.execute("SELECT version_num FROM alembic_version").fetchone()
+    rotors = connection.execute("SELECT count(*) FROM rotor").fetchone()[0]
+    entries = connection.execute("SELECT count(*) FROM event").fetchone()[0]
+    return (schema or ("none",))[0], rotors, entries
+
+
+def _copied(source: Path, target: Path) -> Copied:
+    part = target.with_name(f".{target.name}.{os.urandom(4).hex()}.part")
+    try:
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+        with _read(source) as opened, closing(sqlite3.connect(part)) as copy:
+            copy_pages(opened, copy)
+            # one file, without a write-ahead log beside it; whoever opens it chooses anew
+            copy.execute("PRAGMA journal_mode=DELETE")
+            wrong = [row[0] for row in copy.execute("PRAGMA integrity_check")]
+            if wrong != ["ok"]:
+                raise BackupError(f"{source} is damaged: {'; '.join(wrong[:3])}", "restore it")
+            facts = _facts(copy, source)
+        with part.open("rb+") as written:
+            os.fsync(written.fileno())
+            digest = file_digest(written, "sha256").hexdigest()
+        try:
+            os.link(part, target)
+        except FileExistsError:
+            raise BackupError(f"{target} is there already", "choose another name") from None
+        folder = os.open(target.absolute().parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        problem = f"{target} cannot be written: {error.strerror or error}"
+        raise BackupError(problem, "check folder and disk") from error
+    finally:
+        for side in ("", *SIDES):
+            Path(f"{part}{side}").unlink(missing_ok=True)
+    return Copied(str(target), target.stat().st_size, digest, *facts)
+
+
+def copy_pages(source: sqlite3.Connection, copy: sqlite3.Connection) -> None:
+    """All pages in one step, so that all are of one moment and no writer makes it begin again."""
+    source.backup(copy, pages=-1)
+
+
+def _libpq(url: str) -> str:
+    """The URL as PostgreSQL's tools read it; the password stays out of the command line."""
+    parsed = make_url(url)
+    plain = URL.create(
+        "postgresql", parsed.username, None, parsed.host, parsed.port, parsed.database, parsed.query
+    )
+    return plain.render_as_string(hide_password=False)
+
+
+def dump_command(url: str, file: Path) -> str:
+    """The command line that backs a PostgreSQL database up, safe while the service runs."""
+    words = ["pg_dump", "--format=custom", f"--file={file}", f"--dbname={_libpq(url)}"]
+    return shlex.join(words)
+
+
+def restore_command(url: str, file: Path) -> str:
+    """The command line that writes it into an empty database, all or nothing."""
+    words = ["pg_restore", "--no-owner", "--no-privileges", "--exit-on-error"]
+    return shlex.join([*words, "--single-transaction", f"--dbname={_libpq(url)}", str(file)])
+
+
+def for_postgres(command: str) -> InputError:
+    """What `backup` and `restore` answer for PostgreSQL."""
+    return InputError(
+        "BLADETWIN_DATABASE_URL",
+        "postgresql://…",
+        "is PostgreSQL, which has its own tools",
+        f"run `{command}` (the password comes from PGPASSWORD or ~/.pgpass)",
+    )

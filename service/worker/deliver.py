@@ -1,0 +1,262 @@
+"""Sends what webhooks are to be told: at least once, and each rotor's events in order.
+
+A worker takes a webhook under a fence and a lease, as others take a rotor, so that one worker at a
+time sends to it and a slow receiver holds up nobody else. It sends the heads (of each rotor the
+first pending delivery) and only then records what came of it. If it dies in between, the lease runs
+out and the same message, with the same id, is sent again: never lost, seldom twice, and a receiver
+tells by the id.
+
+A message that was not answered with 2xx is sent again after a pause, doubled each time up to
+`webhook_retry_max_s` and shortened by chance (by up to half), while later ones of the same rotor
+wait; after `webhook_max_attempts` it is dead: kept, shown, skipped, until somebody asks for it to
+be tried again.
+"""
+
+from __future__ import annotations
+
+import logging
+import random
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import FrameType
+
+from sqlalchemy import ColumnElement, Engine, and_, exists, or_, select, update
+
+from core.errors import InputError
+from service import signing
+from service.errors import LostLeaseError, StoreAwayError
+from service.hooks import DeliveryRecord, WebhookRecord
+from service.outbound import Network, SendError, networks, post
+from service.settings import Settings
+from service.store import tables as t
+from service.store.engine import now_s, transaction
+from service.store.webhooks import delivery_of, prune, webhook_of
+from service.worker.heartbeat import heartbeats
+from service.worker.wake import open_wake
+
+log = logging.getLogger("bladetwin.deliver")
+w, d = t.webhook.c, t.delivery.c
+THREADS = 4  # receivers that are served at once
+MOST = 50  # messages to one receiver before others have their turn
+KEPT = 200  # delivered ones that are kept of each webhook
+IDLE_S = 0.5
+Send = Callable[[str, Mapping[str, str], bytes, float, Sequence[Network]], int]
+
+
+@dataclass(frozen=True, slots=True)
+class HookLease:
+    """A claimed webhook, and the fence that the claim raised."""
+
+    webhook: WebhookRecord
+    fence: int
+    owner: str
+
+
+def due() -> ColumnElement[bool]:
+    """A delivery that may be sent now: pending, rested, and nothing of its rotor before it."""
+    earlier = t.delivery.alias("earlier")
+    first = ~exists().where(
+        earlier.c.webhook_id == d.webhook_id,
+        earlier.c.rotor_id == d.rotor_id,
+        earlier.c.status == "pending",
+        earlier.c.id < d.id,
+    )
+    rested = or_(d.not_before.is_(None), d.not_before <= now_s())
+    return and_(d.status == "pending", rested, first)
+
+
+def holds(lease: HookLease) -> ColumnElement[bool]:
+    """The fence: no one has claimed the webhook since."""
+    return and_(w.id == lease.webhook.id, w.fence == lease.fence)
+
+
+def claim_webhook(engine: Engine, owner: str, lease_s: float) -> HookLease | None:
+    """Take the webhook that was served longest ago and has something to be sent; None: nothing."""
+    free = or_(w.lease_until.is_(None), w.lease_until <= now_s())
+    work = exists().where(d.webhook_id == w.id, due())
+    first = select(w.id).where(free, work).order_by(w.served_at.nulls_first(), w.id).limit(1)
+    with transaction(engine, write=False) as connection:
+        if connection.execute(first).scalar() is None:
+            return None
+    locked = first.with_for_update(skip_locked=True, key_share=True, of=t.webhook)
+    with transaction(engine, write=True) as connection:
+        webhook_id = connection.execute(locked).scalar()
+        if webhook_id is None:
+            return None
+        take = update(t.webhook).where(w.id == webhook_id)
+        take = take.values(fence=w.fence + 1, owner=owner, lease_until=now_s() + lease_s)
+        row = connection.execute(take.returning(t.webhook)).mappings().one()
+        return HookLease(webhook_of(row), row["fence"], owner)
+
+
+class Deliverer:
+    """Sends due deliveries of one webhook after the other. `send` is `service.outbound.post`."""
+
+    def __init__(
+        self, engine: Engine, settings: Settings, owner: str, send: Send | None = None
+    ) -> None:
+        self.engine = engine
+        self.settings = settings
+        self.owner = owner
+        self.send = send or _post
+        self.networks = networks(settings.webhook_networks)
+        self._stop = threading.Event()
+        self._news = threading.Condition()
+
+    def stop(self, signum: int | None = None, frame: FrameType | None = None) -> None:
+        """Finish the message at hand, then end; fits `signal.signal`."""
+        self._stop.set()
+
+    def run_once(self) -> bool:
+        """Serve one webhook; False: there was nothing to be sent."""
+        lease_s = self.settings.lease_s
+        lease = claim_webhook(self.engine, self.owner, lease_s)
+        if lease is None:
+            return False
+        try:
+            with heartbeats(lambda: self._beat(lease), lease_s):
+                self._serve(lease)
+            self._give_back(lease)
+        except LostLeaseError as error:
+            log.warning("%s", error)
+        return True
+
+    def _serve(self, lease: HookLease) -> None:
+        for _ in range(MOST):
+            if self._stop.is_set():
+                return
+            query = select(t.delivery).where(d.webhook_id == lease.webhook.id, due())
+            with transaction(self.engine, write=False) as connection:
+                row = connection.execute(query.order_by(d.id).limit(1)).mappings().first()
+            if row is None:
+                return
+            message = delivery_of(row)
+            problem, counts = self.deliver(lease.webhook, message)
+            self.record(lease, message, problem, counts=counts)
+
+    def deliver(self, webhook: WebhookRecord, message: DeliveryRecord) -> tuple[str | None, bool]:
+        """Send a message; what went wrong, if anything, and whether the attempt counts."""
+        try:
+            secret = self._secret(webhook)
+        except InputError as error:
+            return str(error), False
+        body = message.body.encode()
+        headers = signing.headers_of(secret, message.message_id, int(time.time()), body)
+        headers |= {"content-type": "application/json", "user-agent": "bladetwin"}
+        try:
+            status = self.send(
+                webhook.url, headers, body, self.settings.webhook_timeout_s, self.networks
+            )
+        except SendError as error:
+            return str(error), True
+        return (None if 200 <= status < 300 else f"answered with status {status}"), True
+
+    def _secret(self, webhook: WebhookRecord) -> str:
+        """The webhook's secret; InputError: the key file is not the one of which it was made."""
+        path = self.settings.webhook_key_file
+        remedy = "give the key file with which the webhook was made, or make it anew"
+        if not path:
+            raise InputError(signing.SETTING, "", "is not set for the deliverer", remedy)
+        secret = signing.secret_of(signing.read_key(path), webhook.id, webhook.salt)
+        if signing.fingerprint(secret) != webhook.fingerprint:
+            raise InputError(signing.SETTING, path, f"is not the key of {webhook.id}", remedy)
+        return secret
+
+    def record(
+        self, lease: HookLease, message: DeliveryRecord, problem: str | None, *, counts: bool
+    ) -> None:
+        """Write what came of a sending; LostLeaseError: another worker has the webhook."""
+        attempts = message.attempts + int(counts)
+        dead = problem is not None and attempts >= self.settings.webhook_max_attempts
+        status = "delivered" if problem is None else "dead" if dead else "pending"
+        pause = self.pause(attempts) if counts else self.settings.webhook_retry_max_s
+        with transaction(self.engine, write=True) as connection:
+            own = select(w.id).where(holds(lease)).with_for_update(key_share=True)
+            if connection.execute(own).first() is None:
+                raise LostLeaseError(f"webhook {lease.webhook.id}", lease.fence)
+            connection.execute(
+                update(t.delivery)
+                .where(d.id == message.number)
+                .values(
+                    status=status,
+                    attempts=attempts,
+                    tried_at=now_s(),
+                    not_before=now_s() + pause if status == "pending" else None,
+                    last_error=None if problem is None else problem[:1000],
+                )
+            )
+        if problem is not None:
+            what = "is dead" if dead else "is sent again later"
+            log.warning(
+                "%s to webhook %s %s: %s", message.message_id, lease.webhook.id, what, problem
+            )
+
+    def pause(self, attempts: int) -> float:
+        """Seconds until a message is sent again, after so many attempts."""
+        doubled = self.settings.retry_base_s * 2.0 ** min(attempts - 1, 60)
+        return min(doubled, self.settings.webhook_retry_max_s) * random.uniform(0.5, 1.0)
+
+    def _beat(self, lease: HookLease) -> bool:
+        beat = update(t.webhook).where(holds(lease))
+        with transaction(self.engine, write=True) as connection:
+            beaten = beat.values(lease_until=now_s() + self.settings.lease_s)
+            return connection.execute(beaten).rowcount == 1
+
+    def _give_back(self, lease: HookLease) -> None:
+        free = update(t.webhook).where(holds(lease))
+        with transaction(self.engine, write=True) as connection:
+            prune(connection, lease.webhook.id, KEPT)
+            connection.execute(free.values(owner=None, lease_until=None, served_at=now_s()))
+
+    def drain(self) -> None:
+        """Send everything that can be sent now."""
+        while not self._stop.is_set() and self.run_once():
+            pass
+
+    def run(self) -> None:
+        """Send until stopped; a database that is away is waited for."""
+        threads = [threading.Thread(target=self._loop, name=f"deliver-{i}") for i in range(THREADS)]
+        for thread in threads:
+            thread.start()
+        wake = open_wake(self.engine, "bladetwin_applied", self.settings.poll_ms)
+        try:
+            while not self._stop.is_set():
+                try:
+                    wake.wait(IDLE_S)
+                except Exception as error:  # the threads look by themselves
+                    log.error("%s: %s", type(error).__name__, error)
+                    self._stop.wait(1.0)
+                with self._news:
+                    self._news.notify_all()
+        finally:
+            wake.close()
+            with self._news:
+                self._news.notify_all()
+            for thread in threads:
+                thread.join()
+
+    def _loop(self) -> None:
+        while not self._stop.is_set():
+            try:
+                self.drain()
+            except StoreAwayError as error:
+                log.error("%s The worker looks again in 1 s.", error)
+                self._stop.wait(1.0)
+            except Exception:
+                log.exception("a delivery failed in the worker itself; it looks again in 1 s")
+                self._stop.wait(1.0)
+            with self._news:
+                if not self._stop.is_set():
+                    self._news.wait(IDLE_S)
+
+
+def _post(
+    url: str,
+    headers: Mapping[str, str],
+    body: bytes,
+    timeout_s: float,
+    allowed: Sequence[Network],
+) -> int:
+    return post(url, headers, body, timeout_s=timeout_s, allowed=allowed)
