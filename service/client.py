@@ -305,5 +305,9 @@ class Client:
                 return
             params["cursor"] = page["next"]
 
+    def residuals(self, rotor: str, **filters: str) -> Json:
+        """The first page of residuals, with tests; `filters`: blade, quantity, campaign, cursor."""
+        return self._call("GET", _path("rotors", rotor, "residuals"), params=filters)
+
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

@@ -23,6 +23,7 @@ from service.api.routers import (
     inspections,
     models,
     reads,
+    residuals,
     rotors,
     system,
 )
@@ -89,8 +90,8 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     app.state.revisions = revisions
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
-    known = (system, models, rotors, inspections, reads, events, diagnoses, adoptions, audit)
-    for module in known:
+    known = (system, models, rotors, inspections, reads, events, diagnoses, adoptions, residuals)
+    for module in (*known, audit):
         app.include_router(module.router)
     problems.install(app)
     add_layers(app, services, app.state.requests)

@@ -81,6 +81,7 @@ def of_database(found: Gauges | None) -> list[str]:
         ("provisional_rotors", "gauge", "Rotors not sealed yet.", found.provisional),
         ("least_ess_ratio", "gauge", "Least effective share of nodes.", found.least_ess_ratio),
         ("jobs", "gauge", "Jobs queued or at work.", found.jobs),
+        ("residual_alarms", "gauge", "Tests of residuals that alarm.", found.alarms),
         ("entries_applied_total", "counter", "Entries applied.", found.applied),
         ("versions_total", "counter", "Versions of posteriors written.", found.versions),
         ("versions_sealed_total", "counter", "Sealed versions written.", found.seals),

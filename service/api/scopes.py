@@ -60,6 +60,7 @@ RULES: dict[str, Rule] = {
     f"POST {ROTOR}/diagnoses/{{d}}/adoption": Rule("operate"),
     f"DELETE {ROTOR}/diagnoses/{{d}}/adoption": Rule("operate"),
     f"GET {ROTOR}/adoptions": Rule("read"),
+    f"GET {ROTOR}/residuals": Rule("read"),
     "GET /v1/audit": Rule("operate", beyond=True),
 }
 

@@ -37,6 +37,7 @@ def read_gauges(connection: Connection) -> Gauges:
     first = and_(e.rotor_id == c.rotor_id, e.seq == c.applied_seq + 1)
     waiting = select(now_s() - func.min(e.received_at)).select_from(t.cursor).join(t.entry, first)
     queued = select(func.count()).where(j.status.in_(("queued", "running")))
+    alarms = select(func.coalesce(func.sum(t.residual.c.alarms), 0))
     return Gauges(
         rotors=row.rotors,
         backlog=int(row.backlog or 0),
@@ -50,4 +51,5 @@ def read_gauges(connection: Connection) -> Gauges:
         least_ess_ratio=row.ess_ratio,
         oldest_s=max(0.0, connection.execute(waiting).scalar() or 0.0),
         jobs=int(connection.execute(queued).scalar_one()),
+        alarms=int(connection.execute(alarms).scalar_one()),
     )
