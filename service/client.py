@@ -405,5 +405,9 @@ class Client:
         """Have a dead delivery sent again."""
         return self._call("POST", _path("webhooks", webhook, "deliveries", delivery, "retry"))
 
+    def residuals(self, rotor: str, **filters: str) -> Json:
+        """The first page of residuals, with tests; `filters`: blade, quantity, campaign, cursor."""
+        return self._call("GET", _path("rotors", rotor, "residuals"), params=filters)
+
     def retry(self, rotor: str) -> Json:
         return self._call("POST", _path("rotors", rotor, "retry"))

@@ -231,6 +231,42 @@ class FakeScience:
             "set": single[:1],
         }
 
+    def residuals(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        facts: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        progress: Progress,
+    ) -> Json:
+        """Elongations of each hour, predicted exactly from those of the hours before."""
+        from core.diagnosis.grammar import Facts
+        from core.diagnosis.residuals import visits_of
+        from service.residuals import exact_visit, told
+
+        own = [r for r in readings if r.quantity == "elongation"]
+        if not own:
+            raise InputError("readings", 0, "of elongation count", "post inspections")
+        lots = {b.id: Facts(b.lot, b.coating_lot) for b in facts}
+        visits, before, found = visits_of(own, lots), list[Inspection](), []
+        for number, visit in enumerate(visits):
+            progress(f"visit {number + 1}", number, len(visits))
+            state = self.update(card, rotor, before, None, quick=False)
+            h = np.array([r.time_h / HORIZON_H for r in visit])
+            one = [self.moments(state.arrays.__getitem__, r.blade) for r in visit]
+            variance = state.arrays["shared/moments"][1]
+            lean = np.array([1.0 + covariance[0, 1] / variance for _, covariance in one])
+            signal = variance * np.outer(h * lean, h * lean)
+            for i, r in enumerate(visit):
+                for j, other in enumerate(visit):
+                    if r.blade == other.blade:
+                        signal[i, j] = one[i][1].sum() * h[i] * h[j]
+            mean = np.array([m.sum() for m, _ in one]) * h
+            noise = np.array([r.sigma or SIGMA for r in visit])
+            found.append(exact_visit(visit, number, mean, signal, noise, rotor.seed))
+            before += visit
+        return told(found, lots, rotor.seed)
+
     def update(
         self,
         card: ModelCard,

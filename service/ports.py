@@ -227,6 +227,37 @@ class Science(Protocol):
         """
         ...
 
+    def residuals(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        facts: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        progress: Progress,
+    ) -> Json:
+        """Every reading predicted before it is used, and tests (`service.residuals.told`).
+
+        progress    as of `diagnose`
+
+        Raises InputError where no reading counts.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualRecord:
+    """What is known of a rotor's residuals.
+
+    version   that they rest on; 0: none were computed yet
+    body      ``{"residuals", "tests", "visits", …}``; None: they could not be, see `error`
+    """
+
+    version: int
+    body: Json | None
+    alarms: int
+    computed_at: float | None
+    error: str | None
+
 
 @dataclass(frozen=True, slots=True)
 class PlanTarget:
@@ -390,6 +421,7 @@ class Gauges:
     takeovers        leases taken after they ran out
     least_ess_ratio  of the newest version of any rotor; None: no version says one
     oldest_s         age of the oldest entry that is not applied, s; 0: there is none
+    alarms           tests of residuals that alarm
     """
 
     rotors: int
@@ -406,6 +438,7 @@ class Gauges:
     jobs: int
     deliveries_pending: int
     deliveries_dead: int
+    alarms: int
 
 
 class Records(Protocol):
@@ -422,6 +455,7 @@ class Records(Protocol):
         self, rotor_id: str, kind: str, before: str | None, limit: int
     ) -> list[JobRecord]: ...
     def unfinished(self, rotor_id: str, kind: str) -> list[JobRecord]: ...
+    def residuals(self, rotor_id: str) -> ResidualRecord: ...
     def cancel_job(self, job_id: str) -> None: ...
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool: ...
     def rotor(self, rotor_id: str) -> RotorRecord: ...

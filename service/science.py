@@ -290,6 +290,20 @@ class CoreScience:
         spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
         return diagnosed(self._model(card), spec, facts, readings, families, compare_h, progress)
 
+    def residuals(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        facts: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        progress: Progress,
+    ) -> Json:
+        from core.calibration import online
+        from service.residuals import computed
+
+        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
+        return computed(self._model(card), spec, facts, readings, progress)
+
 
 def _draws(posterior: Posterior) -> Draws:
     return Draws(posterior.names, posterior.particles.psi, posterior.particles.log_w)

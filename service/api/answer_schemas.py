@@ -328,6 +328,58 @@ DIAGNOSIS_LISTED = {
     "finished_at": maybe(TEXT),
 }
 DIAGNOSIS = having(**DIAGNOSIS_LISTED, result=maybe(FOUND), adoption=maybe(ADOPTION))
+RESIDUAL = having(
+    inspection=TEXT,
+    blade=TEXT,
+    quantity=TEXT,
+    campaign=maybe(TEXT),
+    instrument=maybe(TEXT),
+    time_h=NUMBER,
+    rotor_h=NUMBER,
+    visit=WHOLE,
+    part=WHOLE,
+    y=NUMBER,
+    mean=NUMBER,
+    sd=NUMBER,
+    z=NUMBER,
+    pit=NUMBER,
+)
+TEST = having(
+    grouping=TEXT,
+    value=maybe(TEXT),
+    statistic={"enum": ["mean", "variance", "autocorrelation"]},
+    count=WHOLE,
+    score=NUMBER,
+    p=NUMBER,
+    p_family=NUMBER,
+    alarm=YES,
+)
+VISIT = having(
+    visit=WHOLE, readings=WHOLE, from_h=NUMBER, to_h=NUMBER, health=maybe(TEXT), reasons=each(TEXT)
+)
+RESIDUALS = having(
+    items=each(RESIDUAL),
+    next=maybe(TEXT),
+    rotor=TEXT,
+    as_of=maybe(
+        having(
+            version=WHOLE,
+            through_seq=WHOLE,
+            events_digest=TEXT,
+            model_digest=TEXT,
+            particles=WHOLE,
+            computed_at=TEXT,
+        )
+    ),
+    pending=YES,
+    error=maybe(TEXT),
+    visits=each(VISIT),
+    tests=each(TEST),
+    alarms=WHOLE,
+    family_wise_error=NUMBER,
+    draws=WHOLE,
+    freedom=maybe(NUMBER),
+)
 MODEL = having(
     id=TEXT,
     version=TEXT,
@@ -435,5 +487,6 @@ ANSWERS: dict[str, Json] = {
     "DELETE /v1/webhooks/{w}": having(id=TEXT, deleted=YES),
     "GET /v1/webhooks/{w}/deliveries": paged(DELIVERY),
     "POST /v1/webhooks/{w}/deliveries/{d}/retry": DELIVERY,
+    f"GET {ROTOR}/residuals": RESIDUALS,
     "GET /v1/audit": paged(AUDIT),
 }

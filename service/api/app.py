@@ -25,6 +25,7 @@ from service.api.routers import (
     plans,
     reads,
     reports,
+    residuals,
     rotors,
     system,
     webhooks,
@@ -103,6 +104,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         diagnoses,
         adoptions,
         reports,
+        residuals,
         audit,
         webhooks,
     ):

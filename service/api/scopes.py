@@ -68,6 +68,7 @@ RULES: dict[str, Rule] = {
     "DELETE /v1/webhooks/{w}": Rule("operate"),
     "GET /v1/webhooks/{w}/deliveries": Rule("operate"),
     "POST /v1/webhooks/{w}/deliveries/{d}/retry": Rule("operate"),
+    f"GET {ROTOR}/residuals": Rule("read"),
     "GET /v1/audit": Rule("operate", beyond=True),
 }
 

@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Row, RowMapping, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from service.errors import NotFoundError
-from service.ports import BladeRecord, JobRecord, Json, ModelCard, RotorRecord
+from service.ports import BladeRecord, JobRecord, Json, ModelCard, ResidualRecord, RotorRecord
 from service.store import tables as t
 from service.store.engine import now_s
 from service.store.log import notify
@@ -102,6 +102,15 @@ class SqlRecords:
         )
         rows = self._connection.execute(query.order_by(t.job.c.id)).mappings()
         return [_job(row) for row in rows]
+
+    def residuals(self, rotor_id: str) -> ResidualRecord:
+        """What the diagnosing workers kept last."""
+        r = t.residual.c
+        query = select(r.version, r.body, r.alarms, r.computed_at, r.error)
+        row = self._connection.execute(query.where(r.rotor_id == rotor_id)).one_or_none()
+        if row is None:
+            return ResidualRecord(0, None, 0, None, None)
+        return ResidualRecord(**dict(row._mapping) | {"body": _read(row.body)})
 
     def cancel_job(self, job_id: str) -> None:
         """End a job that is queued or running; its worker's fence holds no longer."""

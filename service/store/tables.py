@@ -12,6 +12,10 @@ ended there.
 `job` is long work; `rotor_id` names the rotor of a job that belongs to one (a diagnosis), and
 `progress` is what its worker wrote last.
 
+`residual` holds what a worker of the role `diagnose` made of the newest sealed version that it has
+looked at: every reading predicted before it was used, and tests. Versions newer than its own are
+its queue; `fence`, `owner` and `lease_until` are those of whoever computes them.
+
 `audit` has a row for each state-changing request and is never thinned; `first_answer` holds what
 requests with an Idempotency-Key were answered, until it expires.
 `webhook` is served by one worker at a time, under fence and lease like a rotor; `delivery` has a
@@ -203,6 +207,22 @@ outbox = Table(
     Column("payload", Text, nullable=False),
     Column("at", Double, nullable=False),
     Index("ix_outbox_rotor_id_id", "rotor_id", "id"),
+)
+
+residual = Table(
+    "residual",
+    metadata,
+    Column("rotor_id", NAME, ForeignKey("rotor.id"), primary_key=True),
+    Column("version", BIG, nullable=False),
+    Column("body", Text),
+    Column("alarms", Integer, nullable=False),
+    Column("computed_at", Double),
+    Column("fence", BIG, nullable=False),
+    Column("owner", NAME),
+    Column("lease_until", Double),
+    Column("not_before", Double),
+    Column("attempts", Integer, nullable=False),
+    Column("error", Text),
 )
 
 api_key = Table(

@@ -20,6 +20,7 @@ from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.worker.jobs import Jobs
 from service.worker.lease import Role
+from service.worker.residuals import Residuals
 from service.worker.update import Updater
 from service.worker.wake import open_wake
 
@@ -50,6 +51,7 @@ class Worker:
         self.settings = settings
         self._stop = threading.Event()
         self.jobs = Jobs(store, science, settings, owner, role, self._stop.is_set)
+        self.residuals = Residuals(store, science, settings, owner, self._stop.is_set)
 
     def stop(self, signum: int | None = None, frame: FrameType | None = None) -> None:
         """Finish the update at hand, or the step of a diagnosis, then end; fits `signal.signal`."""
@@ -69,8 +71,14 @@ class Worker:
 
     def drain(self) -> None:
         """Apply everything that can be applied now."""
-        while not self._stop.is_set() and (self.updater.run_once() or self.jobs.run_once()):
+        while not self._stop.is_set() and self.run_once():
             pass
+
+    def run_once(self) -> bool:
+        """One piece of work, of any kind that the role has; False: there was none."""
+        if self.updater.run_once() or self.jobs.run_once():
+            return True
+        return self.role == "diagnose" and self.residuals.run_once()
 
     def run(self) -> None:
         """Work until stopped; a database that is away is waited for."""

@@ -34,6 +34,7 @@ from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.unit_of_work import SqlStore
 from service.variant import effects_between, vary, with_more
+from service.worker.residuals import Residuals
 from tests.service.smooth import elongation, formula_science
 from tests.service.test_diagnoses import FAMILY
 
@@ -146,6 +147,25 @@ def test_adopted_by_the_real_science_the_worker_s_model_is_the_diagnosed_one_and
     again = view_rotor(fleet, "r1").state
     assert again is not None
     assert again.digest == before.digest
+
+
+def test_residuals_of_the_real_science_alarm_where_a_campaign_is_off(
+    fleet: SqlStore, settings: Settings
+) -> None:
+    post_inspections(fleet, "r1", visits(8.0))
+    make_worker(fleet, formula_science(), settings).drain()
+    assert Residuals(fleet, formula_science(), settings, "d").run_once()
+    with fleet.read() as tx:
+        kept = tx.records.residuals("r1")
+    assert kept.error is None
+    assert kept.body is not None
+    assert len(kept.body["residuals"]) == 18, "all counted"
+    assert all(0 <= one["pit"] <= 1 for one in kept.body["residuals"])
+    loud = [(one["grouping"], one["value"]) for one in kept.body["tests"] if one["alarm"]]
+    assert ("campaign", "visit 1") in loud
+    found = reads.basis(fleet, formula_science(), "r1", Which())
+    assert kept.body["rests_on"]["model_digest"] == found.card.digest
+    assert kept.version == found.state.version
 
 
 def test_effects_through_the_creep_are_the_same_model_after_a_journey_as_json() -> None:
