@@ -19,6 +19,7 @@ from service.api.routers import (
     audit,
     diagnoses,
     events,
+    glance,
     inspections,
     models,
     reads,
@@ -27,6 +28,7 @@ from service.api.routers import (
 )
 from service.api.services import Services
 from service.handlers.events import newest_notes
+from service.pages.routes import router as pages
 
 PROBLEM = {
     "description": "A problem (RFC 9457)",
@@ -88,8 +90,9 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     app.state.revisions = revisions
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
-    for module in (system, models, rotors, inspections, reads, events, diagnoses, audit):
+    for module in (system, models, rotors, inspections, reads, glance, events, diagnoses, audit):
         app.include_router(module.router)
+    app.include_router(pages)
     problems.install(app)
     add_layers(app, services, app.state.requests)
     describe(app, keys=keys_required(services.settings))
