@@ -54,20 +54,32 @@ export async function ask(method, url, body, signal) {
   return answer;
 }
 
-export const get = async (url, given = {}, signal) =>
-  (await ask("GET", url + query(given), undefined, signal)).json();
+let most = Infinity;
+
+/** A JSON answer. A page size above this service's maximum is asked for again at the maximum. */
+export async function get(url, given = {}, signal) {
+  const sent = given.limit > most ? { ...given, limit: most } : given;
+  try {
+    return await (await ask("GET", url + query(sent), undefined, signal)).json();
+  } catch (error) {
+    const above = error instanceof Problem && error.message.match(/^limit = \d+ is above (\d+)/);
+    if (!above || Number(above[1]) >= most) throw error;
+    most = Number(above[1]);
+    return get(url, given, signal);
+  }
+}
 export const post = async (url, body = {}) => (await ask("POST", url, body)).json();
 export const remove = async (url) => (await ask("DELETE", url)).json();
 
 /** Every page of a list, up to a number of items; `more` says that there are further ones. */
-export async function pages(url, given = {}, most = 1000) {
+export async function pages(url, given = {}, enough = 1000) {
   const items = [];
-  let cursor = null;
+  let cursor = given.cursor ?? null;
   do {
     const page = await get(url, { limit: 200, ...given, cursor });
     items.push(...page.items);
     cursor = page.next;
-  } while (cursor !== null && items.length < most);
+  } while (cursor !== null && items.length < enough);
   return { items, more: cursor !== null };
 }
 

@@ -5,7 +5,7 @@ import { chart, legend, numbers } from "./chart.js";
 import { corner, marginals } from "./corner.js";
 import { $, asked, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
 import { ago, fixed, hours, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
-import { follow, keep } from "./live.js";
+import { drawn, follow, keep } from "./live.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
 import { timeTo } from "./stats.js";
 import { kindsOf, readingsTable } from "./reading.js";
@@ -130,6 +130,7 @@ async function drawHistory(found) {
 
 async function draw() {
   const now = await get(url);
+  drawn.version = now.version;
   const me = now.blades.find((b) => b.id === blade);
   const states = badges(statesOf(now));
   if (me?.retired) states.push(badge("wait", "retired"));

@@ -128,8 +128,6 @@ export function chart(place, { time, lines, bands = [], marks = [], across = [],
   return plot;
 }
 
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => location.reload());
-
 /** The numbers of a chart as a table that opens. */
 export function numbers(title, time, lines, unitName) {
   const columns = [

@@ -2,7 +2,7 @@
 
 import { Problem, ask, get, offers, path, post, remove } from "./api.js";
 import { $, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
-import { fixed, hours, moment, number, plain, withSd, words } from "./format.js";
+import { axis, fixed, moment, number, plain, withSd, words } from "./format.js";
 import { keep } from "./live.js";
 import { progress } from "./progress.js";
 import { badge, notices } from "./states.js";
@@ -36,30 +36,35 @@ async function report() {
 function ranking(tried) {
   const rows = tried.filter((t) => t.log_bf !== null).sort((a, b) => b.log_bf - a.log_bf).slice(0, 12);
   if (rows.length === 0) return null;
-  const top = Math.max(...rows.map((r) => Math.abs(r.log_bf)), 1);
-  const X = (v) => 330 + (v / top) * 220;
+  const top = Math.max(...rows.map((r) => r.log_bf), 1);
+  const least = Math.min(...rows.map((r) => r.log_bf), 0);
+  const X = (v) => 300 + ((v - least) / (top - least)) * 270;
   const height = 22 * rows.length + 24;
   return s("svg", { class: "bars", viewBox: `0 0 620 ${height}`, role: "img", "aria-label": "Log Bayes factor of what was tried; the table below has the numbers" },
     rows.map((row, i) => [
-      s("text", { x: 322, y: 22 * i + 15, "text-anchor": "end", "font-size": 12, fill: colour("ink") }, row.what.length > 48 ? `${row.what.slice(0, 47)}…` : row.what),
+      s("text", { x: 292, y: 22 * i + 15, "text-anchor": "end", "font-size": 12, fill: colour("ink") }, row.what.length > 48 ? `${row.what.slice(0, 47)}…` : row.what),
       s("rect", { x: Math.min(X(0), X(row.log_bf)), y: 22 * i + 4, width: Math.max(1, Math.abs(X(row.log_bf) - X(0))), height: 14, fill: colour(row.log_bf >= 0 ? "parameters" : "over") }),
       s("text", { x: Math.max(X(0), X(row.log_bf)) + 5, y: 22 * i + 15, "font-size": 11, fill: colour("soft") }, fixed(row.log_bf, 1))]),
     s("text", { x: 440, y: height - 4, "text-anchor": "middle", "font-size": 11, fill: colour("soft") }, "log Bayes factor [nat]"));
 }
 
-function beforeAfter(told) {
+function beforeAfter(told, unitName) {
   if (!told) return h("p", { class: "soft" }, "No comparison: it was not asked for, or no effect is claimed.");
-  const of = (name) => ({ name: words(name), before: told.before?.[name], after: told.after?.[name] });
-  const rows = ["count", "rmse", "bias", "log_score", "within_68", "within_95", "width"].map(of).filter((r) => typeof r.before === "number");
+  const share = (v) => `${fixed(100 * v, 0)} %`;
+  const rows = [
+    ["count", "readings", (v) => fixed(v, 0)], ["rmse", axis("root mean square error", unitName), plain],
+    ["bias", axis("bias: predicted less measured", unitName), plain], ["log_score", "log score [nat per reading]", plain],
+    ["within_68", "inside the 68 % band", share], ["within_95", "inside the 95 % band", share], ["width", axis("width of the 95 % band", unitName), plain],
+  ].map(([name, text, form]) => ({ name: text, before: told.before?.[name], after: told.after?.[name], form })).filter((r) => typeof r.before === "number");
   const rest = Object.fromEntries(Object.entries(told).filter(([k]) => !["before", "after"].includes(k)));
   return [table([
     { name: "On readings that neither used", value: (r) => r.name },
-    { name: "Before", value: (r) => plain(r.before), number: true },
-    { name: "After", value: (r) => plain(r.after), number: true },
+    { name: "Before", value: (r) => r.form(r.before), number: true },
+    { name: "After", value: (r) => r.form(r.after), number: true },
   ], rows), aside("Everything that was compared", h("pre", { tabindex: 0 }, JSON.stringify(rest, null, 1)))];
 }
 
-function result(found) {
+function result(found, unitName) {
   const effects = found.effects.length ? table([
     { name: "Effect", value: (e) => e.name ?? words(e.words) },
     { name: "What happens", value: (e) => e.words ?? "–" },
@@ -78,7 +83,7 @@ function result(found) {
       ["Rests on", `entries to ${found.rests_on.through_seq}, model ${found.rests_on.model} ${found.rests_on.model_version.slice(0, 8)}`],
     ])),
     panel("Effects", effects),
-    panel("Before and after", beforeAfter(found.before_after),
+    panel("Before and after", beforeAfter(found.before_after, unitName),
       shared.length ? table([
         { name: "Shared parameter", value: (p) => words(p.name) },
         { name: "Before", value: (p) => pair(p.before), number: true },
@@ -103,6 +108,8 @@ async function draw() {
     d.status === "cancelled" && ["warn", "It was cancelled: there is no result."]]);
   const button = (text, how, quiet) => h("button", { type: "button", class: quiet ? null : "main", onclick: how }, text);
   const done = d.status === "done";
+  const model = done ? await get(path`/v1/models/${d.result.rests_on.model}`) : null;
+  const unitName = model?.outputs[d.result.before_after?.quantity]?.unit ?? "";
   show($("page"),
     panel(null, facts([["Asked", moment(d.created_at)], ["Ended", moment(d.finished_at)], ["Rests on", `entries to ${d.request.through_seq}`],
       going && ["Progress", d.status === "queued" ? "queued: it begins when a worker with the role diagnose is free" : progress(d.progress)]]),
@@ -111,7 +118,7 @@ async function draw() {
       done && canReport ? button("Save the report", () => act("Report", report), true) : null,
       done && canAdopt && d.result.claimed ? button("Adopt into the model", () => confirm("Put the effect into this rotor's model?") && act("Adopt", () => post(`${url}/adoption`))) : null,
       done && canBackOut && d.result.claimed ? button("Back out", () => confirm("Take the effect out of this rotor's model again?") && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
-    done ? h("div", { class: "columns halves" }, result(d.result)) : null);
+    done ? h("div", { class: "columns halves" }, result(d.result, unitName)) : null);
   if (going) setTimeout(redraw, 1000);
 }
 

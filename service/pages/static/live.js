@@ -33,6 +33,9 @@ async function* frames(body) {
   }
 }
 
+/** The version that the page shows: an event that tells of it is no news. */
+export const drawn = { version: -1 };
+
 /**
  * Follow a rotor's events: `news(event, data)` for each; goes on after the last one when the
  * connection was lost. (EventSource cannot send a key; the stream is the same.)
@@ -50,7 +53,8 @@ export async function follow(rotor, news) {
       wait = 500;
       for await (const frame of frames(answer.body)) {
         last = frame.id ?? last;
-        news(frame.event, JSON.parse(frame.data));
+        const data = JSON.parse(frame.data);
+        if (frame.event !== "applied" || data.version > drawn.version) news(frame.event, data);
       }
     } catch (error) {
       if (!(error instanceof TypeError || error instanceof Problem || error.name === "AbortError")) throw error;
@@ -69,7 +73,7 @@ export async function follow(rotor, news) {
 export function keep(draw, { everyS = 0 } = {}) {
   let busy = false;
   let again = false;
-  let drawn = false;
+  let shown = false;
   let retry = 0;
   const redraw = async () => {
     clearTimeout(retry);
@@ -82,7 +86,7 @@ export function keep(draw, { everyS = 0 } = {}) {
       do {
         again = false;
         await draw();
-        drawn = true;
+        shown = true;
         document.body.dataset.state = "ready";
       } while (again);
     } catch (error) {
@@ -92,10 +96,10 @@ export function keep(draw, { everyS = 0 } = {}) {
         console.error(error);
       } else {
         const [kind, title, detail] = failed(error);
-        notices([[kind, title, detail, drawn ? "What is shown below is what was known before." : null]]);
+        notices([[kind, title, detail, shown ? "What is shown below is what was known before." : null]]);
         if (error.status === 0) told("away");
       }
-      if (!drawn) show($("page"));
+      if (!shown) show($("page"));
       document.body.dataset.state = "failed";
       const passing = error.status === 0 || error.status === 409 || error.status >= 500 || error.status === 429;
       if (passing) retry = setTimeout(redraw, error.status === 429 ? 5000 : 2000);
@@ -115,6 +119,7 @@ export function keep(draw, { everyS = 0 } = {}) {
     else await typeKey("Give a key.");
     location.reload();
   });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   redraw();
   return redraw;
 }

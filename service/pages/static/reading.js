@@ -33,7 +33,7 @@ function told(one) {
 export function readingsTable(rotor, items, { blade = true, caption = null } = {}) {
   const columns = [
     { name: "Entry", value: (r) => fixed(r.seq, 0), sort: (r) => r.seq, number: true },
-    { name: "Reading", value: (r) => h("span", {}, r.id, r.replaces ? h("span", { class: "soft" }, ` replaces ${r.replaces}`) : null), sort: (r) => r.id },
+    { name: "Reading", value: (r) => h("span", {}, h("span", {}, r.id), r.replaces ? h("span", { class: "soft" }, ` replaces ${r.replaces}`) : null), sort: (r) => r.id },
     blade ? { name: "Blade", value: (r) => h("a", { href: path`/rotors/${rotor}/blades/${r.blade}` }, r.blade), sort: (r) => r.blade } : null,
     { name: "Quantity", value: (r) => words(r.quantity), sort: (r) => r.quantity },
     { name: "Hours [h]", value: (r) => fixed(r.time_h, 0), sort: (r) => r.time_h, number: true },

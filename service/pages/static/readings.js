@@ -3,7 +3,7 @@
 import { get, path } from "./api.js";
 import { $, asked, h, names, panel, remember, show } from "./dom.js";
 import { number } from "./format.js";
-import { follow, keep } from "./live.js";
+import { drawn, follow, keep } from "./live.js";
 import { kindsOf, readingsTable } from "./reading.js";
 import { badges, notices, statesOf, warningsOf } from "./states.js";
 
@@ -26,6 +26,7 @@ function turn(before) {
 
 async function draw() {
   const now = await get(url);
+  drawn.version = now.version;
   show($("states"), badges(statesOf(now)));
   notices(warningsOf(now));
   const found = await get(`${url}/inspections`, { newest: true, limit: SIZE, cursor: chosen.before, blade: chosen.blade });

@@ -3,7 +3,7 @@
 import { get, offers, pages, path } from "./api.js";
 import { $, asked, facts, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
 import { ago, decimals, fixed, hours, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
-import { follow, keep } from "./live.js";
+import { drawn, follow, keep } from "./live.js";
 import { ring } from "./ring.js";
 import { span } from "./scale.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
@@ -115,6 +115,7 @@ function drawState(rotorNow) {
 const residuals = h("span");
 async function draw() {
   const now = await get(url);
+  drawn.version = now.version;
   show($("states"), badges(statesOf(now)));
   drawState(now);
   notices(warningsOf(now));

@@ -3,7 +3,7 @@
 import { get, pages, path } from "./api.js";
 import { $, aside, asked, h, names, panel, remember, s, scroll, select, show, table } from "./dom.js";
 import { axis, hours, inUnit, labels, number, plain, unit, words } from "./format.js";
-import { follow, keep } from "./live.js";
+import { drawn, follow, keep } from "./live.js";
 import { css, share, span, ticks } from "./scale.js";
 import { badges, notices, statesOf, warningsOf } from "./states.js";
 import { View, possible } from "./view.js";
@@ -63,6 +63,7 @@ async function scanned(quantity) {
 
 async function draw() {
   const now = await get(path`/v1/rotors/${rotor}`);
+  drawn.version = now.version;
   show($("states"), badges(statesOf(now)));
   model ??= await get(path`/v1/models/${now.model}`);
   const fields = Object.keys(model.outputs).filter((q) => model.outputs[q].kind !== "scalar");
