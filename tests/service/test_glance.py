@@ -18,7 +18,7 @@ from service.worker.loop import Worker
 Json = dict[str, Any]
 Post = Callable[..., int]
 Reading = Callable[..., Inspection]
-RULES = "/v1/rotors/r1"
+ROTOR = "/v1/rotors/r1"
 
 
 @pytest.fixture
@@ -34,11 +34,11 @@ def told(rotor: str, post: Post, reading: Reading, worker: Worker) -> str:
 def test_a_blade_at_a_glance_says_what_its_own_prediction_says(
     api: httpx.Client, told: str
 ) -> None:
-    body = api.get(f"{RULES}/blades?time_h=20000").json()
+    body = api.get(f"{ROTOR}/blades?time_h=20000").json()
     assert [blade["id"] for blade in body["items"]] == ["B1", "B2", "B3"]
     assert (body["quantity"], body["unit"], body["time_h"]) == ("elongation", "mm", 20000)
     for blade in body["items"]:
-        alone = api.get(f"{RULES}/blades/{blade['id']}/prediction?times=20000").json()
+        alone = api.get(f"{ROTOR}/blades/{blade['id']}/prediction?times=20000").json()
         assert blade["prediction"]["mean"] == alone["mean"][0]
         sd = {name: part[0] for name, part in alone["sd"].items()}
         own = blade["prediction"]["sd"].pop("blade")
@@ -48,39 +48,44 @@ def test_a_blade_at_a_glance_says_what_its_own_prediction_says(
 
 
 def test_readings_of_each_blade_are_counted_by_what_counts(api: httpx.Client, told: str) -> None:
-    found = {b["id"]: b["readings"] for b in api.get(f"{RULES}/blades").json()["items"]}
+    found = {b["id"]: b["readings"] for b in api.get(f"{ROTOR}/blades").json()["items"]}
     assert (found["B1"]["counting"], found["B1"]["overruled"]) == (1, 1)
     assert (found["B1"]["last"]["id"], found["B1"]["last"]["time_h"]) == ("i3", 7000)
     assert found["B2"] == {"counting": 0, "overruled": 1, "last": None}
     assert found["B3"] == {"counting": 0, "overruled": 0, "last": None}
-    api.post(f"{RULES}/inspections/i3/retraction")
-    again = {b["id"]: b["readings"] for b in api.get(f"{RULES}/blades").json()["items"]}
+    api.post(f"{ROTOR}/inspections/i3/retraction")
+    again = {b["id"]: b["readings"] for b in api.get(f"{ROTOR}/blades").json()["items"]}
     assert again["B1"]["last"]["id"] == "i1", "a retracted correction corrects nothing"
     assert (again["B1"]["counting"], again["B1"]["overruled"]) == (1, 1)
 
 
 def test_blades_come_in_pages(api: httpx.Client, told: str) -> None:
-    first = api.get(f"{RULES}/blades?limit=2").json()
-    second = api.get(f"{RULES}/blades?limit=2&cursor={first['next']}").json()
+    first = api.get(f"{ROTOR}/blades?limit=2").json()
+    second = api.get(f"{ROTOR}/blades?limit=2&cursor={first['next']}").json()
     assert [b["id"] for b in first["items"] + second["items"]] == ["B1", "B2", "B3"]
     assert (first["next"], second["next"]) == ("B2", None)
-    assert api.get(f"{RULES}/blades?time_h=60000").json()["faults"][0]["field"] == "times"
+    assert api.get(f"{ROTOR}/blades?time_h=60000").json()["faults"][0]["field"] == "times"
+
+
+def test_blades_before_the_first_posterior_are_not_yet(api: httpx.Client, rotor: str) -> None:
+    answer = api.get(f"{ROTOR}/blades")
+    assert (answer.status_code, answer.json()["title"]) == (409, "not yet")
 
 
 def test_a_new_reading_changes_the_tag_before_it_is_applied(
     api: httpx.Client, told: str, post: Post, reading: Reading
 ) -> None:
-    tag = api.get(f"{RULES}/blades").headers["etag"]
-    assert api.get(f"{RULES}/blades", headers={"If-None-Match": tag}).status_code == 304
+    tag = api.get(f"{ROTOR}/blades").headers["etag"]
+    assert api.get(f"{ROTOR}/blades", headers={"If-None-Match": tag}).status_code == 304
     post(told, reading("i9", blade="B3"))
-    fresh = api.get(f"{RULES}/blades", headers={"If-None-Match": tag})
+    fresh = api.get(f"{ROTOR}/blades", headers={"If-None-Match": tag})
     assert fresh.status_code == 200
     assert fresh.json()["items"][2]["readings"]["counting"] == 1
 
 
 def test_draws_have_the_moments_of_the_posterior(api: httpx.Client, told: str) -> None:
-    body = api.get(f"{RULES}/blades/B1/draws?count=4000").json()
-    posterior = api.get(f"{RULES}/blades/B1/posterior").json()
+    body = api.get(f"{ROTOR}/blades/B1/draws?count=4000").json()
+    posterior = api.get(f"{ROTOR}/blades/B1/posterior").json()
     values = np.array(body["values"])
     assert body["names"] == posterior["names"]
     assert values.shape == (4000, 2)
@@ -89,8 +94,8 @@ def test_draws_have_the_moments_of_the_posterior(api: httpx.Client, told: str) -
         # 64 particles, each drawn 62 or 63 times
         assert values[:, i].mean() == pytest.approx(own["mean"], abs=0.01 * own["sd"])
         assert values[:, i].std() == pytest.approx(own["sd"], rel=0.01)
-    assert api.get(f"{RULES}/blades/B1/draws?count=4001").status_code == 422
-    other = np.array(api.get(f"{RULES}/blades/B2/draws?count=4000").json()["values"])
+    assert api.get(f"{ROTOR}/blades/B1/draws?count=4001").status_code == 422
+    other = np.array(api.get(f"{ROTOR}/blades/B2/draws?count=4000").json()["values"])
     assert abs(other[:, 1].mean() - values[:, 1].mean()) > 0.02, "negative control"
 
 
@@ -98,11 +103,11 @@ def test_draws_have_the_moments_of_the_posterior(api: httpx.Client, told: str) -
 def test_a_field_says_at_each_node_what_the_prediction_there_says(
     api: httpx.Client, told: str, quantity: str
 ) -> None:
-    field = api.get(f"{RULES}/blades/B1/field?quantity={quantity}&time_h=30000").json()
+    field = api.get(f"{ROTOR}/blades/B1/field?quantity={quantity}&time_h=30000").json()
     mean, sd = np.array(field["mean"]), np.array(field["sd"])
     assert len(mean) == 6448
     for node in (0, 3, 6447):
-        path = f"{RULES}/blades/B1/prediction?quantity={quantity}&node={node}&times=30000"
+        path = f"{ROTOR}/blades/B1/prediction?quantity={quantity}&node={node}&times=30000"
         there = api.get(path).json()
         assert mean[node] == pytest.approx(there["mean"][0], abs=2e-6 * np.abs(mean).max())
         by_parameters = there["sd"]["parameters"][0]
@@ -110,7 +115,7 @@ def test_a_field_says_at_each_node_what_the_prediction_there_says(
 
 
 def test_a_field_that_is_none_is_refused_by_name(api: httpx.Client, told: str) -> None:
-    answer = api.get(f"{RULES}/blades/B1/field?quantity=elongation&time_h=-1")
+    answer = api.get(f"{ROTOR}/blades/B1/field?quantity=elongation&time_h=-1")
     assert answer.status_code == 422
     assert [fault["field"] for fault in answer.json()["faults"]] == ["quantity", "time_h"]
 
@@ -121,25 +126,25 @@ def test_versions_come_newest_first_in_pages(
     for i in range(3):
         post(told, reading(f"v{i}", time_h=10_000.0 + i))
         worker.drain()
-    first = api.get(f"{RULES}/versions?limit=2").json()
-    second = api.get(f"{RULES}/versions?limit=200&cursor={first['next']}").json()
+    first = api.get(f"{ROTOR}/versions?limit=2").json()
+    second = api.get(f"{ROTOR}/versions?limit=200&cursor={first['next']}").json()
     numbers = [one["version"] for one in first["items"] + second["items"]]
-    newest = api.get(RULES).json()
+    newest = api.get(ROTOR).json()
     assert numbers == list(range(newest["version"], 0, -1))
     assert first["items"][0]["state_digest"] == newest["posterior"]["state_digest"]
     assert first["items"][0]["health"] == newest["health"]
-    assert api.get(f"{RULES}/versions?cursor=x").status_code == 422
+    assert api.get(f"{ROTOR}/versions?cursor=x").status_code == 422
 
 
 def test_readings_are_filtered_by_blade_and_come_newest_first(api: httpx.Client, told: str) -> None:
     def ids(query: str) -> list[str]:
-        return [one["id"] for one in api.get(f"{RULES}/inspections?{query}").json()["items"]]
+        return [one["id"] for one in api.get(f"{ROTOR}/inspections?{query}").json()["items"]]
 
     assert ids("") == ["i1", "i2", "i3"]
     assert ids("newest=true") == ["i3", "i2", "i1"]
     assert ids("blade=B1&newest=true") == ["i3", "i1"]
     assert ids("blade=B3") == []
-    first = api.get(f"{RULES}/inspections?newest=true&limit=2").json()
+    first = api.get(f"{ROTOR}/inspections?newest=true&limit=2").json()
     assert ids(f"newest=true&limit=2&cursor={first['next']}") == ["i1"]
 
 

@@ -11,10 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.handlers.rotors import create_rotor
 from service.pages.routes import ASSET, PAGES, STATIC, assets
-from service.ports import BladeRecord
-from service.store.unit_of_work import SqlStore
 
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
 VENDORED = (STATIC / "vendor", Path(__file__).parents[1] / "browser" / "vendor")
@@ -132,9 +129,3 @@ def test_every_page_has_its_script() -> None:
     scripts = {script for _, script in PAGES.values()}
     assert {f"{script}.js" for script in scripts} <= set(assets())
     assert ASSET == "/assets/{name:path}"
-
-
-def test_a_rotor_of_many_blades_is_read_in_pages(api: httpx.Client, store: SqlStore) -> None:
-    blades = [BladeRecord(f"B{i:03d}") for i in range(7)]
-    create_rotor(store, "many", "rotor-blade", blades, 64, 7)
-    assert api.get("/v1/rotors/many/blades").status_code == 409, "no posterior yet"

@@ -31,7 +31,7 @@ function judged(found, health) {
     const margin = limit === null ? null : (limit - mean) / sd;
     const alarms = [];
     if (contradicted.has(blade.id)) alarms.push(["bad", "contradicts the rotor"]);
-    if (margin !== null && margin < 0) alarms.push(["bad", "beyond the limit"]);
+    if (margin !== null && margin < 0) alarms.push(["bad", "predicted beyond the limit"]);
     else if (margin !== null && margin < 2) alarms.push(["warn", "limit within 2 sd"]);
     if (blade.retired) alarms.push(["wait", "retired"]);
     if (blade.readings.counting === 0) alarms.push(["wait", "no readings: what the rotor tells"]);

@@ -109,7 +109,17 @@ export class View {
     this.draw();
   }
 
+  /** Draw with the next frame, once, whatever changed until then. */
   draw() {
+    if (this.due) return;
+    this.due = true;
+    requestAnimationFrame(() => {
+      this.due = false;
+      this.render();
+    });
+  }
+
+  render() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (!width || !height) return;
     this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
