@@ -18,7 +18,8 @@ import hashlib
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as default
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from service.ports import (
     Array,
     BladeRecord,
     Draws,
+    Field,
     Get,
     Json,
     ModelCard,
@@ -43,6 +45,7 @@ from service.ports import (
     PlanTarget,
     Progress,
     RotorSpec,
+    Surface,
 )
 
 MEAN, SD, SCATTER, SIGMA = 0.5, 0.1, 0.2, 0.02
@@ -106,7 +109,7 @@ class FakeScience:
     node_count: int = 6448
     delay_s: float = 0.0
     provisional: bool = False
-    network: Network = field(default_factory=fake_network)
+    network: Network = default(default_factory=fake_network)
     builtins: tuple[str, ...] = ("rotor-blade",)
 
     def builtin(self, name: str) -> ModelCard:
@@ -338,6 +341,32 @@ class FakeScience:
         z = stream(meta["seed"], "blade", blade).standard_normal((meta["particles"], 2))
         root = np.linalg.cholesky(covariance + 1e-15 * np.eye(2))
         return Draws(("rate", "offset"), mean + z @ root.T, np.zeros(len(z)))
+
+    def surface(self, card: ModelCard) -> Surface:
+        """A strip of two columns of nodes, from root to tip."""
+        rows = card.node_count // 2
+        number = np.arange(2 * rows).reshape(rows, 2)
+        points = np.zeros((card.node_count, 3))
+        points[: 2 * rows, 0], points[: 2 * rows, 2] = np.tile([0.0, 10.0], rows), number.ravel()
+        a, b = number[:-1].T, number[1:].T
+        pairs = [(a[0], a[1], b[0]), (a[1], b[1], b[0])]
+        return Surface(points, np.concatenate([np.stack(one, axis=1) for one in pairs]))
+
+    def field(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        time_h: float,
+        *,
+        known: Mapping[str, float] | None,
+    ) -> Field:
+        mean, covariance = self.moments(get, blade)
+        along = time_h / HORIZON_H * (np.arange(card.node_count) + 1) / card.node_count
+        along = along[:, None] * [0.0, 0.0, 1.0] if quantity == "deformation" else 0.01 * along
+        return Field(mean.sum() * along, np.sqrt(covariance.sum()) * along, meta["particles"])
 
     def predict(
         self,

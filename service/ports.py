@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from dataclasses import field as default
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -84,7 +85,7 @@ class RotorSpec:
     blades: tuple[str, ...]
     particles: int
     seed: int
-    known: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    known: Mapping[str, Mapping[str, float]] = default(default_factory=dict)
 
 
 class RotorState(Protocol):
@@ -135,6 +136,26 @@ class Prediction(Protocol):
     def instrument(self) -> str | None: ...
     @property
     def noise_from(self) -> NoiseFrom: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """What of a mesh is seen: points (N, 3) [mm] of all its nodes, triangles (M, 3) of numbers.
+
+    Triangles run counter-clockwise as seen from outside.
+    """
+
+    points: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Mean and sd at every node: (N,), for a vector (N, 3); resting on so many particles."""
+
+    mean: NDArray[np.float64]
+    sd: NDArray[np.float64]
+    particles: int
 
 
 class Science(Protocol):
@@ -197,6 +218,24 @@ class Science(Protocol):
         Returns `unit`, `mean` and `sd` of the target, `single` readings and the best `set`, each
         with `sd_after` and `narrower`. Raises InputError where there is nothing to inspect.
         """
+        ...
+
+    def surface(self, card: ModelCard) -> Surface | None:
+        """The surface of the model's mesh; None: it has none that is known."""
+        ...
+
+    def field(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        time_h: float,
+        *,
+        known: Mapping[str, float] | None,
+    ) -> Field:
+        """Mean and sd of a field or vector of the blade itself at every node, without noise."""
         ...
 
     def warm(self, card: ModelCard) -> None: ...
@@ -441,6 +480,46 @@ class Gauges:
     alarms: int
 
 
+@dataclass(frozen=True, slots=True)
+class BladeReadings:
+    """Readings of one blade: how many count, how many were corrected or retracted, the last one.
+
+    last_…   of the one that counts and came last; None where none counts
+    """
+
+    counting: int
+    overruled: int
+    last_id: str | None
+    last_time_h: float | None
+    last_received_at: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class AtWork:
+    """A worker that holds a lease now.
+
+    does      ``applies``, ``seals``, or a job's kind
+    lease_s   until the lease runs out, unless the worker renews it, s
+    behind    entries of the rotor's log that are not applied
+    """
+
+    owner: str
+    does: str
+    rotor_id: str | None
+    lease_s: float
+    behind: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Operations:
+    """The service at one moment: gauges, who works, jobs that go on, rotors that wait for help."""
+
+    gauges: Gauges
+    work: tuple[AtWork, ...]
+    jobs: tuple[JobRecord, ...]
+    blocked: tuple[RotorRecord, ...]
+
+
 class Records(Protocol):
     """Models, jobs, rotors and blades."""
 
@@ -475,7 +554,15 @@ class Log(Protocol):
     def append(self, rotor_id: str, events: Sequence[NewEvent]) -> list[Appended]: ...
     def free(self, rotor_id: str) -> None: ...
     def find(self, rotor_id: str, event_id: str) -> Event | None: ...
-    def page(self, rotor_id: str, kind: str, after: int, limit: int) -> list[Event]: ...
+    def page(
+        self,
+        rotor_id: str,
+        kind: str,
+        after: int | None,
+        limit: int,
+        blade: str | None = None,
+        newest: bool = False,
+    ) -> list[Event]: ...
     def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
         """Entries after one that adopt effects or back them out (`service.adopted`)."""
         ...
@@ -491,6 +578,7 @@ class States(Protocol):
     """Versions of posteriors."""
 
     def get(self, rotor_id: str, version: int | None = None) -> StateRecord: ...
+    def page(self, rotor_id: str, before: int | None, limit: int) -> list[StateRecord]: ...
     def as_of(self, rotor_id: str, at: float) -> StateRecord: ...
     def reader(self, state: StateRecord) -> Get: ...
 
@@ -531,6 +619,8 @@ class Transaction(Protocol):
     @property
     def webhooks(self) -> Webhooks: ...
     def gauges(self) -> Gauges: ...
+    def blade_readings(self, rotor_id: str) -> dict[str, BladeReadings]: ...
+    def operations(self, limit: int) -> Operations: ...
 
 
 Guard = Callable[[Transaction], None]

@@ -32,6 +32,7 @@ from service.ports import (
     Array,
     BladeRecord,
     Draws,
+    Field,
     Get,
     Json,
     ModelCard,
@@ -40,6 +41,7 @@ from service.ports import (
     PlanTarget,
     Progress,
     RotorSpec,
+    Surface,
 )
 from service.variant import named, vary
 
@@ -225,6 +227,28 @@ class CoreScience:
             parts[0].instrument,
             "readings" if noise in posterior.names else "prior",
         )
+
+    def surface(self, card: ModelCard) -> Surface | None:
+        from service.fields import surface_of
+
+        points = getattr(self._model(card).surrogate, "points", None)
+        return surface_of(points, card.summary.get("mesh"))
+
+    def field(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        time_h: float,
+        *,
+        known: Mapping[str, float] | None,
+    ) -> Field:
+        from service.fields import field_of
+
+        model = self._model(card).for_blade(blade)
+        return field_of(model, blade_posterior(meta, get, blade), quantity, time_h, known)
 
     def warm(self, card: ModelCard) -> None:
         """One update of a made-up rotor compiles what an update needs.

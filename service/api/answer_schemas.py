@@ -427,6 +427,69 @@ DELIVERY = having(
     not_before=maybe(TEXT),
     last_error=maybe(TEXT),
 )
+READINGS_OF_BLADE = having(
+    counting=WHOLE,
+    overruled=WHOLE,
+    last=maybe(having(id=TEXT, time_h=NUMBER, received_at=TEXT)),
+)
+AT_ONE_HOUR: Json = {"anyOf": [NUMBER, each(NUMBER)]}
+BLADE_AT_A_GLANCE = having(
+    **BLADE["properties"],
+    readings=READINGS_OF_BLADE,
+    prediction=having(mean=AT_ONE_HOUR, sd=named(AT_ONE_HOUR)),
+)
+BLADES = having(
+    items=each(BLADE_AT_A_GLANCE),
+    next=maybe(TEXT),
+    rotor=TEXT,
+    quantity=TEXT,
+    unit=TEXT,
+    node=maybe(WHOLE),
+    time_h=NUMBER,
+    head_seq=WHOLE,
+    health=HEALTH,
+    rests_on=RESTS_ON,
+)
+DRAWS = having(
+    rotor=TEXT,
+    blade=TEXT,
+    names=each(TEXT),
+    values=each(each(NUMBER)),
+    of=WHOLE,
+    health=HEALTH,
+    rests_on=RESTS_ON,
+)
+FIELD = having(
+    rotor=TEXT,
+    blade=TEXT,
+    quantity=TEXT,
+    unit=TEXT,
+    time_h=NUMBER,
+    particles=WHOLE,
+    mean=BAND,
+    sd=BAND,
+    health=HEALTH,
+    rests_on=RESTS_ON,
+)
+SURFACE = having(
+    model=TEXT, version=TEXT, unit=TEXT, points=each(each(NUMBER)), triangles=each(each(WHOLE))
+)
+GAUGES = {
+    **dict.fromkeys(("rotors", "backlog", "applied", "versions", "seals", "takeovers"), WHOLE),
+    **dict.fromkeys(("dirty", "blocked", "provisional", "jobs"), WHOLE),
+    **dict.fromkeys(("deliveries_pending", "deliveries_dead", "alarms"), WHOLE),
+    "least_ess_ratio": maybe(NUMBER),
+    "oldest_s": NUMBER,
+}
+UNFINISHED = {k: v for k, v in DIAGNOSIS_LISTED.items() if k not in ("rotor", "request")}
+OPERATIONS = having(
+    gauges=having(**GAUGES),
+    work=each(
+        having(owner=TEXT, does=TEXT, rotor_id=maybe(TEXT), lease_s=NUMBER, behind=maybe(WHOLE))
+    ),
+    jobs=each(having(**UNFINISHED, kind=TEXT, rotor=maybe(TEXT), request=ANY)),
+    blocked=each(having(**STANDING)),
+)
 ROTOR = "/v1/rotors/{r}"
 ANSWERS: dict[str, Json] = {
     "GET /healthz": having(status=TEXT),
@@ -489,4 +552,10 @@ ANSWERS: dict[str, Json] = {
     "POST /v1/webhooks/{w}/deliveries/{d}/retry": DELIVERY,
     f"GET {ROTOR}/residuals": RESIDUALS,
     "GET /v1/audit": paged(AUDIT),
+    "GET /v1/models/{m}/surface": SURFACE,
+    f"GET {ROTOR}/blades": BLADES,
+    f"GET {ROTOR}/blades/{{b}}/draws": DRAWS,
+    f"GET {ROTOR}/blades/{{b}}/field": FIELD,
+    f"GET {ROTOR}/versions": paged(having(**POSTERIOR_OF_ROTOR["properties"], health=HEALTH)),
+    "GET /v1/operations": OPERATIONS,
 }

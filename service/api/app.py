@@ -20,6 +20,7 @@ from service.api.routers import (
     audit,
     diagnoses,
     events,
+    glance,
     inspections,
     models,
     plans,
@@ -32,6 +33,7 @@ from service.api.routers import (
 )
 from service.api.services import Services
 from service.handlers.events import newest_notes
+from service.pages.routes import router as pages
 
 PROBLEM = {
     "description": "A problem (RFC 9457)",
@@ -99,6 +101,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         rotors,
         inspections,
         reads,
+        glance,
         plans,
         events,
         diagnoses,
@@ -109,6 +112,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         webhooks,
     ):
         app.include_router(module.router)
+    app.include_router(pages)
     problems.install(app)
     add_layers(app, services, app.state.requests)
     describe(app, keys=keys_required(services.settings))

@@ -64,6 +64,18 @@ def page_size(services: Services, limit: int | None) -> int:
     return min(50, most) if limit is None else limit
 
 
+def seq_of(cursor: str | None) -> int | None:
+    """The number that the cursor of a page by numbers is; None: from the start."""
+    if cursor is None:
+        return None
+    if cursor.isascii() and cursor.isdigit() and len(cursor) < 19:
+        return int(cursor)
+    remedy = "use `next` of the page before"
+    detail = f"cursor = {cursor!r} is no cursor. To mend it: {remedy}"
+    faults = [fault("cursor", cursor, "is no cursor", remedy)]
+    raise RequestError(422, "invalid-input", detail, faults)
+
+
 def page(items: Sequence[Any], size: int, key: str) -> dict[str, Any]:
     """A page of items and the cursor of the next one; `items` holds one more than the page."""
     shown = list(items[:size])

@@ -120,11 +120,18 @@ def find_inspection(store: Store, rotor_id: str, inspection_id: str) -> Listed:
     return _listed([event], overruling)[0]
 
 
-def list_inspections(store: Store, rotor_id: str, after: int, limit: int) -> list[Listed]:
-    """Readings in the order of their arrival, after a sequence number."""
+def list_inspections(
+    store: Store,
+    rotor_id: str,
+    after: int | None,
+    limit: int,
+    blade: str | None = None,
+    newest: bool = False,
+) -> list[Listed]:
+    """Readings in the order of their arrival, after a sequence number; `newest`: the other way."""
     with store.read() as tx:
         tx.records.rotor(rotor_id)
-        events = tx.log.page(rotor_id, "inspection", after, limit)
+        events = tx.log.page(rotor_id, "inspection", after, limit, blade, newest)
         overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
     return _listed(events, overruling)
 

@@ -121,13 +121,23 @@ class SqlLog:
         row = self._connection.execute(query).one_or_none()
         return None if row is None else Event(**row._mapping)
 
-    def page(self, rotor_id: str, kind: str, after: int, limit: int) -> list[Event]:
-        query = (
-            select(*COLUMNS)
-            .where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind == kind, t.entry.c.seq > after)
-            .order_by(t.entry.c.seq)
-            .limit(limit)
-        )
+    def page(
+        self,
+        rotor_id: str,
+        kind: str,
+        after: int | None,
+        limit: int,
+        blade: str | None = None,
+        newest: bool = False,
+    ) -> list[Event]:
+        """Entries of a kind after a number, or with `newest` below it, the greatest first."""
+        seq = t.entry.c.seq
+        query = select(*COLUMNS).where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind == kind)
+        if after is not None:
+            query = query.where(seq < after if newest else seq > after)
+        if blade is not None:
+            query = query.where(t.entry.c.blade == blade)
+        query = query.order_by(seq.desc() if newest else seq).limit(limit)
         return [Event(**row._mapping) for row in self._connection.execute(query)]
 
     def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:

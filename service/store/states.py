@@ -78,6 +78,14 @@ class SqlStates:
             raise GoneError(f"version {version} of rotor {rotor_id}", "version", version, near)
         raise NotFoundError("version", str(version), f"the newest one is {last}")
 
+    def page(self, rotor_id: str, before: int | None, limit: int) -> list[StateRecord]:
+        """Versions that are kept, the newest first, below a number."""
+        query = stored(rotor_id).order_by(t.state.c.version.desc()).limit(limit)
+        if before is not None:
+            query = query.where(t.state.c.version < before)
+        found = [self._record(row) for row in self._connection.execute(query).all()]
+        return [record for record in found if record is not None]
+
     def as_of(self, rotor_id: str, at: float) -> StateRecord:
         """The newest version that rests on exactly the entries received by a moment.
 

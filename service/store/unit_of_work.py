@@ -9,11 +9,12 @@ from copy import copy
 from sqlalchemy import Connection, Engine
 
 from service.access import EXPECTED, Act
-from service.ports import Array, Gauges, Get, Guard
+from service.ports import Array, BladeReadings, Gauges, Get, Guard, Operations
 from service.store.answers import SqlAnswers
 from service.store.cache import ArrayCache, Checked
 from service.store.engine import transaction
 from service.store.gauges import read_gauges
+from service.store.glance import read_blade_readings, read_operations
 from service.store.keys import SqlKeys
 from service.store.log import SqlLog
 from service.store.outbox import SqlOutbox
@@ -45,6 +46,12 @@ class SqlTransaction:
 
     def gauges(self) -> Gauges:
         return read_gauges(self.connection)
+
+    def blade_readings(self, rotor_id: str) -> dict[str, BladeReadings]:
+        return read_blade_readings(self.connection, rotor_id)
+
+    def operations(self, limit: int) -> Operations:
+        return read_operations(self.connection, limit)
 
 
 class SqlStore:

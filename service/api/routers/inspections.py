@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import JSONResponse
 
-from service.api.problems import RequestError, fault
 from service.api.schemas import (
     COLUMNS,
     CSV_EXAMPLE,
@@ -16,8 +15,19 @@ from service.api.schemas import (
     Nothing,
     read_inspections,
 )
-from service.api.services import Cursor, Limit, Name, Wired, accepted, moment, page, page_size
+from service.api.services import (
+    Cursor,
+    Limit,
+    Name,
+    Wired,
+    accepted,
+    moment,
+    page,
+    page_size,
+    seq_of,
+)
 from service.handlers import inspections as use
+from service.names import ID_PATTERN
 
 router = APIRouter(prefix="/v1/rotors/{r}/inspections", tags=["inspections"])
 FEW = 16
@@ -83,19 +93,18 @@ def post_inspections(
 
 @router.get("", summary="Readings in the order of arrival, and whether each counts")
 def get_inspections(
-    r: Name, services: Wired, limit: Limit = None, cursor: Cursor = None
+    r: Name,
+    services: Wired,
+    limit: Limit = None,
+    cursor: Cursor = None,
+    blade: Annotated[
+        str | None, Query(max_length=100, pattern=ID_PATTERN, description="of this blade alone")
+    ] = None,
+    newest: Annotated[bool, Query(description="the newest first")] = False,
 ) -> dict[str, Any]:
     size = page_size(services, limit)
-    text = cursor or "0"
-    if not (text.isascii() and text.isdigit() and len(text) < 19):
-        remedy = "use `next` of the page before"
-        raise RequestError(
-            422,
-            "invalid-input",
-            f"cursor = {text!r} is no cursor. To mend it: {remedy}",
-            [fault("cursor", text, "is no cursor", remedy)],
-        )
-    items = use.list_inspections(services.store, r, int(text), size + 1)
+    after = seq_of(cursor)
+    items = use.list_inspections(services.store, r, after, size + 1, blade, newest)
     return page([listed_out(item, full=False) for item in items], size, "seq")
 
 

@@ -1,0 +1,161 @@
+// A blade: what is predicted and from what, what was measured, and how the belief moved.
+
+import { get, pages, path } from "./api.js";
+import { chart, legend, numbers } from "./chart.js";
+import { corner, marginals } from "./corner.js";
+import { $, asked, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
+import { ago, fixed, hours, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
+import { drawn, follow, keep } from "./live.js";
+import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
+import { timeTo } from "./stats.js";
+import { kindsOf, readingsTable } from "./reading.js";
+
+const [rotor, blade] = [names.r, names.b];
+const url = path`/v1/rotors/${rotor}`;
+const own = path`/v1/rotors/${rotor}/blades/${blade}`;
+const chosen = { quantity: asked("quantity"), limit: asked("limit"), component: Number(asked("component") ?? 2) };
+const SOURCES = [["parameters", "line"], ["surrogate", "dash"], ["discrepancy", "dot"], ["noise", "dash"], ["total", "line"]];
+const AXES = ["x", "y", "z"];
+const [bands, bandsLegend, bandsTable, sources, sourcesTable, figures, list, history, prior, pairs, controls] =
+  Array.from({ length: 11 }, () => h("div"));
+controls.className = "controls";
+let model = null;
+let shown = "";
+
+const part = (values) => (Array.isArray(values[0]) ? values.map((v) => v[chosen.component]) : values);
+
+function change(given) {
+  Object.assign(chosen, given);
+  remember(given);
+  shown = "";
+  redraw();
+}
+
+function drawControls(found) {
+  const text = JSON.stringify([found.quantity, chosen.component]);
+  if (text === shown) return;
+  shown = text;
+  const kind = model.outputs[found.quantity].kind;
+  show(controls,
+    select("Quantity", Object.keys(model.outputs).map((q) => [q, words(q)]), found.quantity, (q) => change({ quantity: q, limit: null })),
+    kind === "vector" ? select("Direction", AXES.map((a, i) => [i, a]), chosen.component, (c) => change({ component: Number(c) })) : null,
+    found.node === null ? null : h("span", { class: "soft" }, `node ${found.node} (${Object.keys(model.nodes).find((n) => model.nodes[n] === found.node) ?? "as asked"})`),
+    h("label", {}, "Limit", h("input", { type: "number", step: "any", value: chosen.limit ?? "", onchange: (e) => change({ limit: e.target.value || null }) }), unit(found.unit)));
+}
+
+function drawBands(found, readings) {
+  const mean = part(found.mean);
+  const sd = Object.fromEntries(Object.entries(found.sd).map(([name, values]) => [name, part(values)]));
+  const bladeSd = sd.total.map((total, i) => Math.sqrt(Math.max(0, total ** 2 - sd.noise[i] ** 2)));
+  const around = (width, k) => [mean.map((m, i) => m + k * width[i]), mean.map((m, i) => m - k * width[i])];
+  const limit = chosen.limit ? Number(chosen.limit) : null;
+  const marks = readings.filter((r) => r.quantity === found.quantity && r.values?.length)
+    .flatMap((r) => {
+      const at = r.nodes ? r.nodes.indexOf(found.node) : 0;
+      const value = at < 0 ? undefined : r.values[at];
+      return value === undefined ? [] : [{ kind: r.kind, time_h: r.time_h, value: Array.isArray(value) ? value[chosen.component] : value }];
+    });
+  const what = `${words(found.quantity)}${Array.isArray(found.mean[0]) ? `, ${AXES[chosen.component]}` : ""}`;
+  const kinds = [...new Set(marks.map((m) => m.kind))];
+  chart(bands, {
+    time: found.time_h, lines: [{ name: "mean", values: mean, ink: "mean" }], what, unitName: found.unit, height: 360, marks,
+    bands: [[...around(sd.total, 2), 0.16], [...around(bladeSd, 2), 0.2], [...around(bladeSd, 1), 0.25]],
+    across: limit === null ? [] : [{ value: limit, name: `limit ${inUnit(plain(limit), found.unit)}` }],
+    label: `${what} over operating hours: mean, ±1 and ±2 sd of the blade, ±2 sd of a reading, ${number(marks.length, "reading")}`,
+  });
+  show(bandsLegend, legend([["line", "mean", "mean"], ["strong", "band", "blade ±1 sd, ±2 sd (without noise)"], ["light", "band", "next reading ±2 sd (with noise)"],
+    ...kinds.map((kind) => ["mark", kind, { counts: "counts", late: "late", corrects: "correction", replaced: "replaced", retracted: "retracted" }[kind]])]));
+  const hidden = readings.filter((r) => r.quantity === found.quantity).length - marks.length;
+  if (hidden > 0) bandsLegend.append(h("p", { class: "small soft" }, `${number(hidden, "scan")} of this quantity at other nodes: see In 3-D.`));
+  const lines = SOURCES.map(([name, way]) => ({ name, way, values: sd[name], ink: name }));
+  show(bandsTable, numbers("Prediction as a table", found.time_h, [{ name: "mean", values: mean }, { name: "sd of the blade", values: bladeSd }, { name: "sd of a reading", values: sd.total }], found.unit));
+  chart(sources, { time: found.time_h, lines, what: `sd of ${what}`, unitName: found.unit, height: 210, least: 0, label: `Standard deviation by source over operating hours` });
+  show(sourcesTable, legend(SOURCES.map(([name, way]) => [way, name, name])),
+    h("p", { class: "small soft" }, "The squares of the sources add up to the square of the total."),
+    numbers("Sources as a table", found.time_h, lines, found.unit));
+  drawFigures(found, mean, sd, bladeSd, limit);
+}
+
+function drawFigures(found, mean, sd, bladeSd, limit) {
+  const last = mean.length - 1;
+  const figure = (text, more) => h("p", {}, h("span", { class: "figure" }, text), h("br"), h("span", { class: "soft small" }, more));
+  const parts = [figure(inUnit(withSd(mean[last], bladeSd[last]), found.unit), `at ${hours(found.time_h[last])}: the blade itself; a reading then: ± ${inUnit(plain(sd.total[last], 2), found.unit)}`)];
+  if (limit === null) parts.push(h("p", { class: "soft" }, "Give a limit above to see the time to it."));
+  else {
+    const { at, passed } = timeTo(limit, found.time_h, mean, bladeSd, [0.05, 0.5, 0.95]);
+    const beyond = `beyond ${hours(found.time_h[last])}`;
+    parts.push(figure(at[1] === null ? beyond : hours(Math.round(at[1] / 100) * 100), `median time to ${inUnit(plain(limit), found.unit)}`),
+      h("p", { class: "small" }, `5 %: ${at[0] === null ? beyond : hours(Math.round(at[0] / 10) * 10)}; 95 %: ${at[2] === null ? beyond : hours(Math.round(at[2] / 10) * 10)}. Chance to have passed it by ${hours(found.time_h[last])}: ${fixed(100 * passed, 1)} %.`),
+      h("p", { class: "small soft" }, "From mean ± sd of the blade at each hour, taken as normal, for a quantity that does not shrink."));
+  }
+  show(figures, parts);
+}
+
+async function drawHistory(found) {
+  const kept = await get(`${url}/versions`, { limit: 8 });
+  const came = await get(`${url}/inspections`, { newest: true, limit: 200 });
+  const last = found.time_h.at(-1);
+  const told = await Promise.all(kept.items.map((v) =>
+    get(`${own}/prediction`, { version: v.version, quantity: found.quantity, times: last, node: found.node }).catch(() => null)));
+  const rows = kept.items.map((v, i) => {
+    const since = kept.items[i + 1]?.through_seq ?? (kept.next === null ? 0 : null);
+    const readings = since === null ? [] : came.items.filter((r) => r.seq > since && r.seq <= v.through_seq);
+    const mean = told[i] && part(told[i].mean)[0];
+    const sd = told[i] && Math.sqrt(Math.max(0, part(told[i].sd.total)[0] ** 2 - part(told[i].sd.noise)[0] ** 2));
+    return { ...v, since, readings, mean, sd };
+  });
+  rows.forEach((row, i) => {
+    const before = rows[i + 1];
+    row.moved = before && row.mean !== null && before.mean !== null ? (row.mean - before.mean) / before.sd : null;
+  });
+  const why = (row) => {
+    if (row.since === null) return "older entries";
+    const count = row.through_seq - row.since;
+    if (count === 0) return "sealed, no new entries";
+    const here = row.readings.filter((r) => r.blade === blade);
+    const few = here.slice(0, 3).map((r) => r.id).join(", ");
+    return `${number(count, "entry", "entries")}${here.length ? `; this blade: ${few}${here.length > 3 ? " …" : ""}` : "; other blades"}`;
+  };
+  const columns = [
+    { name: "Version", value: (v) => fixed(v.version, 0), number: true },
+    { name: "State", value: (v) => badge(v.health.trusted ? (v.sealed ? "ok" : "wait") : "bad", v.health.trusted ? (v.sealed ? "sealed" : "provisional") : v.health.status) },
+    { name: "Through", value: (v) => fixed(v.through_seq, 0), number: true },
+    { name: `At ${hours(last)}${unit(found.unit) ? ` [${found.unit}]` : ""}`, value: (v) => (v.mean === null ? "blade not in it" : withSd(v.mean, v.sd)), number: true },
+    { name: "Moved [sd]", value: (v) => fixed(v.moved, 2), number: true },
+    { name: "What came", value: why },
+    { name: "Computed", value: (v) => h("span", { title: moment(v.created_at) }, ago(v.created_at)) },
+  ];
+  show(history, scroll("Versions", table(columns, rows, { caption: "The newest kept versions; moved: change of the mean in sd of the version before" })));
+}
+
+async function draw() {
+  const now = await get(url);
+  drawn.version = now.version;
+  const me = now.blades.find((b) => b.id === blade);
+  const states = badges(statesOf(now));
+  if (me?.retired) states.push(badge("wait", "retired"));
+  if (me) states.push(h("span", { class: "soft" }, [me.slot && `slot ${me.slot}`, me.lot && `lot ${me.lot}`, me.coating_lot && `coating ${me.coating_lot}`].filter(Boolean).join(" · ")));
+  show($("states"), states);
+  model ??= await get(path`/v1/models/${now.model}`);
+  const found = await get(`${own}/prediction`, { quantity: chosen.quantity });
+  const all = await pages(`${url}/inspections`, { blade }, 2000);
+  const readings = kindsOf(all.items);
+  notices([...warningsOf(now), readings.length === 0 && ["wait", "No reading of this blade yet: what is shown is what the rotor tells of it."],
+    all.more && ["wait", "Only the first 2 000 readings of this blade are drawn."]]);
+  drawControls(found);
+  drawBands(found, readings);
+  show(list, readings.length ? readingsTable(rotor, readings, { blade: false }) : h("p", { class: "soft" }, "None yet."));
+  const draws = await get(`${own}/draws`, { count: 1000 });
+  marginals(prior, draws, model.network);
+  corner(pairs, draws);
+  await drawHistory(found);
+}
+
+show($("page"),
+  h("div", { class: "columns wide-left" },
+    panel("Prediction", controls, bands, bandsLegend, bandsTable),
+    h("div", { class: "stack" }, panel("At the end", figures), panel("Uncertainty by source", sources, sourcesTable))),
+  h("div", { class: "columns halves late" }, panel("Readings of this blade", list), panel("How the belief moved", history)),
+  h("div", { class: "columns halves late" }, panel("Prior against posterior", prior), panel("Parameters in pairs", pairs)));
+const redraw = keep(draw);
+follow(rotor, redraw);

@@ -1,0 +1,61 @@
+// Diagnoses of a rotor: what it lacks was asked for, and is asked for here.
+
+import { Problem, get, offers, path, post } from "./api.js";
+import { $, h, names, panel, scroll, show, table } from "./dom.js";
+import { ago, fixed } from "./format.js";
+import { keep } from "./live.js";
+import { progress } from "./progress.js";
+import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
+import { stateOf, verdictOf } from "./verdict.js";
+
+const rotor = names.r;
+const url = path`/v1/rotors/${rotor}/diagnoses`;
+const list = h("div");
+const said = h("p", { role: "status", class: "small" });
+const compare = h("input", { type: "checkbox", checked: true, id: "compare" });
+const begin = h("button", { type: "submit", class: "main" }, "Look for what the model lacks");
+
+async function start(event) {
+  event.preventDefault();
+  begin.disabled = true;
+  try {
+    const { diagnosis } = await post(url, { compare: compare.checked });
+    location.href = path`/rotors/${rotor}/diagnoses/${diagnosis.id}`;
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    said.textContent = error.message;
+    begin.disabled = false;
+  }
+}
+
+const columns = [
+  { name: "Asked", value: (d) => h("a", { href: path`/rotors/${rotor}/diagnoses/${d.id}` }, ago(d.created_at)), sort: (d) => d.created_at },
+  { name: "State", value: (d) => badge(...stateOf(d)), sort: (d) => d.status },
+  { name: "Verdict", value: (d) => (d.verdict ? verdictOf(d.verdict) : d.status === "running" ? progress(d.progress) : "–"), sort: (d) => d.verdict },
+  { name: "Effects", value: (d) => d.names?.join(", ") || "–" },
+  { name: "Rests on entries to", value: (d) => fixed(d.request.through_seq, 0), sort: (d) => d.request.through_seq, number: true },
+];
+
+let cursor = null;
+const older = h("button", { type: "button" }, "Older");
+async function draw() {
+  const now = await get(path`/v1/rotors/${rotor}`);
+  show($("states"), badges(statesOf(now)));
+  notices(warningsOf(now));
+  const found = await get(url, { limit: 50, cursor });
+  older.hidden = found.next === null;
+  older.onclick = () => {
+    cursor = found.next;
+    redraw();
+  };
+  show(list, found.items.length
+    ? scroll("Diagnoses", table(columns, found.items, { caption: "The newest first" }))
+    : h("p", { class: "soft" }, "None was asked for yet."));
+}
+
+show($("page"),
+  panel("Ask", h("form", { class: "controls", onsubmit: start }, begin, h("label", { for: "compare" }, compare, "compare before and after on readings that neither model used")),
+    h("p", { class: "soft small" }, "It takes minutes, rests on the readings that count now, and changes neither rotor nor model."), said),
+  panel("Diagnoses", list, older));
+const redraw = keep(draw, { everyS: 3 });
+offers("post", "/v1/rotors/{r}/diagnoses").then((there) => { begin.disabled = !there; }).catch(() => {});

@@ -1,0 +1,125 @@
+// One diagnosis: how far it is, what was found, what was tried, before and after.
+
+import { Problem, ask, get, offers, path, post, remove } from "./api.js";
+import { $, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
+import { axis, fixed, moment, number, plain, withSd, words } from "./format.js";
+import { keep } from "./live.js";
+import { progress } from "./progress.js";
+import { badge, notices } from "./states.js";
+import { stateOf, verdictOf } from "./verdict.js";
+
+const url = path`/v1/rotors/${names.r}/diagnoses/${names.d}`;
+const TEMPLATE = "/v1/rotors/{r}/diagnoses/{d}";
+const said = h("p", { role: "status", class: "small" });
+const MOST = 40;
+
+async function act(what, how) {
+  try {
+    await how();
+    said.textContent = `${what}: done.`;
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    said.textContent = `${what}: ${error.message}`;
+  }
+  redraw();
+}
+
+/** The report as a file: the request carries the key, which a link would not. */
+async function report() {
+  const answer = await ask("GET", `${url}/report`);
+  const link = h("a", { href: URL.createObjectURL(await answer.blob()), download: `diagnosis-${names.r}-${names.d}.html` });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}
+
+/** Evidence of what was tried as bars, the weightiest first. */
+function ranking(tried) {
+  const rows = tried.filter((t) => t.log_bf !== null).sort((a, b) => b.log_bf - a.log_bf).slice(0, 12);
+  if (rows.length === 0) return null;
+  const top = Math.max(...rows.map((r) => r.log_bf), 1);
+  const least = Math.min(...rows.map((r) => r.log_bf), 0);
+  const X = (v) => 300 + ((v - least) / (top - least)) * 270;
+  const height = 22 * rows.length + 24;
+  return s("svg", { class: "bars", viewBox: `0 0 620 ${height}`, role: "img", "aria-label": "Log Bayes factor of what was tried; the table below has the numbers" },
+    rows.map((row, i) => [
+      s("text", { x: 292, y: 22 * i + 15, "text-anchor": "end", "font-size": 12, fill: colour("ink") }, row.what.length > 48 ? `${row.what.slice(0, 47)}…` : row.what),
+      s("rect", { x: Math.min(X(0), X(row.log_bf)), y: 22 * i + 4, width: Math.max(1, Math.abs(X(row.log_bf) - X(0))), height: 14, fill: colour(row.log_bf >= 0 ? "parameters" : "over") }),
+      s("text", { x: Math.max(X(0), X(row.log_bf)) + 5, y: 22 * i + 15, "font-size": 11, fill: colour("soft") }, fixed(row.log_bf, 1))]),
+    s("text", { x: 440, y: height - 4, "text-anchor": "middle", "font-size": 11, fill: colour("soft") }, "log Bayes factor [nat]"));
+}
+
+function beforeAfter(told, unitName) {
+  if (!told) return h("p", { class: "soft" }, "No comparison: it was not asked for, or no effect is claimed.");
+  const share = (v) => `${fixed(100 * v, 0)} %`;
+  const rows = [
+    ["count", "readings", (v) => fixed(v, 0)], ["rmse", axis("root mean square error", unitName), plain],
+    ["bias", axis("bias: predicted less measured", unitName), plain], ["log_score", "log score [nat per reading]", plain],
+    ["within_68", "inside the 68 % band", share], ["within_95", "inside the 95 % band", share], ["width", axis("width of the 95 % band", unitName), plain],
+  ].map(([name, text, form]) => ({ name: text, before: told.before?.[name], after: told.after?.[name], form })).filter((r) => typeof r.before === "number");
+  const rest = Object.fromEntries(Object.entries(told).filter(([k]) => !["before", "after"].includes(k)));
+  return [table([
+    { name: "On readings that neither used", value: (r) => r.name },
+    { name: "Before", value: (r) => r.form(r.before), number: true },
+    { name: "After", value: (r) => r.form(r.after), number: true },
+  ], rows), aside("Everything that was compared", h("pre", { tabindex: 0 }, JSON.stringify(rest, null, 1)))];
+}
+
+function result(found, unitName) {
+  const effects = found.effects.length ? table([
+    { name: "Effect", value: (e) => e.name ?? words(e.words) },
+    { name: "What happens", value: (e) => e.words ?? "–" },
+    { name: "Amplitude", value: (e) => withSd(e.amplitude.mean, e.amplitude.sd), number: true },
+    { name: "Of", value: (e) => String(e.amplitude.of ?? "–") },
+  ], found.effects) : h("p", { class: "soft" }, "No effect is named.");
+  const shared = Object.keys(found.parameters.before).map((name) => ({ name, before: found.parameters.before[name], after: found.parameters.after[name] }));
+  const pair = (p) => (p && typeof p === "object" && "mean" in p ? withSd(p.mean, p.sd) : p === undefined ? "–" : JSON.stringify(p));
+  const bars = ranking(found.tried);
+  return [
+    panel("Verdict", h("p", {}, verdictOf(found.verdict)), found.reasons.map((reason) => h("p", {}, reason)), facts([
+      ["Chance under the model alone", found.p === null ? "–" : plain(found.p, 2)],
+      ["The same with the effects", found.p_after === null ? "–" : plain(found.p_after, 2)],
+      ["Gain in evidence", found.gained_nat === null ? "–" : `${fixed(found.gained_nat, 1)} nat`],
+      ["Readings", `${found.readings.used} used of ${found.readings.delivered}`],
+      ["Rests on", `entries to ${found.rests_on.through_seq}, model ${found.rests_on.model} ${found.rests_on.model_version.slice(0, 8)}`],
+    ])),
+    panel("Effects", effects),
+    panel("Before and after", beforeAfter(found.before_after, unitName),
+      shared.length ? table([
+        { name: "Shared parameter", value: (p) => words(p.name) },
+        { name: "Before", value: (p) => pair(p.before), number: true },
+        { name: "After", value: (p) => pair(p.after), number: true },
+      ], shared) : null),
+    panel("What was tried", bars ?? h("p", { class: "soft" }, "Nothing had to be tried."),
+      found.tried.length ? aside(`The first ${Math.min(MOST, found.tried.length)} of ${found.tried.length} as a table`, scroll("Tried", table([
+        { name: "Effect", value: (t) => t.what },
+        { name: "Log Bayes factor [nat]", value: (t) => fixed(t.log_bf, 2), sort: (t) => t.log_bf, number: true },
+      ], found.tried.slice(0, MOST)))) : null,
+      found.no_room.length ? h("p", { class: "small" }, `No room for: ${found.no_room.map((n) => `${n.names.join(" + ")} (${n.why})`).join("; ")}`) : null,
+      found.holds.length ? aside("Does it hold between halves", h("pre", { tabindex: 0 }, JSON.stringify(found.holds, null, 1))) : null),
+  ];
+}
+
+async function draw() {
+  const [d, canReport, canAdopt, canBackOut, canCancel] = await Promise.all([get(url),
+    offers("get", `${TEMPLATE}/report`), offers("post", `${TEMPLATE}/adoption`), offers("delete", `${TEMPLATE}/adoption`), offers("delete", TEMPLATE)]);
+  const going = d.status === "queued" || d.status === "running";
+  show($("states"), badge(...stateOf(d)));
+  notices([d.status === "failed" && ["bad", `It failed after ${number(d.attempts, "attempt")}.`, d.error],
+    d.status === "cancelled" && ["warn", "It was cancelled: there is no result."]]);
+  const button = (text, how, quiet) => h("button", { type: "button", class: quiet ? null : "main", onclick: how }, text);
+  const done = d.status === "done";
+  const model = done ? await get(path`/v1/models/${d.result.rests_on.model}`) : null;
+  const unitName = model?.outputs[d.result.before_after?.quantity]?.unit ?? "";
+  show($("page"),
+    panel(null, facts([["Asked", moment(d.created_at)], ["Ended", moment(d.finished_at)], ["Rests on", `entries to ${d.request.through_seq}`],
+      going && ["Progress", d.status === "queued" ? "queued: it begins when a worker with the role diagnose is free" : progress(d.progress)]]),
+    h("div", { class: "controls actions" },
+      going && canCancel ? button("Cancel", () => act("Cancel", () => remove(url)), true) : null,
+      done && canReport ? button("Save the report", () => act("Report", report), true) : null,
+      done && canAdopt && d.result.claimed ? button("Adopt into the model", () => confirm("Put the effect into this rotor's model?") && act("Adopt", () => post(`${url}/adoption`))) : null,
+      done && canBackOut && d.result.claimed ? button("Back out", () => confirm("Take the effect out of this rotor's model again?") && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
+    done ? h("div", { class: "columns halves" }, result(d.result, unitName)) : null);
+  if (going) setTimeout(redraw, 1000);
+}
+
+const redraw = keep(draw);

@@ -1,0 +1,19 @@
+// Models that are registered.
+
+import { pages, path } from "./api.js";
+import { $, h, panel, show, table } from "./dom.js";
+import { keep } from "./live.js";
+import { badge, notices } from "./states.js";
+
+const columns = [
+  { name: "Model", value: (m) => h("a", { href: path`/models/${m.id}` }, m.id), sort: (m) => m.id },
+  { name: "State", value: (m) => badge(m.state === "ready" ? "ok" : "wait", m.state) },
+  { name: "Version", value: (m) => m.version },
+  { name: "Digest", value: (m) => h("code", {}, m.digest.slice(0, 16)) },
+];
+
+keep(async () => {
+  const found = await pages("/v1/models");
+  notices([]);
+  show($("page"), panel(null, found.items.length ? table(columns, found.items, { sorted: [0, true] }) : h("p", {}, "No model is registered yet: POST /v1/models.")));
+}, { everyS: 30 });

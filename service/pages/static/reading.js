@@ -1,0 +1,47 @@
+// Readings: which kind each is, and the table of them.
+
+import { path } from "./api.js";
+import { h, scroll, table } from "./dom.js";
+import { fixed, moment, plain, unit, words } from "./format.js";
+import { badge } from "./states.js";
+
+const KINDS = {
+  counts: ["ok", "counts"], late: ["ok", "counts, late"], corrects: ["ok", "counts, corrects"],
+  replaced: ["wait", "replaced"], retracted: ["warn", "retracted"],
+};
+
+/**
+ * The kind of each reading, in the order of arrival. Late: it came after a reading of the same
+ * blade at later hours.
+ */
+export function kindsOf(items) {
+  const latest = new Map();
+  return [...items].sort((a, b) => a.seq - b.seq).map((one) => {
+    const before = latest.get(one.blade) ?? -Infinity;
+    latest.set(one.blade, Math.max(before, one.time_h));
+    const kind = one.status !== "counts" ? one.status : one.replaces ? "corrects" : one.time_h < before ? "late" : "counts";
+    return { ...one, kind, late: one.time_h < before };
+  });
+}
+
+function told(one) {
+  if (!one.values) return `${fixed(one.count, 0)} values`;
+  if (one.values.length === 1 && !Array.isArray(one.values[0])) return plain(one.values[0], 4);
+  return `${one.values.length} values`;
+}
+
+export function readingsTable(rotor, items, { blade = true, caption = null } = {}) {
+  const columns = [
+    { name: "Entry", value: (r) => fixed(r.seq, 0), sort: (r) => r.seq, number: true },
+    { name: "Reading", value: (r) => h("span", {}, h("span", {}, r.id), r.replaces ? h("span", { class: "soft" }, ` replaces ${r.replaces}`) : null), sort: (r) => r.id },
+    blade ? { name: "Blade", value: (r) => h("a", { href: path`/rotors/${rotor}/blades/${r.blade}` }, r.blade), sort: (r) => r.blade } : null,
+    { name: "Quantity", value: (r) => words(r.quantity), sort: (r) => r.quantity },
+    { name: "Hours [h]", value: (r) => fixed(r.time_h, 0), sort: (r) => r.time_h, number: true },
+    { name: "Value", value: (r) => `${told(r)} ${unit(r.unit)}`, number: true },
+    { name: "State", value: (r) => badge(...KINDS[r.kind]), sort: (r) => r.kind },
+    { name: "Instrument", value: (r) => r.instrument ?? "–", sort: (r) => r.instrument },
+    { name: "Campaign", value: (r) => r.campaign ?? "–", sort: (r) => r.campaign },
+    { name: "Received", value: (r) => moment(r.received_at), sort: (r) => r.received_at },
+  ].filter(Boolean);
+  return scroll("Readings", table(columns, items, { caption, rowClass: (r) => (r.status === "counts" ? null : "over") }));
+}

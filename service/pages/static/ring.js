@@ -1,0 +1,75 @@
+// The rotor from the front: a ring of slots, each a link to its blade.
+
+import { path } from "./api.js";
+import { s } from "./dom.js";
+import { labels, unit } from "./format.js";
+import { css, dark, share, ticks } from "./scale.js";
+
+const R0 = 128;
+const R1 = 186;
+
+function sector(from, to) {
+  const at = (r, a) => `${(r * Math.sin(a)).toFixed(2)} ${(-r * Math.cos(a)).toFixed(2)}`;
+  const large = to - from > Math.PI ? 1 : 0;
+  return `M${at(R0, from)} L${at(R1, from)} A${R1} ${R1} 0 ${large} 1 ${at(R1, to)} L${at(R0, to)} A${R0} ${R0} 0 ${large} 0 ${at(R0, from)} Z`;
+}
+
+/** The slot of each blade: its number where all have one of their own, else their order. */
+export function slots(blades) {
+  const given = blades.map((blade) => (/^\d+$/.test(blade.slot ?? "") ? Number(blade.slot) : null));
+  const fit = given.every((n) => n !== null && n >= 1 && n <= 400) && new Set(given).size === given.length;
+  return { count: fit ? Math.max(...given) : blades.length, of: fit ? given.map((n) => n - 1) : given.map((_, i) => i), fit };
+}
+
+/**
+ * The ring. `value(blade)` is a number or null, `span` its least and greatest, `tell(blade)` the
+ * words for it, `sign(blade)` a sign where something is to be seen to.
+ */
+export function ring(rotor, blades, { value, span, what, unitName, tell, sign }) {
+  const { count, of, fit } = slots(blades);
+  const width = (2 * Math.PI) / Math.max(count, 1);
+  const gap = Math.min(0.012, width / 8);
+  const empty = [];
+  for (let i = 0; i < count; i += 1) {
+    if (!of.includes(i)) empty.push(s("path", { class: "none", d: sector(i * width + gap, (i + 1) * width - gap) }, s("title", {}, `slot ${i + 1}: no blade`)));
+  }
+  const parts = blades.map((blade, k) => {
+    const from = of[k] * width + gap;
+    const number = value(blade);
+    const at = number === null ? null : share(number, span);
+    const middle = (of[k] + 0.5) * width;
+    const mark = sign(blade);
+    const seen = [s("path", {
+      d: sector(from, (of[k] + 1) * width - gap),
+      fill: at === null ? "none" : css(at),
+      class: at === null ? "none" : null,
+    }), s("title", {}, tell(blade))];
+    if (mark) {
+      seen.push(s("text", { class: "mark", x: ((R1 + 9) * Math.sin(middle)).toFixed(1), y: (4 - (R1 + 9) * Math.cos(middle)).toFixed(1) }, mark));
+    }
+    if (count <= 40) {
+      const r = (R0 + R1) / 2;
+      seen.push(s("text", {
+        x: (r * Math.sin(middle)).toFixed(1), y: (4 - r * Math.cos(middle)).toFixed(1), "pointer-events": "none",
+        class: at === null ? "soft" : dark(at) ? "on-light" : "on-dark",
+      }, fit ? blade.slot : blade.id));
+    }
+    return s("a", { href: path`/rotors/${rotor}/blades/${blade.id}`, "aria-label": tell(blade) }, seen);
+  });
+  const turns = count > 40
+    ? [0, 0.25, 0.5, 0.75].map((part) => {
+        const slot = Math.round(part * count);
+        const a = (slot + 0.5) * width;
+        return s("text", { class: "soft", x: ((R0 - 14) * Math.sin(a)).toFixed(1), y: (4 - (R0 - 14) * Math.cos(a)).toFixed(1) }, fit ? `${slot + 1}` : blades[slot]?.id ?? "");
+      })
+    : [];
+  const bar = [];
+  for (let i = 0; i < 60; i += 1) bar.push(s("rect", { x: -90 + 3 * i, y: 14, width: 3.2, height: 10, "shape-rendering": "crispEdges", fill: css((i + 0.5) / 60) }));
+  const at = ticks(span, 4);
+  const marks = labels(at).map((text, i) =>
+    s("text", { class: "soft", x: (-90 + 180 * share(at[i], span)).toFixed(1), y: 38 }, text));
+  return s("svg", { class: "ring", viewBox: "-205 -205 410 410", role: "group", "aria-label": `${blades.length} blades by ${fit ? "slot" : "name"}, coloured by ${what}` },
+    empty, parts, turns,
+    s("text", { y: -30 }, fit ? "by slot, front view" : "by name: no slots are given"),
+    s("text", { y: 0 }, `${what}${unit(unitName) ? ` [${unit(unitName)}]` : ""}`), bar, marks);
+}

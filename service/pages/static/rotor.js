@@ -1,0 +1,146 @@
+// A rotor at a glance: every blade by slot and as a table.
+
+import { get, offers, pages, path } from "./api.js";
+import { $, asked, facts, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
+import { ago, decimals, fixed, hours, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
+import { drawn, follow, keep } from "./live.js";
+import { ring } from "./ring.js";
+import { span } from "./scale.js";
+import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
+
+const rotor = names.r;
+const url = path`/v1/rotors/${rotor}`;
+const chosen = { quantity: asked("quantity"), time_h: asked("time_h"), limit: asked("limit"), colour: asked("colour") ?? "mean" };
+const state = h("div");
+const glance = h("div");
+const list = h("div");
+let sorted = [0, true];
+let model = null;
+let shownControls = "";
+const controls = h("div", { class: "controls" });
+
+/** The component that counts: z, the radius, of a vector. */
+const one = (value) => (Array.isArray(value) ? value[2] : value);
+
+function judged(found, health) {
+  const limit = chosen.limit === null || chosen.limit === "" ? null : Number(chosen.limit);
+  const contradicted = new Set((health?.contradicted ?? []).map((c) => (typeof c === "string" ? c : c.blade ?? c.id)));
+  return found.items.map((blade) => {
+    const mean = one(blade.prediction.mean);
+    const sd = one(blade.prediction.sd.blade);
+    const margin = limit === null ? null : (limit - mean) / sd;
+    const alarms = [];
+    if (contradicted.has(blade.id)) alarms.push(["bad", "contradicts the rotor"]);
+    if (margin !== null && margin < 0) alarms.push(["bad", "predicted beyond the limit"]);
+    else if (margin !== null && margin < 2) alarms.push(["warn", "limit within 2 sd"]);
+    if (blade.retired) alarms.push(["wait", "retired"]);
+    if (blade.readings.counting === 0) alarms.push(["wait", "no readings: what the rotor tells"]);
+    return { ...blade, mean, sd, margin, alarms };
+  });
+}
+
+const SIGN = { bad: "✕", warn: "▲" };
+const signOf = (blade) => SIGN[blade.alarms[0]?.[0]] ?? null;
+const GRAVE = { bad: 0, warn: 1, wait: 2 };
+
+function coloured(blades, found) {
+  const ways = {
+    mean: ["mean at that hour", (b) => b.mean, found.unit],
+    sd: ["sd at that hour", (b) => b.sd, found.unit],
+    readings: ["readings that count", (b) => b.readings.counting, ""],
+    margin: ["margin to the limit", (b) => (b.margin === null ? null : Math.min(b.margin, 10)), "sd"],
+  };
+  const [what, value, unitName] = ways[chosen.colour === "margin" && !chosen.limit ? "mean" : chosen.colour] ?? ways.mean;
+  const numbers = blades.map(value).filter((v) => v !== null);
+  return { what, value, unitName, span: span(numbers) };
+}
+
+function drawControls(found) {
+  const text = JSON.stringify([model.id, chosen.quantity]);
+  if (text === shownControls) return;
+  shownControls = text;
+  const field = (name, label, unitName, value) => h("label", {}, label,
+    h("input", { type: "number", step: "any", min: 0, value, onchange: (event) => change({ [name]: event.target.value || null }) }), unit(unitName) || (unitName ? "" : "h"));
+  const quantities = Object.keys(model.outputs);
+  show(controls,
+    select("Quantity", quantities.map((q) => [q, words(q)]), found.quantity, (q) => change({ quantity: q, limit: null })),
+    field("time_h", "at", "", found.time_h),
+    field("limit", "Limit", found.unit, chosen.limit ?? ""),
+    select("Colour", [["mean", "mean"], ["sd", "sd"], ["readings", "readings"], ["margin", "margin (needs a limit)"]], chosen.colour, (c) => change({ colour: c })));
+}
+
+function change(given) {
+  Object.assign(chosen, given);
+  remember(given);
+  if ("quantity" in given) shownControls = "";
+  redraw();
+}
+
+function drawBlades(found, blades) {
+  const places = decimals(Math.min(...blades.map((b) => b.sd).filter((v) => v > 0), Infinity), 2);
+  const means = Number.isFinite(places) && places > 0 ? places : 3;
+  const tell = (b) => `blade ${b.id}${b.slot ? `, slot ${b.slot}` : ""}: ${inUnit(withSd(b.mean, b.sd), found.unit)}, ${number(b.readings.counting, "reading")}${b.alarms.map((a) => `, ${a[1]}`).join("")}`;
+  show(glance, ring(rotor, blades, { ...coloured(blades, found), tell, sign: signOf }),
+    h("p", { class: "small soft" }, "A blade's colour is its ", coloured(blades, found).what, ". ✕ and ▲ outside the ring: alarms. The table beside holds the same numbers."));
+  const columns = [
+    { name: "Blade", value: (b) => h("a", { href: path`/rotors/${rotor}/blades/${b.id}` }, b.id), sort: (b) => b.id },
+    { name: "Slot", value: (b) => b.slot ?? "–", sort: (b) => b.slot },
+    { name: "State", value: (b) => (b.alarms.length ? h("span", { class: "states" }, b.alarms.map(([kind, text]) => badge(kind, text))) : badge("ok", "no alarm")), sort: (b) => GRAVE[b.alarms[0]?.[0]] ?? 3 },
+    { name: `Mean${unit(found.unit) ? ` [${unit(found.unit)}]` : ""}`, value: (b) => fixed(b.mean, means), sort: (b) => b.mean, number: true },
+    { name: "± sd", value: (b) => fixed(b.sd, means), sort: (b) => b.sd, number: true },
+    chosen.limit ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
+    { name: "Readings", value: (b) => `${b.readings.counting}${b.readings.overruled ? ` (+${b.readings.overruled} void)` : ""}`, sort: (b) => b.readings.counting, number: true },
+    { name: "Last at", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
+    { name: "Received", value: (b) => (b.readings.last ? h("span", { title: moment(b.readings.last.received_at) }, ago(b.readings.last.received_at)) : "never"), sort: (b) => b.readings.last?.received_at },
+    { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot },
+  ].filter(Boolean);
+  const made = table(columns, blades, {
+    caption: `Predicted ${words(found.quantity)} at ${hours(found.time_h)}; sd of the blade itself, without a reading's noise`, sorted });
+  made.addEventListener("sorted", (event) => { sorted = event.detail; });
+  show(list, scroll("Blades", made));
+}
+
+function drawState(rotorNow) {
+  const posterior = rotorNow.posterior;
+  show(state, facts([
+    ["Version", posterior ? `${posterior.version}, through entry ${posterior.through_seq} of ${rotorNow.head_seq}` : "none yet"],
+    posterior && ["Computed", h("span", { title: moment(posterior.created_at) }, ago(posterior.created_at))],
+    ["Backlog", number(rotorNow.head_seq - rotorNow.applied_seq, "entry", "entries")],
+    ["Health", rotorNow.health ? `${rotorNow.health.status}${rotorNow.health.ess ? `, ${fixed(rotorNow.health.ess, 0)} effective nodes` : ""}` : "–"],
+    ["Model", h("a", { href: path`/models/${rotorNow.model}` }, `${rotorNow.model} ${rotorNow.model_version.slice(0, 8)}`)],
+    ["Blades", `${rotorNow.blades.filter((b) => !b.retired).length} in place, ${rotorNow.blades.filter((b) => b.retired).length} retired`],
+  ]));
+}
+
+const residuals = h("span");
+async function draw() {
+  const now = await get(url);
+  drawn.version = now.version;
+  show($("states"), badges(statesOf(now)));
+  drawState(now);
+  notices(warningsOf(now));
+  model ??= await get(path`/v1/models/${now.model}`);
+  if (now.version === 0) {
+    show(glance, h("p", { class: "wait" }, "No posterior yet."));
+    show(list, h("p", { class: "wait" }, `${number(now.blades.length, "blade")}; their predictions come with the first posterior.`));
+    return;
+  }
+  const { quantity, time_h } = chosen;
+  const first = await get(`${url}/blades`, { quantity, time_h, limit: 200 });
+  if (first.next !== null) {
+    const rest = await pages(`${url}/blades`, { quantity, time_h, cursor: first.next }, 2000);
+    first.items.push(...rest.items);
+  }
+  drawControls(first);
+  drawBlades(first, judged(first, now.health));
+}
+
+show($("page"),
+  h("div", { class: "columns ring-left" },
+    h("div", { class: "stack" }, panel("Blades by slot", glance), panel("State", state, residuals)),
+    panel("Blades", controls, list)));
+const redraw = keep(draw);
+follow(rotor, redraw);
+offers("post", "/v1/rotors/{r}/diagnoses").then((there) => {
+  if (there) show(residuals, h("p", {}, h("a", { href: path`/rotors/${rotor}/diagnoses` }, "Does the model lack something? Diagnoses")));
+}).catch(() => {});

@@ -1,0 +1,123 @@
+// A blade in 3-D: a field of it on the model's mesh, at any hour, with the nodes that were scanned.
+
+import { get, pages, path } from "./api.js";
+import { $, aside, asked, h, names, panel, remember, s, scroll, select, show, table } from "./dom.js";
+import { axis, hours, inUnit, labels, number, plain, unit, words } from "./format.js";
+import { drawn, follow, keep } from "./live.js";
+import { css, share, span, ticks } from "./scale.js";
+import { badges, notices, statesOf, warningsOf } from "./states.js";
+import { View, possible } from "./view.js";
+
+const [rotor, blade] = [names.r, names.b];
+const own = path`/v1/rotors/${rotor}/blades/${blade}`;
+const AXES = ["x", "y", "z"];
+const chosen = { quantity: asked("quantity"), time_h: asked("time_h"), of: asked("of") ?? "mean", axis: Number(asked("axis") ?? 2), warp: Number(asked("warp") ?? 0) };
+const canvas = h("canvas", { tabindex: 0, role: "img" });
+const holder = h("div", { class: "space" }, canvas);
+const [controls, bar, values, scans] = Array.from({ length: 4 }, () => h("div"));
+controls.className = "controls";
+let model = null;
+let surface = null;
+let view = null;
+let shown = "";
+let shownHour = null;
+
+function change(given, again = true) {
+  Object.assign(chosen, given);
+  remember(given);
+  if (again) shown = "";
+  redraw();
+}
+
+function drawControls(fields, found, kind) {
+  const text = JSON.stringify([found.quantity, kind]);
+  if (text === shown) return;
+  shown = text;
+  shownHour = h("output", { for: "hour" }, hours(found.time_h));
+  const slider = h("input", { id: "hour", type: "range", min: 0, max: model.horizon_h, step: model.horizon_h / 100, value: found.time_h,
+    oninput: (event) => { shownHour.textContent = hours(Number(event.target.value)); },
+    onchange: (event) => change({ time_h: event.target.value }, false) });
+  show(controls,
+    select("Quantity", fields.map((q) => [q, words(q)]), found.quantity, (q) => change({ quantity: q })),
+    kind === "vector" ? select("Direction", AXES.map((a, i) => [i, i === 2 ? "z (radius)" : i === 0 ? "x (rotor's axis)" : "y"]), chosen.axis, (a) => change({ axis: Number(a) })) : null,
+    select("Show", [["mean", "mean"], ["sd", "sd"]], chosen.of, (of) => change({ of })),
+    kind === "vector" ? select("Shape moved", [[0, "not"], [50, "50 ×"], [200, "200 ×"]], chosen.warp, (warp) => change({ warp: Number(warp) })) : null,
+    h("label", { for: "hour" }, "Hours", slider), shownHour);
+}
+
+function colourBar(range, what, unitName) {
+  const at = ticks(range, 5);
+  const X = (v) => 20 + 360 * share(v, range);
+  return s("svg", { viewBox: "0 0 400 52", class: "bar", role: "img", "aria-label": `Colours of ${what}: ${plain(range[0])} to ${plain(range[1])} ${unit(unitName)}` },
+    Array.from({ length: 90 }, (_, i) => s("rect", { x: 20 + 4 * i, y: 4, width: 4.2, height: 12, fill: css((i + 0.5) / 90), "shape-rendering": "crispEdges" })),
+    labels(at).map((text, i) => s("text", { x: X(at[i]), y: 30, "text-anchor": "middle", class: "tick" }, text)),
+    s("text", { x: 200, y: 47, "text-anchor": "middle", class: "tick" }, axis(what, unitName)));
+}
+
+/** Nodes of the scans of a quantity, and the scans. */
+async function scanned(quantity) {
+  const all = await pages(path`/v1/rotors/${rotor}/inspections`, { blade }, 2000);
+  const of = all.items.filter((r) => r.quantity === quantity && r.status === "counts").slice(-20);
+  return Promise.all(of.map(async (r) => (r.nodes ? r : get(path`/v1/rotors/${rotor}/inspections/${r.id}`))));
+}
+
+async function draw() {
+  const now = await get(path`/v1/rotors/${rotor}`);
+  drawn.version = now.version;
+  show($("states"), badges(statesOf(now)));
+  model ??= await get(path`/v1/models/${now.model}`);
+  const fields = Object.keys(model.outputs).filter((q) => model.outputs[q].kind !== "scalar");
+  if (fields.length === 0) {
+    show($("page"), h("p", {}, `Model ${model.id} has no fields: nothing to show in 3-D.`));
+    notices([]);
+    return;
+  }
+  surface ??= await get(path`/v1/models/${now.model}/surface`);
+  const quantity = fields.includes(chosen.quantity) ? chosen.quantity : fields[0];
+  const found = await get(`${own}/field`, { quantity, time_h: chosen.time_h });
+  const kind = model.outputs[quantity].kind;
+  const of = chosen.of === "sd" ? found.sd : found.mean;
+  const numbers = kind === "vector" ? of.map((v) => v[chosen.axis]) : of;
+  const used = [...new Set(surface.triangles.flat())];
+  const range = span(used.map((n) => numbers[n]));
+  const what = `${chosen.of} of ${words(quantity)}${kind === "vector" ? `, ${AXES[chosen.axis]}` : ""} at ${hours(found.time_h)}`;
+  const able = possible();
+  notices([...warningsOf(now), surface.version !== found.rests_on.model_version && ["warn", "The mesh is of another version of the model than this posterior."],
+    !able && ["warn", "This browser draws nothing in 3-D (WebGL 2 is missing or off). The numbers are in the table."]]);
+  drawControls(fields, found, kind);
+  if (able) {
+    view ??= new View(canvas, surface);
+    view.paint(numbers, range, kind === "vector" && chosen.warp ? found.mean.flat().map((v) => chosen.warp * v) : null);
+  } else holder.hidden = true;
+  canvas.setAttribute("aria-label", `${what} of blade ${blade} on its surface; arrow keys turn it, plus and minus zoom, Home resets`);
+  show(bar, colourBar(range, what, found.unit));
+  const extreme = (better) => used.reduce((a, b) => (better(numbers[b], numbers[a]) ? b : a));
+  const rows = [...Object.entries(model.nodes).map(([name, n]) => [name, n]), ["greatest", extreme((a, b) => a > b)], ["least", extreme((a, b) => a < b)]];
+  const at = (v) => (kind === "vector" ? v[chosen.axis] : v);
+  show(values, table([
+    { name: "Where", value: ([name]) => name },
+    { name: "Node", value: ([, n]) => n, number: true },
+    { name: `Mean${unit(found.unit) ? ` [${found.unit}]` : ""}`, value: ([, n]) => plain(at(found.mean[n])), number: true },
+    { name: "± sd", value: ([, n]) => plain(at(found.sd[n]), 2), number: true },
+  ], rows, { caption: `${what}; on ${number(found.particles, "particle")}` }),
+  aside("Every hundredth node", scroll("Nodes", table([
+    { name: "Node", value: (n) => n, sort: (n) => n, number: true },
+    ...AXES.map((a, k) => ({ name: `${a} [mm]`, value: (n) => plain(surface.points[n][k], 4), number: true })),
+    { name: "Mean", value: (n) => plain(at(found.mean[n])), sort: (n) => at(found.mean[n]), number: true },
+    { name: "± sd", value: (n) => plain(at(found.sd[n]), 2), sort: (n) => at(found.sd[n]), number: true },
+  ], used.filter((_, i) => i % 100 === 0)))));
+  const scansOf = await scanned(quantity);
+  if (view) view.mark([...new Set(scansOf.flatMap((r) => r.nodes ?? []))]);
+  show(scans, scansOf.length ? table([
+    { name: "Scan", value: (r) => r.id },
+    { name: "Hours", value: (r) => hours(r.time_h), number: true },
+    { name: "Nodes", value: (r) => (r.nodes ?? []).length, number: true },
+    { name: "Mean of readings", value: (r) => inUnit(plain(r.values.reduce((sum, v) => sum + (Array.isArray(v) ? v[chosen.axis] : v), 0) / r.values.length), r.unit ?? found.unit), number: true },
+  ], scansOf, { caption: "Scans of this quantity that count; their nodes are the orange dots" }) : h("p", { class: "soft" }, `No scan of ${words(quantity)} on this blade.`));
+}
+
+show($("page"), h("div", { class: "columns wide-left" },
+  panel(null, controls, holder, bar, h("p", { class: "small soft" }, "Drag or arrow keys turn, wheel or + and − zoom, Home resets.")),
+  h("div", { class: "stack" }, panel("Numbers", values), panel("Scans", scans))));
+const redraw = keep(draw);
+follow(rotor, redraw);

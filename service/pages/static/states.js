@@ -1,0 +1,60 @@
+// States as signs, words and colours; a wrong state is told before anything is drawn.
+
+import { $, h, show } from "./dom.js";
+import { number } from "./format.js";
+
+const SIGNS = { ok: "✓", wait: "◔", warn: "▲", bad: "✕" };
+
+export const badge = (kind, text, title) =>
+  h("span", { class: `state ${kind}`, title }, h("span", { "aria-hidden": "true" }, SIGNS[kind]), text);
+
+/** How a rotor stands, the gravest first: [kind, words, what it means or what to do]. */
+export function statesOf(rotor) {
+  const found = [];
+  const behind = rotor.head_seq - rotor.applied_seq;
+  if (rotor.status === "blocked") found.push(["bad", "blocked", rotor.last_error?.error ?? ""]);
+  const health = rotor.health;
+  if (health && !health.trusted) found.push(["bad", `not trusted: ${health.status}`, (health.reasons ?? []).join("; ")]);
+  if (rotor.version === 0) found.push(["wait", "no posterior yet", "a worker has yet to compute the first one"]);
+  if (behind > 0) found.push([rotor.status === "blocked" ? "bad" : "wait", `${number(behind, "entry", "entries")} not applied`, "what is shown does not rest on them"]);
+  if (rotor.posterior && !rotor.posterior.sealed) found.push(["wait", "provisional", "a sealed posterior follows by itself"]);
+  if (found.length === 0 && (rotor.posterior?.sealed || rotor.status === "current")) found.push(["ok", rotor.posterior ? "sealed, all applied" : "all applied", ""]);
+  return found;
+}
+
+export const badges = (states) => states.map(([kind, text, title]) => badge(kind, text, title));
+
+/** Notices above the page: what is wrong and what to do about it. */
+export function notices(given) {
+  show($("notice"), given.filter(Boolean).map(([kind, ...lines]) =>
+    h("div", { class: `notice ${kind}` }, lines.filter(Boolean).map((line) => h("p", {}, line)))));
+}
+
+/** What of a rotor's state has to be told in words. */
+export function warningsOf(rotor) {
+  const out = [];
+  if (rotor.status === "blocked") {
+    const error = rotor.last_error ?? {};
+    out.push(["bad", `Blocked after ${number(rotor.attempts, "attempt")}${error.event ? ` by entry ${error.event}` : ""}: nothing new is applied.`,
+      error.error, `To mend it: retract or correct the entry${error.event ? ` ${error.event}` : ""}, or try again (Operations). What is shown is the last version.`]);
+  }
+  const health = rotor.health;
+  if (health && !health.trusted) {
+    out.push(["bad", `This posterior is not to be trusted (${health.status}).`, (health.reasons ?? []).join("; ")]);
+  }
+  if (rotor.version === 0) out.push(["wait", "No data yet: a worker has still to compute the first posterior of this rotor. The page fills when it is there."]);
+  return out;
+}
+
+/** What a page shows where its data could not be had. */
+export function failed(problem) {
+  const kinds = {
+    0: ["bad", "The service is away."],
+    403: ["warn", "This key may not see that."],
+    404: ["warn", "Not found, or not for this key."],
+    409: ["wait", "Not computed yet."],
+    410: ["warn", "No longer kept."],
+  };
+  const [kind, title] = kinds[problem.status] ?? ["bad", problem.status >= 500 ? "The service could not answer." : "This could not be read."];
+  return [kind, title, problem.message];
+}

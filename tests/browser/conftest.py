@@ -1,0 +1,244 @@
+"""A real service with a real rotor, made once, and a headless Chromium that looks at its pages.
+
+Where no Chromium is found the tests are skipped and say so; `.ci/run` installs one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+from sqlalchemy import text
+
+from core.model import rotor_blade
+from service.store.engine import open_engine, transaction
+
+ARGS = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+HOSTILE = '<img src=x onerror="alert(1)">'
+
+
+def find_chromium() -> str | None:
+    """BLADETWIN_CHROMIUM, or the system's."""
+    given = os.environ.get("BLADETWIN_CHROMIUM")
+    return given or next((found for name in NAMES if (found := shutil.which(name))), None)
+
+
+@dataclass(frozen=True)
+class Running:
+    """A service on the loopback and its database."""
+
+    url: str
+    database: str
+    client: httpx.Client
+
+    @contextmanager
+    def changed(self, table: str, values: str, back: str, where: str) -> Iterator[None]:
+        """A row changed for the time of a test, as if something had gone wrong there."""
+        for part, last in ((values, False), (back, True)):
+            engine = open_engine(self.database)
+            with transaction(engine, write=True) as connection:
+                connection.execute(text(f"UPDATE {table} SET {part} WHERE {where}"))
+            engine.dispose()
+            if not last:
+                yield
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def scan() -> dict[str, Any]:
+    """A scan of B2, as the model would have it in the middle of its ranges."""
+    surrogate = rotor_blade().part("deformation")
+    middle = [[(one.low + one.high) / 2 for one in surrogate.inputs]]
+    nodes = list(range(40, 5600, 400))
+    mean, _ = surrogate.predict(np.array(middle), "deformation", np.array([16000.0]), nodes)
+    values = mean[0, 0].tolist()
+    given = {"quantity": "deformation", "time_h": 16000, "unit": "mm", "sigma": 0.02}
+    return {"id": "scan", "blade": "B2", "nodes": nodes, "values": values, **given}
+
+
+def reading(name: str, blade: str, hours: float, value: float, **more: Any) -> dict[str, Any]:
+    told = {"quantity": "elongation", "time_h": hours, "value": value, "unit": "mm"}
+    return {"id": name, "blade": blade, "instrument": "gauge", "campaign": "outage", **told, **more}
+
+
+def fill(client: httpx.Client) -> None:
+    """Three blades with readings: late, corrected, retracted; a fourth with none."""
+    blades = [{"id": f"B{i}", "slot": str(i), "lot": HOSTILE} for i in (1, 2, 3, 4)]
+    rotor = {"id": "r1", "model": "rotor-blade", "particles": 200, "blades": blades}
+    client.post("/v1/rotors", json=rotor).raise_for_status()
+    sent = [
+        reading("a", "B1", 16000, 0.24),
+        reading("late", "B1", 8000, 0.17, campaign=HOSTILE),
+        reading("wrong", "B1", 24000, 0.55),
+        reading("right", "B1", 24000, 0.30, replaces="wrong"),
+        reading("gone", "B1", 20000, 0.45),
+        reading("b", "B2", 16000, 0.21),
+        reading("c", "B3", 16000, 0.26),
+        scan(),
+    ]
+    client.post("/v1/rotors/r1/inspections", json={"inspections": sent}).raise_for_status()
+    head = client.post("/v1/rotors/r1/inspections/gone/retraction").json()["head_seq"]
+    sealed(client, head)
+
+
+def sealed(client: httpx.Client, seq: int) -> None:
+    end = time.monotonic() + 120
+    while time.monotonic() < end:
+        now = client.get("/v1/rotors/r1", params={"wait_for": seq, "timeout": 20}).json()
+        if now["applied_seq"] >= seq and now["posterior"] and now["posterior"]["sealed"]:
+            return
+        time.sleep(0.2)
+    raise TimeoutError(f"the rotor is not sealed through {seq}: {now['status']}")
+
+
+@pytest.fixture(scope="session")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("service")
+    port, database = free_port(), f"sqlite:///{folder / 'pages.db'}"
+    given = {"DATABASE_URL": database, "PORT": str(port), "DIAGNOSERS": "0", "HEARTBEAT_S": "1"}
+    env = os.environ | {f"BLADETWIN_{name}": value for name, value in given.items()}
+    command = [sys.executable, "-P", "-m", "service.cli", "serve"]
+    with (folder / "log").open("wb") as log:
+        server = subprocess.Popen(command, env=env, stdout=log, stderr=log, cwd=folder)
+    url = f"http://127.0.0.1:{port}"
+    try:
+        with httpx.Client(base_url=url, timeout=60) as client:
+            end = time.monotonic() + 60
+            while True:
+                try:
+                    if client.get("/readyz").status_code == 200:
+                        break
+                except httpx.TransportError:
+                    pass
+                assert time.monotonic() < end, (folder / "log").read_text()[-2000:]
+                assert server.poll() is None, (folder / "log").read_text()[-2000:]
+                time.sleep(0.1)
+            fill(client)
+            yield Running(url, database, client)
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+@pytest.fixture(scope="session")
+def diagnosis(service: Running) -> str:
+    """A diagnosis that ended with an effect; its result is written as a worker would."""
+    path = "/v1/rotors/r1/diagnoses"
+    made = service.client.post(path, json={"compare": True}).json()["diagnosis"]["id"]
+    score = {"count": 2, "rmse": 0.03, "bias": 0.01, "log_score": 1.9, "within_68": 0.5}
+    score |= {"within_95": 1.0, "width": 0.13, "z": [0.1, -0.4]}
+    result = {
+        "verdict": "effect",
+        "names": ["campaign offset (campaign outage)"],
+        "reasons": ["campaign offset gains 13.7 nat and leaves nothing behind"],
+        "p": 0.0025,
+        "p_after": 0.8,
+        "claimed": True,
+        "gained_nat": 13.7,
+        "effects": [
+            {
+                "name": "campaign offset",
+                "words": "set to zero anew for one campaign",
+                "amplitude": {"mean": -0.021, "sd": 0.0024, "of": "added to elongation"},
+            }
+        ],
+        "evidence": {},
+        "calibrated": [],
+        "no_room": [],
+        "holds": [],
+        "tried": [{"what": HOSTILE, "log_bf": 6.4}, {"what": "fouling, all", "log_bf": -0.4}],
+        "parameters": {
+            "before": {"t1t_rate": {"mean": 0.87, "sd": 0.014}},
+            "after": {"t1t_rate": {"mean": 0.885, "sd": 0.012}},
+        },
+        "readings": {"delivered": 7, "used": 7},
+        "models": {"before": "a", "after": "b"},
+        "before_after": {"quantity": "elongation", "before": score, "after": score},
+        "rests_on": {
+            "rotor": "r1",
+            "through_seq": 9,
+            "events_digest": "e",
+            "model": "rotor-blade",
+            "model_version": "v",
+            "model_digest": "d",
+            "particles": 200,
+            "seed": 0,
+        },
+    }
+    engine = open_engine(service.database)
+    with transaction(engine, write=True) as connection:
+        done = "UPDATE job SET status='done', result=:result, finished_at=created_at WHERE id=:id"
+        connection.execute(text(done), {"result": json.dumps(result), "id": made})
+    engine.dispose()
+    return str(made)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    path = find_chromium()
+    if path is None:
+        pytest.skip("no chromium on this system: apt-get install chromium, or BLADETWIN_CHROMIUM")
+    with sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=path, args=list(ARGS))
+        yield opened
+        opened.close()
+
+
+@dataclass
+class Watched:
+    """A page of the browser, and what it did that it should not.
+
+    errors    of the console and of scripts
+    outside   requests to other places than the service
+    """
+
+    page: Page
+    service: Running
+    errors: list[str] = field(default_factory=list)
+    outside: list[str] = field(default_factory=list)
+
+    def open(self, path: str, *, state: str = "ready") -> Page:
+        """The page once it stands, with what it said until then."""
+        self.page.goto(self.service.url + path)
+        self.page.wait_for_selector(f"body[data-state={state}]", state="attached")
+        return self.page
+
+
+@pytest.fixture
+def watched(browser: Browser, service: Running) -> Iterator[Watched]:
+    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    page = context.new_page()
+    seen = Watched(page, service)
+    page.on("pageerror", lambda error: seen.errors.append(str(error)))
+    page.on("console", lambda said: seen.errors.append(said.text) if said.type == "error" else None)
+    page.on(
+        "request",
+        lambda asked: (
+            None
+            if asked.url.startswith((service.url, "blob:", "data:"))
+            else seen.outside.append(asked.url)
+        ),
+    )
+    yield seen
+    context.close()

@@ -1,0 +1,278 @@
+"""The pages as people meet them: a real rotor, a real browser."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, Route, expect
+
+from tests.browser.conftest import HOSTILE, Running, Watched, reading
+
+AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text()
+PATHS = (
+    "/",
+    "/rotors/r1",
+    "/rotors/r1/readings",
+    "/rotors/r1/blades/B1?limit=0.4",
+    "/rotors/r1/blades/B2/3d",
+    "/rotors/r1/diagnoses",
+    "/rotors/r1/diagnoses/{d}",
+    "/models",
+    "/models/rotor-blade",
+    "/operations",
+)
+COLOURS = """canvas => {
+  const copy = document.createElement("canvas");
+  copy.width = canvas.width; copy.height = canvas.height;
+  const ctx = copy.getContext("2d");
+  ctx.drawImage(canvas, 0, 0);
+  const {data} = ctx.getImageData(0, 0, copy.width, copy.height);
+  const seen = new Set();
+  let coloured = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    if (data[i + 3] < 250) continue;
+    const [r, g, b] = [data[i], data[i + 1], data[i + 2]];
+    if (Math.max(r, g, b) - Math.min(r, g, b) < 25) continue;
+    coloured += 1;
+    seen.add((r >> 4) * 256 + (g >> 4) * 16 + (b >> 4));
+  }
+  return [coloured / (data.length / 4), seen.size];
+}"""
+
+
+def serious(page: Page, *rules: str) -> list[str]:
+    """What axe-core finds that keeps people from using a page; `rules`: by these alone."""
+    page.evaluate(AXE + "; undefined")
+    asked: dict[str, Any] = {"resultTypes": ["violations"]}
+    asked |= {"runOnly": list(rules)} if rules else {}
+    found: dict[str, Any] = page.evaluate("asked => axe.run(asked)", asked)
+    grave = [one for one in found["violations"] if one["impact"] in ("serious", "critical")]
+    return [f"{one['id']}: {node['html'][:150]}" for one in grave for node in one["nodes"]]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_page_stands_without_error_or_outside_request_and_everybody_can_use_it(
+    watched: Watched, path: str, diagnosis: str
+) -> None:
+    page = watched.open(path.replace("{d}", diagnosis))
+    expect(page.locator("h1")).not_to_be_empty()
+    expect(page.locator("#notice .bad")).to_have_count(0)
+    assert serious(page) == []
+    page.emulate_media(color_scheme="dark")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 23, 28)"
+    assert serious(page, "color-contrast") == []
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "no overflow"
+    assert (watched.errors, watched.outside) == ([], [])
+
+
+def test_what_is_wrong_with_a_page_is_seen(watched: Watched) -> None:
+    """Negative controls: an error, a request to elsewhere, a picture that says nothing."""
+    page = watched.open("/models")
+    page.evaluate(
+        """() => {
+          const broken = document.createElement("img");
+          broken.src = "http://192.0.2.1/x.png";
+          document.body.append(broken);
+          console.error("said");
+        }"""
+    )
+    page.wait_for_timeout(100)
+    assert watched.errors
+    assert "said" in watched.errors[-1] or "said" in watched.errors[0]
+    assert any("image-alt" in one for one in serious(page))
+
+
+def test_an_inspection_that_is_posted_appears_without_reload(
+    watched: Watched, service: Running
+) -> None:
+    page = watched.open("/rotors/r1/blades/B3")
+    expect(page.locator("#live")).to_have_text("live")
+    page.evaluate("window.same = true")
+    rows = page.get_by_role("region", name="Readings").locator("tbody tr")
+    expect(rows).to_have_count(1)
+    name = f"new-{time.time_ns()}"
+    service.client.post("/v1/rotors/r1/inspections", json=reading(name, "B3", 24000, 0.31))
+    expect(rows).to_have_count(2, timeout=20_000)
+    expect(rows.nth(1)).to_contain_text(name)
+    assert page.evaluate("window.same") is True
+    assert watched.errors == []
+
+
+def test_readings_are_marked_by_what_became_of_them(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/blades/B1")
+    table = page.get_by_role("region", name="Readings")
+    told = {
+        "a": "counts",
+        "late": "counts, late",
+        "wrong": "replaced",
+        "right": "counts, corrects",
+        "gone": "retracted",
+    }
+    for name, state in told.items():
+        row = table.locator("tr", has=page.get_by_text(name, exact=True)).first
+        expect(row.locator(".state")).to_contain_text(state)
+    legend = page.locator(".legend").first
+    for kind in ("late", "correction", "replaced", "retracted"):
+        expect(legend.get_by_text(kind, exact=True)).to_be_visible()
+
+
+def test_the_band_on_the_page_is_the_service_s(watched: Watched, service: Running) -> None:
+    page = watched.open("/rotors/r1/blades/B1")
+    told = service.client.get("/v1/rotors/r1/blades/B1/prediction").json()
+    page.get_by_text("Prediction as a table").click()
+    last = page.get_by_role("region", name="Prediction as a table").locator("tbody tr").last
+    mean, sd = told["mean"][-1], told["sd"]["total"][-1]
+    shown = [
+        float(cell.replace("−", "-").replace(" ", ""))
+        for cell in last.locator("td").all_inner_texts()
+    ]
+    assert shown[0] == told["time_h"][-1]
+    assert shown[1] == pytest.approx(mean, rel=1e-3)
+    assert shown[3] == pytest.approx(sd, rel=1e-3)
+    assert shown[2] < shown[3], "the blade itself is known better than its next reading"
+
+
+def test_the_blade_in_space_has_colours_and_turns_by_key(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/blades/B2/3d")
+    canvas = page.locator(".space canvas")
+    page.wait_for_timeout(300)
+    share, colours = canvas.evaluate(COLOURS)
+    assert share > 0.03, "the blade fills some of the view"
+    assert colours > 20, "and has many colours, not black or one"
+    before = canvas.evaluate("c => c.toDataURL()")
+    canvas.focus()
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_timeout(300)
+    assert canvas.evaluate("c => c.toDataURL()") != before
+    canvas.evaluate("c => c.getContext('webgl2').clear(16384)")
+    assert canvas.evaluate(COLOURS)[0] < 0.001, "negative control: an empty view has none"
+    expect(page.get_by_text("scan", exact=True)).to_be_visible()
+
+
+def test_hostile_names_stay_text(watched: Watched, diagnosis: str) -> None:
+    watched.page.on("dialog", lambda dialog: watched.errors.append(f"dialog {dialog.message}"))
+    paths = ("/rotors/r1", "/rotors/r1/readings", f"/rotors/r1/diagnoses/{diagnosis}")
+    for path in paths:
+        page = watched.open(path)
+        assert HOSTILE[:20] in page.locator("main").inner_text() + page.content().replace(
+            "&lt;", "<"
+        ), path
+        assert page.locator("main img").count() == 0, path
+    assert watched.errors == []
+
+
+def test_a_table_is_sorted_by_keyboard(watched: Watched) -> None:
+    page = watched.open("/rotors/r1")
+    table = page.get_by_role("region", name="Blades")
+    head = table.get_by_role("button", name="Mean")
+    head.focus()
+    page.keyboard.press("Enter")
+    expect(head.locator("xpath=..")).to_have_attribute("aria-sort", "ascending")
+    means = [float(v) for v in table.locator("tbody td:nth-child(4)").all_inner_texts()]
+    assert means == sorted(means)
+    page.keyboard.press("Enter")
+    means = [float(v) for v in table.locator("tbody td:nth-child(4)").all_inner_texts()]
+    assert means == sorted(means, reverse=True)
+    page.locator(".ring a").first.focus()
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/blades/B1")
+
+
+def test_a_blocked_rotor_is_shown_as_such_with_its_remedy(
+    watched: Watched, service: Running
+) -> None:
+    values = "blocked=1, attempts=5, last_error='no particle explains it', last_error_event='a'"
+    back = "blocked=0, attempts=0, last_error=NULL, last_error_event=NULL"
+    with service.changed("cursor", values, back, "rotor_id='r1'"):
+        page = watched.open("/rotors/r1")
+        expect(page.locator("#notice .bad")).to_contain_text("Blocked after 5 attempts by entry a")
+        expect(page.locator("#states")).to_contain_text("blocked")
+        page = watched.open("/operations")
+        row = page.get_by_role("region", name="Blocked rotors").locator("tbody tr")
+        expect(row).to_contain_text("no particle explains it")
+        expect(row.get_by_role("button", name="Try again")).to_be_visible()
+        expect(row.get_by_role("button", name="Retract a")).to_be_visible()
+    page = watched.open("/operations")
+    expect(page.get_by_text("no rotor is blocked")).to_be_visible()
+
+
+def test_a_posterior_that_is_not_trusted_or_provisional_is_shown_as_such(watched: Watched) -> None:
+    def worse(route: Route) -> None:
+        answer = route.fetch()
+        body = answer.json()
+        health = {"status": "contradicted", "trusted": False, "reasons": ["B2 fits no noise"]}
+        body["health"] = body["health"] | health | {"contradicted": ["B2"]}
+        body["posterior"]["sealed"] = False
+        route.fulfill(response=answer, json=body)
+
+    watched.page.route("**/v1/rotors/r1", worse)
+    page = watched.open("/rotors/r1")
+    expect(page.locator("#notice .bad")).to_contain_text("not to be trusted (contradicted)")
+    expect(page.locator("#states")).to_contain_text("provisional")
+    row = page.get_by_role("region", name="Blades").locator("tr", has_text="B2")
+    expect(row).to_contain_text("contradicts the rotor")
+
+
+def test_a_service_that_is_away_is_told_and_the_page_comes_back(watched: Watched) -> None:
+    page = watched.open("/rotors/r1")
+    page.route("**/v1/**", lambda route: route.abort())
+    limit = page.get_by_role("spinbutton", name="Limit")
+    limit.fill("0.4")
+    limit.press("Enter")
+    expect(page.locator("#notice")).to_contain_text("The service is away.")
+    expect(page.locator("#notice")).to_contain_text("what was known before")
+    assert page.locator(".ring a").count() == 4, "what was known stays"
+    page.unroute("**/v1/**")
+    expect(page.locator("#notice")).to_be_empty(timeout=10_000)
+    expect(page.get_by_role("columnheader", name="Margin")).to_be_visible()
+
+
+def test_what_is_not_there_is_told_and_draws_nothing(watched: Watched) -> None:
+    for path in ("/rotors/none", "/rotors/r1/blades/none", "/models/none"):
+        page = watched.open(path, state="failed")
+        expect(page.locator("#notice")).to_contain_text("Not found, or not for this key.")
+        assert page.locator("canvas, .ring").count() == 0
+
+
+def test_a_key_is_typed_once_and_kept_for_the_tab(watched: Watched) -> None:
+    sent: list[str] = []
+
+    def locked(route: Route) -> None:
+        given = route.request.headers.get("authorization", "")
+        sent.append(given)
+        if given != "Bearer btk_right":
+            route.fulfill(status=401, json={"type": "urn:bladetwin:problem:key-required"})
+            return
+        headers = {k: v for k, v in route.request.headers.items() if k != "authorization"}
+        route.continue_(headers=headers)
+
+    page = watched.page
+    page.route("**/v1/**", locked)
+    page.goto(watched.service.url + "/rotors/r1/readings")
+    field = page.get_by_label("API key", exact=True).last
+    field.fill("btk_wrong")
+    page.get_by_role("button", name="Use it").click()
+    expect(page.get_by_text("This key is not accepted.")).to_be_visible()
+    page.get_by_label("API key", exact=True).last.fill("btk_right")
+    page.get_by_role("button", name="Use it").click()
+    page.wait_for_selector("body[data-state=ready]", state="attached")
+    watched.open("/rotors/r1/readings")
+    assert page.get_by_role("dialog").count() == 0
+    assert "" in sent
+    assert "Bearer btk_wrong" in sent
+    assert page.evaluate("localStorage.length") == 0
+
+
+def test_a_diagnosis_is_asked_for_watched_and_cancelled(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/diagnoses")
+    page.get_by_role("button", name="Look for what the model lacks").click()
+    page.wait_for_url("**/diagnoses/*")
+    expect(page.locator("#states")).to_contain_text("queued")
+    expect(page.get_by_text("it begins when a worker")).to_be_visible()
+    assert page.get_by_role("button", name="Adopt").count() == 0
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#states")).to_contain_text("cancelled")
+    expect(page.locator("#notice")).to_contain_text("there is no result")
