@@ -46,7 +46,7 @@ def test_they_have_the_spread_they_say_and_fitted_residuals_do_not() -> None:
     for seed in range(30):
         seen, _ = rotor(seed)
         z.append(left_out(seen).z)
-        fitted.append((seen.q * seen.spread)[seen.real])
+        fitted.append((seen.q * SIGMA)[seen.real])
     assert np.mean(np.square(z)) == pytest.approx(1.0, abs=0.08)
     assert np.mean(np.square(fitted)) < 0.6
 
