@@ -82,7 +82,7 @@ def main(file: Path = FILE) -> None:
     head = {
         "command": COMMAND,
         "commit": commit(),
-        "model": done["rests_on"]["model_digest"],
+        "model": done["result"]["rests_on"]["model_digest"],
         "particles": PARTICLES,
         "seed": SEED,
         "every": EVERY,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import platform
+import signal
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -32,6 +34,11 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         "load_when_begun": load,
     }
+
+
+def end_in_order() -> None:
+    """On SIGTERM a study ends as by an error: its processes and servers end with it."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
 
 
 @contextmanager
@@ -75,6 +82,7 @@ def chaos(
 
     if science not in ("fake", "core"):
         raise typer.BadParameter(f"{science!r} is neither fake nor core")
+    end_in_order()
     began_on, made_by = machine(), commit()
     made = traffic.make(rotors, readings, blades, seed)
     lease_s = 2.0 if science == "fake" else 6.0
@@ -121,6 +129,7 @@ def faults(
     from service.studies.chaos import faults as study
     from service.studies.chaos.postgres import Server
 
+    end_in_order()
     began_on, made_by = machine(), commit()
     kinds = ("sqlite", "postgresql") if database == "both" else (database,)
     wanted = [n for n in study.NAMES if not names or any(n.startswith(one) for one in names)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -86,6 +87,11 @@ def tried(fault: Fault, kind: str, url: str, trials: int, seed: int, progress: P
         if not fault.versions:
             faults.pop("wrong_versions", None)
         return row(fault.name, kind, outcomes, faults, time.monotonic() - begun)
+    except Exception as error:  # one fault that ends the study would hide all others
+        where = traceback.extract_tb(error.__traceback__)
+        lines = ", ".join(f"{Path(one.filename).name}:{one.lineno}" for one in where[-6:])
+        ended = [f"NOT FINISHED: {error} ({lines})"]
+        return row(fault.name, kind, ended, {}, time.monotonic() - begun)
     finally:
         bench.close()
 

@@ -57,11 +57,12 @@ Start = Callable[[Kind, str, Mapping[str, str]], Child]
 
 def as_shipped(kind: Kind, owner: str, environ: Mapping[str, str]) -> Child:
     """By the command lines that a user has."""
-    words = ["serve"] if kind == "api" else ["worker", "--role", kind, "--owner", owner]
+    worker = ["worker", "--role", kind, "--owner", owner, "--end-with-parent"]
+    words = ["serve"] if kind == "api" else worker
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "service.cli", *words],
         env=same_code(environ),
-        stdin=subprocess.DEVNULL,
+        stdin=subprocess.DEVNULL if kind == "api" else subprocess.PIPE,
         stdout=subprocess.DEVNULL,
     )
 

@@ -1,0 +1,50 @@
+"""The study of faults, once each; in full: `bladetwin study faults`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from service.studies.chaos import faults
+from tests.chaos import mutants
+
+SEED = 20310504
+QUICK = [
+    "worker killed: update, before COMMIT",
+    "API killed: post, after COMMIT, before the answer",
+    "worker stopped beyond its lease, continued",
+    "clock set while a worker computes",
+    "posts repeated and reordered",
+    "disk full",
+    "a byte of a stored array changed",
+    "a byte of the log changed",
+]
+
+
+def shown(done: int) -> None:
+    """No progress in a test."""
+
+
+@pytest.mark.parametrize(
+    ("name", "database_url"),
+    [(name, kind) for name in QUICK for kind in faults.FAULTS[name].on],
+    indirect=["database_url"],
+)
+def test_a_fault_leaves_everything_whole(name: str, database_url: str) -> None:
+    fault, kind = faults.FAULTS[name], database_url.partition(":")[0].partition("+")[0]
+    told = faults.tried(fault, kind, database_url, 1, SEED, shown)
+    assert told["passed"], told
+    assert sum(told["outcomes"].values()) == 1
+
+
+def test_a_fault_without_a_fence_is_not_called_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Negative control: the same study of a service that lets a late worker commit."""
+    mutants.BREAK["no_fence"](monkeypatch.setattr)
+    fault = faults.FAULTS["clock set while a worker computes"]
+    told = faults.tried(fault, "sqlite", f"sqlite:///{tmp_path / 'm.db'}", 8, SEED, shown)
+    assert not told["passed"]
+    assert "wrong_versions" in told["found_in_the_tables"]
+    assert "**no**" in faults.table([told])
