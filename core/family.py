@@ -33,6 +33,8 @@ class Family:
               the noise
     sign      −1, 1, or 0: either
     kind      physics, operation, material or sensor
+    cause     what it has in common with families that differ in their course alone: where readings
+              do not tell these apart, the cause is what is named; by default its own name
     """
 
     name: str
@@ -46,6 +48,7 @@ class Family:
     whom: tuple[Whom, ...]
     clock: Clock
     kind: Literal["physics", "operation", "material", "sensor"]
+    cause: str = ""
 
     def __post_init__(self) -> None:
         for what, given, known in (
@@ -80,6 +83,8 @@ class Family:
     def to_json(self) -> dict[str, Any]:
         """A plain dictionary."""
         told = asdict(self)
+        if not told["cause"]:
+            del told["cause"]
         return {**told, "shapes": list(self.shapes), "whom": list(self.whom)}
 
     @staticmethod

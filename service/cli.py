@@ -195,22 +195,30 @@ def build(
 
 @models.command("readings")
 def readings(
-    name: Annotated[str, typer.Argument(help="The built-in model: rotor-blade.")],
+    name: Annotated[str, typer.Argument(help="rotor-blade, or rotor-blade-worn.")],
     out: Annotated[Path, typer.Option(help="Folder of the truth runs.")] = Path("bladetwin-data"),
     workers: Annotated[int, typer.Option(help="Processes that compute runs.")] = 2,
     as_json: Json = False,
 ) -> None:
     """Compute the truth runs of the main job again, with noise; resumes where it stopped."""
-    if name != "rotor-blade":
-        raise typer.BadParameter(f"{name!r} is no built-in model; use rotor-blade")
-    from core.builtin import inspection_plan
+    if name == "rotor-blade-worn":
+        from core.builtin import worn_plan
 
-    with bar("truth runs", len(inspection_plan.blades()), quiet=as_json) as shown:
-        archive = inspection_plan.simulate(
-            out / "truth", workers, lambda _name, done, _total, _left: shown(done)
-        )
-    file = out / "inspection_plan.npz"
-    plan = inspection_plan.make(archive, file)
+        with bar("worn blades", len(worn_plan.WORN), quiet=as_json) as shown:
+            runs = worn_plan.simulate_all(out / "worn", workers, lambda done, _: shown(done))
+        file = out / "worn_plan.npz"
+        plan = worn_plan.make(runs, file)
+    elif name == "rotor-blade":
+        from core.builtin import inspection_plan
+
+        with bar("truth runs", len(inspection_plan.blades()), quiet=as_json) as shown:
+            archive = inspection_plan.simulate(
+                out / "truth", workers, lambda _name, done, _total, _left: shown(done)
+            )
+        file = out / "inspection_plan.npz"
+        plan = inspection_plan.make(archive, file)
+    else:
+        raise typer.BadParameter(f"{name!r} is none; use rotor-blade or rotor-blade-worn")
     facts = {"file": str(file), "inspections": len(plan.inspections)}
     say(facts, f"{facts['inspections']} inspections in {file}", as_json=as_json)
 

@@ -3,8 +3,10 @@
 A turn weighs hypotheses: those that were calibrated by the particle filter's evidence, all others
 by the scan's, among them what the simulation's runs have no room for. It may take the best of
 those that were calibrated; but a name is claimed only where it has `NAMED` of that turn's
-evidence, so that a lesser rival does not get the name of one that could not be calibrated. A turn
-without it leaves the smallest set that has `CREDIBLE` of the evidence: not separable.
+evidence, so that a lesser rival does not get the name of one that could not be calibrated. Where
+families that differ in their course alone share it (a coating that wears, or comes off at once),
+their cause is claimed (loss of coating), and the course is said to be open. A turn without either
+leaves the smallest set that has `CREDIBLE` of the evidence: not separable.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from core.calibration.state import RotorState
 from core.diagnosis.grammar import Cell
 from core.diagnosis.verdict import (
     DISAGREE,
+    LEAST,
     LEFT,
     MOST_NAMES,
     NAMED,
@@ -28,6 +31,8 @@ from core.diagnosis.verdict import (
     evidence_of,
 )
 from core.model import Model
+
+SHOWN = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +65,25 @@ class Turn:
         return evidence_of(self.hypotheses)
 
     @property
+    def causes(self) -> dict[str, str]:
+        """The cause of each name; of one that is no cell's, itself."""
+        return {cell.name: cell.cause for cell in self.cells}
+
+    def claim(self, name: str) -> str | None:
+        """What may be claimed of a name that was taken: itself, its cause, or nothing."""
+        if self.evidence.get(name, 0.0) >= NAMED:
+            return name
+        causes = self.causes
+        cause = causes.get(name, name)
+        share = sum(
+            h.weight for h in self.hypotheses if cause in {causes.get(n, n) for n in h.names}
+        )
+        return cause if share >= NAMED else None
+
+    @property
     def settled(self) -> bool:
-        """Whether each of the names that were taken has the evidence."""
-        return bool(self.took) and all(self.evidence.get(n, 0.0) >= NAMED for n in self.took)
+        """Whether each of the names that were taken, or its cause, has the evidence."""
+        return bool(self.took) and all(self.claim(n) is not None for n in self.took)
 
 
 def apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
@@ -78,30 +99,31 @@ def apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
 
 
 def reweighed(
-    hypotheses: Sequence[Hypothesis], gains: Mapping[tuple[str, ...], float]
+    hypotheses: Sequence[Hypothesis], gains: Mapping[tuple[int, ...], float]
 ) -> tuple[Hypothesis, ...]:
     """Hypotheses with the filter's evidence where it is known; of the others, the scan's.
 
-    The scan's scale is brought to the filter's at the weightiest that both know.
+    gains  by cells. The scan's scale is brought to the filter's at the weightiest that both know.
 
     >>> a, b = Hypothesis((0,), ("a",), 9.0, 0.5), Hypothesis((1,), ("b",), 9.0, 0.5)
-    >>> [(h.names, round(h.weight, 2)) for h in reweighed((a, b), {("a",): 4.0, ("b",): 7.0})]
+    >>> [(h.names, round(h.weight, 2)) for h in reweighed((a, b), {(0,): 4.0, (1,): 7.0})]
     [(('b',), 0.95), (('a',), 0.05)]
     """
-    known = [h for h in hypotheses if h.names in gains]
+    known = [h for h in hypotheses if h.cells in gains]
     if not known:
         return tuple(hypotheses)
     top = max(known, key=lambda h: h.weight)
-    shift = gains[top.names] - top.log_bf
-    news = [gains[h.names] - h.log_bf - shift if h.names in gains else 0.0 for h in hypotheses]
+    shift = gains[top.cells] - top.log_bf
+    news = [gains[h.cells] - h.log_bf - shift if h.cells in gains else 0.0 for h in hypotheses]
     log_w = np.array([np.log(h.weight) + n for h, n in zip(hypotheses, news, strict=True)])
     weight = np.exp(log_w - log_w.max())
     weight /= weight.sum()
     order = np.argsort(-weight, kind="stable")
+    found = [hypotheses[i] for i in order if weight[i] > LEAST]
+    shares = [float(weight[i]) for i in order if weight[i] > LEAST]
     return tuple(
-        replace(h, weight=float(weight[i]), log_bf=gains.get(h.names, h.log_bf))
-        for i in order
-        for h in (hypotheses[i],)
+        replace(h, weight=w, log_bf=gains.get(h.cells, h.log_bf))
+        for h, w in zip(found, shares, strict=True)
     )
 
 
@@ -125,7 +147,7 @@ def conclude(
             first, word="unattributed", after=after, names=(), held=held, reasons=tuple(reasons)
         )
     took = [turn for turn in turns if any(n in names for n in turn.took)]
-    sure = sorted(n for turn in took if turn.settled for n in turn.took if n in names)
+    claims = {n: turn.claim(n) for turn in took for n in turn.took if n in names}
     evidence: dict[str, float] = {}
     for turn in took:
         for name, share in turn.evidence.items():
@@ -136,15 +158,21 @@ def conclude(
         after=after,
         held=held,
         evidence=dict(sorted(evidence.items(), key=lambda item: (-item[1], item[0]))),
-        hypotheses=took[-1].hypotheses,
+        hypotheses=took[-1].hypotheses[:SHOWN],
         best=took[-1].hypotheses[0],
     )
+    sure = sorted(c for c in claims.values() if c is not None)
     if all(turn.settled for turn in took):
-        why = f"{' and '.join(sorted(names))} gains {gained:.1f} nat and leaves nothing behind"
-        return replace(said, names=tuple(sorted(names)), reasons=(why,))
-    open_ = {n for turn in took if not turn.settled for n in credible(turn.hypotheses)}
-    several = sorted({*sure, *open_})
-    why = f"{len(open_)} names share the evidence"
+        whys = [f"{' and '.join(sure)} gains {gained:.1f} nat and leaves nothing behind"]
+        whys += [
+            f"how {claim} runs is open: {name} has {evidence.get(name, 0.0):.0%} of the evidence"
+            for name, claim in claims.items()
+            if claim not in (None, name)
+        ]
+        return replace(said, names=tuple(sure), reasons=tuple(whys))
+    rest = {n for turn in took if not turn.settled for n in credible(turn.hypotheses)}
+    several = sorted({*sure, *rest})
+    why = f"{len(rest)} names share the evidence"
     if sure:
         why += f" beside {' and '.join(sure)}"
     if len(several) > MOST_NAMES:

@@ -2,8 +2,9 @@
 
     1. The readings' scores under the posterior are scanned for every cell and pair (`scan`); the
        family-wise test says whether anything is missing at all.
-    2. The weightiest hypotheses, `RIVALS` of them at most, go into the model as calibrated effects
-       and the rotor is calibrated anew: their evidence is the particle filter's, not the scan's.
+    2. The weightiest hypotheses, `RIVALS` of them at most, and the best one's other courses in time
+       go into the model as calibrated effects and the rotor is calibrated anew: their evidence is
+       the particle filter's, not the scan's.
     3. With the best of them in the model the readings are scanned again. What is still missing
        joins, up to `MOST` turns; each effect has to earn `EARNED` nats beyond the price of the
        search, the log of the number of families that it was chosen from.
@@ -34,6 +35,7 @@ from core.diagnosis.scan import Scan
 from core.diagnosis.scores import scores
 from core.diagnosis.signature import Physics, signatures, unnamed
 from core.diagnosis.verdict import DEALT, LEFT, Held, Verdict, judge
+from core.diagnosis.verdict import weighed as weighed_all
 from core.errors import InputError
 from core.family import Family
 from core.model import Model, Stacked
@@ -45,7 +47,8 @@ Progress = Callable[[str, int, int], None]
 RIVALS = 3
 MOST = 3
 EARNED = 2.0
-STEPS = 1 + MOST * (RIVALS + 2)  # of a diagnosis, at most; of few more where effects leave again
+SIBLINGS = 5
+STEPS = 1 + MOST * (RIVALS + SIBLINGS + 2)  # at most; few more where effects leave again
 NOTICEABLE = 0.03  # share of the evidence from which a rival is calibrated
 
 
@@ -169,19 +172,34 @@ class _Search:
             self.known[key] = Rival(effects, bigger, made, gained)
         return self.known[key]
 
-    def turn(self, scan: Scan, found: Verdict, taken: Rival) -> Turn:
-        """Calibrate the weightiest of what a scan found, beside what is taken already."""
-        weighed = apart(found.hypotheses)
-        rivals: dict[tuple[str, ...], Rival] = {}
-        for one in [h for h in weighed if h.weight >= NOTICEABLE][:RIVALS]:
-            made = self.calibrated((*taken.effects, *(scan.cells[i] for i in one.cells)))
+    def turn(self, scan: Scan, taken: Rival) -> Turn:
+        """Calibrate the weightiest of what a scan finds, beside what is taken already.
+
+        Of the best of them the other courses of the same causes too: the scan, of second order,
+        tells causes from each other, and large effects' courses hardly.
+        """
+        weighed = weighed_all(scan, least=0.0)
+        known: dict[tuple[int, ...], Rival] = {}
+
+        def ask(cells: tuple[int, ...]) -> None:
+            made = self.calibrated((*taken.effects, *(scan.cells[i] for i in cells)))
             if made is not None:
-                rivals[one.names] = made
-        weighed = reweighed(weighed, {n: r.gained for n, r in rivals.items()})
-        best = max(rivals, key=lambda n: rivals[n].gained, default=None)
-        if best and rivals[best].gained < taken.gained + self.price * len(best):
-            best = None
-        return Turn(weighed, best or (), rivals, tuple(scan.cells), taken.effects)
+                known[cells] = made
+
+        for one in [h for h in apart(weighed) if h.weight >= NOTICEABLE][:RIVALS]:
+            ask(one.cells)
+        if known:
+            there = {h.cells: h.weight for h in weighed}
+            courses = [c for c in siblings(scan, _best(known)) if c in there]
+            for cells_ in sorted(courses, key=lambda c: -there[c])[:SIBLINGS]:
+                ask(cells_)
+        names = {c: tuple(scan.cells[i].name for i in c) for c in known}
+        rivals = {names[c]: known[c] for c in sorted(known, key=lambda c: known[c].gained)}
+        found = reweighed(weighed, {c: r.gained for c, r in known.items()})
+        took: tuple[str, ...] = ()
+        if known and known[_best(known)].gained >= taken.gained + self.price * len(_best(known)):
+            took = names[_best(known)]
+        return Turn(found, took, rivals, tuple(scan.cells), taken.effects)
 
     def needed(self, taken: Rival) -> Rival:
         """Without the effects that do not earn their place beside the others."""
@@ -190,6 +208,20 @@ class _Search:
             if rest is not None and taken.gained < rest.gained + self.price:
                 return self.needed(rest)
         return taken
+
+
+def _best(known: Mapping[tuple[int, ...], Rival]) -> tuple[int, ...]:
+    return max(known, key=lambda c: known[c].gained)
+
+
+def siblings(scan: Scan, which: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """The same cells but for one, which runs otherwise: other shapes and families of its cause."""
+    found = []
+    for place, i in enumerate(which):
+        for j, cell in enumerate(scan.cells):
+            if j != i and cell.cause == scan.cells[i].cause:
+                found.append((*which[:place], j, *which[place + 1 :]))
+    return [tuple(sorted(one)) for one in found]
 
 
 def diagnose(
@@ -216,7 +248,7 @@ def diagnose(
         return Diagnosis(first, first, (model, state), (model, state), (), 0.0, ())
     turns: list[Turn] = []
     while found.word != "adequate" and len(turns) < MOST:
-        turns.append(search.turn(scan, found, taken))
+        turns.append(search.turn(scan, taken))
         if not turns[-1].took:
             break
         taken = turns[-1].rivals[turns[-1].took]

@@ -35,39 +35,43 @@ FAMILIES = (
         "coating wear",
         "the thermal barrier coating loses thickness while the blade runs",
         "input", "tbc_thickness", "times", 0.25, -1, GROWING,
-        ("all", "coating_lot"), "blade", "physics",
+        ("all", "coating_lot"), "blade", "physics", "coating loss",
     ),
     Family(
         "coating spallation",
         "part of the coating is lost at once",
         "input", "tbc_thickness", "times", 0.25, -1, ("step",),
-        ("blade", "coating_lot"), "blade", "physics",
+        ("blade", "coating_lot"), "blade", "physics", "coating loss",
     ),
     Family(
         "fouling",
         "the gas gets hotter, or cooler, while the machine runs",
-        "input", "t1t_rate", "plus", 0.04, 0, GROWING, ("all",), "rotor", "operation",
+        "input", "t1t_rate", "plus", 0.04, 0, GROWING,
+        ("all",), "rotor", "operation", "gas temperature",
     ),
     Family(
         "firing temperature step",
         "the gas temperature was changed on a day",
-        "input", "t1t_rate", "plus", 0.02, 0, ("step",), ("all",), "rotor", "operation",
+        "input", "t1t_rate", "plus", 0.02, 0, ("step",),
+        ("all",), "rotor", "operation", "gas temperature",
     ),
     Family(
         "cooling flow",
         "coolant flow is not what was declared",
         "input", "cooling_flow", "plus", 0.05, 0, ("constant",),
-        ("blade", "lot"), "blade", "physics",
+        ("blade", "lot"), "blade", "physics", "coolant",
     ),
     Family(
         "cooling blockage",
         "cooling passages clog at once",
-        "input", "cooling_flow", "plus", 0.05, -1, ("step",), ("blade", "lot"), "blade", "physics",
+        "input", "cooling_flow", "plus", 0.05, -1, ("step",),
+        ("blade", "lot"), "blade", "physics", "coolant",
     ),
     Family(
         "cooling decline",
         "cooling passages clog while the blades run",
-        "input", "cooling_flow", "plus", 0.08, -1, GROWING, ("all", "lot"), "blade", "physics",
+        "input", "cooling_flow", "plus", 0.08, -1, GROWING,
+        ("all", "lot"), "blade", "physics", "coolant",
     ),
     Family(
         "accelerating creep",
@@ -157,8 +161,20 @@ class Cell:
         >>> Cell(FAMILIES[0], "linear", "coating_lot", "C2").name
         'coating wear (coating lot C2)'
         """
+        return self._of(self.family.name)
+
+    @property
+    def cause(self) -> str:
+        """What it is called whatever its course: that of all families of its cause.
+
+        >>> Cell(FAMILIES[0], "linear", "coating_lot", "C2").cause
+        'coating loss (coating lot C2)'
+        """
+        return self._of(self.family.cause or self.family.name)
+
+    def _of(self, what: str) -> str:
         who = {"all": "", "coating_lot": "coating lot "}.get(self.whom, f"{self.whom} ")
-        return self.family.name if self.value is None else f"{self.family.name} ({who}{self.value})"
+        return what if self.value is None else f"{what} ({who}{self.value})"
 
     @property
     def grows(self) -> bool:

@@ -43,6 +43,7 @@ DISAGREE = 3.0  # sds between two halves' amplitudes
 WIDE = 5.0  # prior sd of a half's amplitude, in sizes
 MOST_NAMES = 5  # in a set that is still an answer
 DEALT = 400
+LEAST = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +151,11 @@ def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Ve
     )
 
 
-def weighed(scan: Scan) -> list[Hypothesis]:
-    """Single cells and pairs with their shares of the evidence, largest first."""
+def weighed(scan: Scan, least: float = LEAST) -> list[Hypothesis]:
+    """Single cells and pairs with their shares of the evidence, largest first.
+
+    least  share below which they are left out
+    """
     families, share = scan.families, {}
     for members in families.values():
         for i in members:
@@ -178,7 +182,7 @@ def weighed(scan: Scan) -> list[Hypothesis]:
             float(weight[k]),
         )
         for k in order
-        if weight[k] > 1e-6
+        if weight[k] > least
     ]
 
 

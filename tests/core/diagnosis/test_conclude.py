@@ -9,7 +9,9 @@ import pytest
 from core.diagnosis import conclude as module
 from core.diagnosis.conclude import Turn, apart, conclude, reweighed
 from core.diagnosis.diagnose import Rival
+from core.diagnosis.grammar import FAMILIES, Cell
 from core.diagnosis.verdict import Held, Hypothesis, Verdict
+from core.family import Shape
 
 NOTHING: Any = None
 ALARM = Verdict("not separable", 0.002, None, (), None, (), {}, {}, (), ())
@@ -76,6 +78,29 @@ def test_an_effect_that_left_again_is_not_claimed() -> None:
     assert (found.word, found.names) == ("effect", ("wear",))
 
 
+def worn(shape: Shape, family: int = 0) -> Cell:
+    return Cell(FAMILIES[family], shape, "coating_lot", "C2")
+
+
+def test_where_the_course_is_open_the_cause_is_claimed_and_said() -> None:
+    cells = (worn("linear"), worn("step", 1), Cell(FAMILIES[0], "linear", "coating_lot", "C1"))
+    names = [c.name for c in cells]
+
+    def of(*weights: float) -> Turn:
+        pairs = zip(names, weights, strict=True)
+        one = turn(names[0], **dict(pairs))
+        return Turn(one.hypotheses, one.took, one.rivals, cells)
+
+    found = said((names[0],), of(0.55, 0.43, 0.02))
+    assert (found.word, found.names) == ("effect", ("coating loss (coating lot C2)",))
+    assert "how coating loss (coating lot C2) runs is open" in found.reasons[1]
+    sure = said((names[0],), of(0.95, 0.03, 0.02))
+    assert sure.names == ("coating wear (coating lot C2)",)
+    other = said((names[0],), of(0.5, 0.1, 0.4))
+    assert other.word == "not separable"
+    assert set(other.names) == set(names)
+
+
 def test_what_has_no_room_in_the_runs_is_told_and_not_claimed() -> None:
     found = said((), turn("", cooling=0.98), refused={("cooling",): "finds no room in the runs"})
     assert (found.word, found.names) == ("unattributed", ())
@@ -114,7 +139,7 @@ def test_the_filters_evidence_replaces_the_scans_and_leaves_the_others_in_propor
         Hypothesis((i,), (n,), 9.0, w)
         for i, n, w in zip(range(3), "abc", (0.5, 0.3, 0.2), strict=True)
     )
-    found = {h.names: h.weight for h in reweighed((a, b, c), {("a",): 30.0, ("b",): 31.0})}
+    found = {h.names: h.weight for h in reweighed((a, b, c), {(0,): 30.0, (1,): 31.0})}
     total = 0.5 + 0.3 * 2.718281828 + 0.2
     assert found[("b",)] == pytest.approx(0.3 * 2.718281828 / total)
     assert found[("c",)] == pytest.approx(0.2 / total)
