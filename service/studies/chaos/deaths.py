@@ -25,11 +25,22 @@ from service.studies.chaos.processes import Child, Kind, forked, free_port
 from service.studies.chaos.traps import Point
 
 DIES_WITHIN_S = 60.0
+LONG_S = 10.0  # so that no other worker comes between the claim and the commit
 NOWHERE = Point("executed", "nothing says this")
 
 
-def begin(bench: Bench, kind: Kind, owner: str, point: Point, number: int, delay_s: float) -> Child:
-    environ = {**os.environ, **bench.settings.environ()}
+def begin(
+    bench: Bench,
+    kind: Kind,
+    owner: str,
+    point: Point,
+    number: int,
+    delay_s: float,
+    lease_s: float = LEASE_S,
+) -> Child:
+    """Start a process with a trap."""
+    settings = bench.settings.model_copy(update={"lease_s": lease_s})
+    environ = {**os.environ, **settings.environ()}
     return forked(traps.main, point, number, delay_s)(kind, owner, environ)
 
 
@@ -177,7 +188,7 @@ def _side_by_side(
 ) -> Sequence[str]:
     rotors = [bench.rotor(f"r{number}") for number in range(trials)]
     children = [
-        begin(bench, "all", f"stopping-{number}", point, signal.SIGSTOP, 0.0)
+        begin(bench, "all", f"stopping-{number}", point, signal.SIGSTOP, 0.0, LONG_S)
         for number in range(trials)
     ]
     waits: dict[str, float] = {}
