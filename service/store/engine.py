@@ -4,7 +4,9 @@ SQLite runs in WAL mode with a busy timeout of 30 s and full synchronisation; a 
 writes begins with ``BEGIN IMMEDIATE``, so that two writers queue instead of failing half-way.
 PostgreSQL runs READ COMMITTED; rows are locked by name where order matters, and a transaction whose
 process says nothing for `SILENT_S` is ended by the server: a frozen process does not hold its locks
-for ever. `now_s()` is the database's clock, the only clock that leases know.
+for ever. (Not so right after an `executemany`, which psycopg sends as a pipeline: its last message
+ends the server's timer. Who waits for such locks is told so after twice `SILENT_S`.)
+`now_s()` is the database's clock, the only clock that leases know.
 """
 
 from __future__ import annotations
@@ -83,6 +85,7 @@ def _prepare_sqlite(connection: Any, record: Any) -> None:
 def _prepare_postgres(connection: Any, record: Any) -> None:
     milliseconds = round(1e3 * SILENT_S)
     connection.execute(f"SET idle_in_transaction_session_timeout = {milliseconds}").close()
+    connection.execute(f"SET lock_timeout = {2 * milliseconds}").close()
     connection.commit()
 
 

@@ -22,20 +22,20 @@ def locked_out(url: str) -> float:
     """How long another writer waits for a row that a frozen process has locked."""
     engine = open_engine(url)
     other = open_engine(url)
+    with transaction(engine, write=True) as connection:
+        connection.execute(text("CREATE TABLE thing (id INTEGER)"))
+        connection.execute(text("INSERT INTO thing VALUES (1)"))
+    frozen = engine.connect()
     try:
-        with transaction(engine, write=True) as connection:
-            connection.execute(text("CREATE TABLE thing (id INTEGER)"))
-            connection.execute(text("INSERT INTO thing VALUES (1)"))
-        frozen = engine.connect()
         frozen.execute(text("UPDATE thing SET id = 2"))
         begun = time.monotonic()
         with transaction(other, write=True) as connection:
             connection.execute(text("SET statement_timeout = '5s'"))
             connection.execute(text("UPDATE thing SET id = 3"))
-        waited = time.monotonic() - begun
-        frozen.invalidate()
-        return waited
+        return time.monotonic() - begun
     finally:
+        frozen.invalidate()
+        frozen.close()
         engine.dispose()
         other.dispose()
 
@@ -58,6 +58,31 @@ def test_without_the_limit_a_frozen_process_keeps_its_locks(
     monkeypatch.setattr(engines, "SILENT_S", 0.0)
     with pytest.raises(StoreAwayError, match="QueryCanceled"):
         locked_out(database_url)
+
+
+@on_postgresql
+def test_who_waits_for_a_frozen_process_is_told_so(
+    database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the server makes of the transaction: after an executemany it may not end it."""
+    monkeypatch.setattr(engines, "SILENT_S", SILENT_S)
+    engine, other = open_engine(database_url), open_engine(database_url)
+    with transaction(engine, write=True) as connection:
+        connection.execute(text("CREATE TABLE thing (id INTEGER)"))
+        connection.execute(text("INSERT INTO thing VALUES (1)"))
+    frozen = engine.connect()
+    frozen.execute(text("SET idle_in_transaction_session_timeout = 0"))
+    frozen.execute(text("UPDATE thing SET id = 2"))
+    begun = time.monotonic()
+    with (
+        pytest.raises(StoreAwayError, match="LockNotAvailable"),
+        transaction(other, write=True) as connection,
+    ):
+        connection.execute(text("UPDATE thing SET id = 3"))
+    assert time.monotonic() - begun < 5.0
+    frozen.close()
+    engine.dispose()
+    other.dispose()
 
 
 @on_postgresql

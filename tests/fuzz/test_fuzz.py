@@ -1,6 +1,6 @@
 """Requests, CSV and archives that nobody wrote by hand: refused in words, never a failure.
 
-A short version by default. FUZZ_EXAMPLES=100 in the environment makes over 10,000 requests from
+A short version by default. FUZZ_EXAMPLES=120 in the environment makes over 10,000 requests from
 the OpenAPI document, and as many files, of it; FUZZ_OUT=FOLDER keeps what was answered
 (tests/claims/results/contract).
 """

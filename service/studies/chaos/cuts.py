@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -174,8 +174,10 @@ def file_too_large(bench: Bench, number: int) -> str:
 def _write_until(url: str, seed: int, rotor: str, room: int, told: Any) -> None:
     bench = Bench(url, seed)
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    names = [Path(url.removeprefix("sqlite:///") + end) for end in ("", "-wal")]
-    size = max(name.stat().st_size for name in names if name.exists())
+    file = url.removeprefix("sqlite:///")
+    with closing(sqlite3.connect(file)) as connection:  # the WAL begins anew, and has to grow
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    size = Path(file).stat().st_size
     resource.setrlimit(resource.RLIMIT_FSIZE, (size + room, resource.RLIM_INFINITY))
     try:
         for i in range(5000):

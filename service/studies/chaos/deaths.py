@@ -25,11 +25,22 @@ from service.studies.chaos.processes import Child, Kind, forked, free_port
 from service.studies.chaos.traps import Point
 
 DIES_WITHIN_S = 60.0
+LONG_S = 10.0  # so that no other worker comes between the claim and the commit
 NOWHERE = Point("executed", "nothing says this")
 
 
-def begin(bench: Bench, kind: Kind, owner: str, point: Point, number: int, delay_s: float) -> Child:
-    environ = {**os.environ, **bench.settings.environ()}
+def begin(
+    bench: Bench,
+    kind: Kind,
+    owner: str,
+    point: Point,
+    number: int,
+    delay_s: float,
+    lease_s: float = LEASE_S,
+) -> Child:
+    """Start a process with a trap."""
+    settings = bench.settings.model_copy(update={"lease_s": lease_s})
+    environ = {**os.environ, **settings.environ()}
     return forked(traps.main, point, number, delay_s)(kind, owner, environ)
 
 
@@ -148,8 +159,8 @@ def held(bench: Bench, rotor: str, owner: str) -> bool:
 def stopped_in_commit(bench: Bench, trials: int, progress: Callable[[int], None]) -> Sequence[str]:
     """SIGSTOP with the commit's locks held: who waits for whom, and for how long.
 
-    PostgreSQL ends such a transaction (`idle_in_transaction_session_timeout`), the trials run side
-    by side; SQLite's writers wait for SIGCONT, which comes after a second.
+    PostgreSQL ends such a transaction, or tells those who wait (`service.store.engine`); the trials
+    run side by side. SQLite's writers wait for SIGCONT, which comes after a second.
     """
     point = traps.WORKER["update, before COMMIT"]
     if not bench.sqlite:
@@ -177,16 +188,21 @@ def _side_by_side(
 ) -> Sequence[str]:
     rotors = [bench.rotor(f"r{number}") for number in range(trials)]
     children = [
-        begin(bench, "all", f"stopping-{number}", point, signal.SIGSTOP, 0.0)
+        begin(bench, "all", f"stopping-{number}", point, signal.SIGSTOP, 0.0, LONG_S)
         for number in range(trials)
     ]
-    waits: dict[str, float] = {}
+    told: dict[str, str] = {}
 
     def post(rotor: str) -> None:
         begun = time.monotonic()
-        bench.post(rotor, "meanwhile")
-        waits[rotor] = time.monotonic() - begun
-        progress(len(waits))
+        try:
+            bench.post(rotor, "meanwhile")
+        except StoreAwayError as error:
+            told[rotor] = f"a post is told 503 ({error.cause}), acknowledged when sent again"
+        else:
+            waited = time.monotonic() - begun > 0.5
+            told[rotor] = f"a post waited {'until the database ended it' if waited else 'not'}"
+        progress(len(told))
 
     try:
         for child in children:
@@ -196,18 +212,16 @@ def _side_by_side(
             thread.start()
         for thread in threads:
             thread.join()
-        bench.settle()
         for child in children:
             child.signal(signal.SIGCONT)
         time.sleep(2 * LEASE_S)
+        for rotor in rotors:
+            bench.post(rotor, "meanwhile")
         bench.settle()
     finally:
         for child in children:
             child.kill()
-    return [
-        f"a post waited {'until the database ended it' if waits[r] > 0.5 else 'not at all'}"
-        for r in rotors
-    ]
+    return [told[rotor] for rotor in rotors]
 
 
 def stopped(child: Child) -> None:
