@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from core.calibration.state import RotorState, blade_posterior, shared_posterior
 from core.calibration.target import shared_prior
-from core.diagnosis.adopt import parameter_name
+from core.diagnosis.adopt import amplitude
 from core.diagnosis.diagnose import Case, Diagnosis
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.left_out import left_out
@@ -65,7 +65,7 @@ def pictures(found: Diagnosis, case: Case) -> Json:
         "readings": rows,
         "readings_not_shown": len(case.readings) - len(rows),
         "courses": _both_courses(found, case),
-        "amplitudes": [_amplitude(e.cell, *found.after) for e in found.effects],
+        "amplitudes": [_amplitude(e.cell, model, *found.after) for e in found.effects],
         "parameters": _parameters(found),
     }
 
@@ -136,8 +136,8 @@ def _courses(model: Model, state: RotorState, case: Case, quantity: str, hours: 
     return told
 
 
-def _amplitude(cell: Cell, model: Model, state: RotorState) -> Json:
-    name, origin = parameter_name(cell), 0.0
+def _amplitude(cell: Cell, before: Model, model: Model, state: RotorState) -> Json:
+    name, origin = amplitude(cell, before.network)
     prior = model.network.parameter(name).prior
     posterior = shared_posterior(state.meta, state.arrays.__getitem__)
     a, w = posterior.column(name), posterior.particles.w
@@ -222,9 +222,11 @@ def leans(prior: Prior, a: Array, w: Array) -> str | None:
 def _parameters(found: Diagnosis) -> list[Json]:
     """Shared ones by their own, local ones over the blades; amplitudes are among the shared."""
     (model, state), (after, made) = found.before, found.after
-    effects = {parameter_name(e.cell) for e in found.effects}
+    effects = {amplitude(e.cell, model.network)[0] for e in found.effects}
     units = {p.name: p.unit for p in after.network.parameters}
-    units |= {parameter_name(e.cell): amplitude_unit(e.cell, after) for e in found.effects}
+    units |= {
+        amplitude(e.cell, model.network)[0]: amplitude_unit(e.cell, after) for e in found.effects
+    }
     units |= {q.sigma_name: q.unit for q in after.network.quantities}
     shared = [n for n in made.meta["shared"] if n not in state.meta["shared"]]
     told = []

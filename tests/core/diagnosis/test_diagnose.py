@@ -18,6 +18,7 @@ from core.diagnosis import Case, Diagnosis, Facts, diagnose, to_json
 from core.diagnosis import diagnose as module_function
 from core.diagnosis.adopt import amplitude, frees, with_effects
 from core.diagnosis.grammar import FAMILIES, Cell, families_for
+from core.diagnosis.pictures import pictures
 from core.errors import InputError
 from core.family import Family
 from core.model import Model
@@ -109,8 +110,12 @@ def test_a_dormant_input_that_acts_is_named_woken_and_sized_as_the_exact_posteri
     assert one.after[0].network.parameter("bend").prior.low == 0.0
     assert one.verdict.held
     assert all(h.agrees for h in one.verdict.held)
-    told = to_json(one, Case(SPEC, data, {}))
+    case = Case(SPEC, data, {b: Facts() for b in SPEC.blades})
+    told = to_json(one, case, None, pictures(one, case))
     assert told["claimed"] is True
+    (drawn,) = told["pictures"]["amplitudes"]
+    assert drawn["name"] == "bend"
+    assert drawn["quantiles"][0] < effect.mean < drawn["quantiles"][-1]
     assert told["effects"][0]["amplitude"]["mean"] == effect.mean
 
 
