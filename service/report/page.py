@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from service.report import evidence, residuals, sections, split
+from service.report.conditions import conditions
 from service.report.markup import Markup, el, join
 from service.report.tables import facts, pairs, section
 from service.report.words import do_next, number, verdict
@@ -62,6 +63,7 @@ def report(
         split.split(found),
         sections.effects(found),
         sections.before_after(found),
+        conditions(found),
         sections.life(found, limit),
         sections.forecast(found),
         residuals.residuals(found),

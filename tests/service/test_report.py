@@ -311,3 +311,19 @@ def test_the_command_writes_the_report(
 def test_the_same_result_gives_the_same_bytes() -> None:
     found = told("effect")
     assert page_of(found) == page_of(copy.deepcopy(found))
+
+
+def test_a_condition_in_which_the_effect_fails_is_told() -> None:
+    score = {"count": 12, "rmse": 0.5, "within_95": 0.97}
+    rows = [
+        {"input": "stress", "value": 140.0, "blades": ["S1", "S2"], "holds": True},
+        {"input": "stress", "value": 230.0, "blades": ["<S3>"], "holds": False},
+    ]
+    after = ({**score, "rmse": 0.1}, {**score, "rmse": 23.0})
+    held = [row | {"before": score, "after": b} for row, b in zip(rows, after, strict=True)]
+    page = page_of(told("effect") | {"conditions": held})
+    assert "stress 230" in page
+    assert "does not hold" in page
+    assert "Do not extrapolate" in page
+    assert "<S3>" not in page
+    assert "never read" not in page_of(told("effect"))
