@@ -1,4 +1,4 @@
-"""Whether an effect holds in conditions of which no reading was known (`core.diagnosis.transfer`)."""
+"""Whether an effect holds in conditions that were never read (`core.diagnosis.transfer`)."""
 
 from __future__ import annotations
 

@@ -78,8 +78,8 @@ def before_after(found: Json) -> Markup:
     ahead = [with_sd(forecast[w]["mean"], forecast[w]["sd"]) for w in figures.BOTH]
     rows.append([at, *ahead, "", "moves by " + number(_moved(forecast))])
     said = (
-        f"{a['count']} readings of {compared['quantity']}, the latest third of every second blade's: both "
-        "models were calibrated without them, and then predicted them."
+        f"{a['count']} readings of {compared['quantity']}, the latest third of every second "
+        "blade's: both models were calibrated without them, and then predicted them."
     )
     held = {w: [z for z in compared[w]["z"] if z is not None] for w in figures.BOTH}
     strips = figures.groups("z of held-out readings", {"held out": held})
