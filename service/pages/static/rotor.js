@@ -80,7 +80,8 @@ function drawBlades(found, blades) {
   const places = decimals(Math.min(...blades.map((b) => b.sd).filter((v) => v > 0), Infinity), 2);
   const means = Number.isFinite(places) && places > 0 ? places : 3;
   const tell = (b) => `blade ${b.id}${b.slot ? `, slot ${b.slot}` : ""}: ${inUnit(withSd(b.mean, b.sd), found.unit)}, ${number(b.readings.counting, "reading")}${b.alarms.map((a) => `, ${a[1]}`).join("")}`;
-  show(glance, ring(rotor, blades, { ...coloured(blades, found), tell, sign: signOf }),
+  const inPlace = blades.filter((b) => !b.retired);
+  show(glance, ring(rotor, inPlace.length ? inPlace : blades, { ...coloured(blades, found), tell, sign: signOf }),
     h("p", { class: "small soft" }, "A blade's colour is its ", coloured(blades, found).what, ". ✕ and ▲ outside the ring: alarms. The table beside holds the same numbers."));
   const columns = [
     { name: "Blade", value: (b) => h("a", { href: path`/rotors/${rotor}/blades/${b.id}` }, b.id), sort: (b) => b.id },
