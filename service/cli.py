@@ -137,8 +137,8 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of the rotor.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("bladetwin-demo"),
     effects: Annotated[
-        bool, typer.Option(help="Readings with effects in them that the model lacks.")
-    ] = True,
+        bool, typer.Option("--effects", help="Readings with effects in them that the model lacks.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """The main job: a rotor of 100 blades over HTTP, held against finite-element truth."""

@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +80,12 @@ def service(folder: Path, port: int | None = None) -> Iterator[Running]:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
+
+
+def elongations(plan: Plan) -> Plan:
+    """The plan without its scans and CEEQ."""
+    kept = tuple(body for body in plan.inspections if body["quantity"] == "elongation")
+    return replace(plan, inspections=kept)
 
 
 def post_all(
@@ -145,16 +151,18 @@ def run(
     seed: int = 0,
     out: Path = Path("bladetwin-demo"),
     as_json: bool = False,
-    effects: bool = True,
+    effects: bool = False,
 ) -> Result:
     """The main job; writes ``result.json`` and ``demo.png`` into `out` and prints a table.
 
-    effects  whether the readings carry effects that nobody declared, for the service to find
+    effects  the readings carry effects that nobody declared, for the service to find; elongations
+             alone then, as with the noises of three quantities and two effects each calibration of
+             a diagnosis has seven shared parameters and takes minutes
     """
     from service.demo.picture import draw, print_table
 
     out.mkdir(parents=True, exist_ok=True)
-    plan = worn_plan.load() if effects else inspection_plan.load()
+    plan = elongations(worn_plan.load()) if effects else inspection_plan.load()
     model = "rotor-blade-wide" if effects else "rotor-blade"
     begun = time.monotonic()
     with (
