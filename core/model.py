@@ -250,8 +250,12 @@ class Model:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 over the declaration and the surrogate's own digest."""
-        text = json.dumps(self.network.to_json(), sort_keys=True) + self.surrogate.digest
+        """SHA-256 over the declaration and the surrogate's own digest.
+
+        Effects that the model may lack (`families`) are no part of it: no posterior knows them.
+        """
+        declared = {k: v for k, v in self.network.to_json().items() if k != "families"}
+        text = json.dumps(declared, sort_keys=True) + self.surrogate.digest
         return sha256(text.encode()).hexdigest()
 
     @property

@@ -10,10 +10,8 @@ the strain is x alone, or, with what the network keeps asleep (``dormant``) unti
     eps(t) = P (1 − exp(−x / eps_p)) + (exp(c x) − 1) / c      [%]
              primary                   tertiary, → x for c → 0
 
-with amplitudes that may go with the stress, P s^m_P and c s^m_c, s = stress / `STRESS0`.
-
 `log_rate` is each specimen's own, drawn from a population over the specimens; n, P, eps_p and c are
-shared; the stress is known of each specimen. P, c, m_P and m_c are nominally 0. (The nominal
+shared; the stress is known of each specimen. Both amplitudes P and c are nominally 0. (The nominal
 eps_p, 0.04 %, comes from a first look at CMSX-6 at 980 °C; it counts only where P is freed and
 eps_p is not.) From c x = `MOST` on, beyond any strain that a specimen lives to see, the exponential
 goes on along its tangent, so that every number stays finite and strain still rises with rate and
@@ -51,8 +49,6 @@ INPUTS = (
     FormulaInput("primary", 0.0, 3.0),
     FormulaInput("primary_strain", 0.002, 1.0),
     FormulaInput("tertiary", 0.0, 120.0),
-    FormulaInput("primary_stress", -6.0, 6.0),
-    FormulaInput("tertiary_stress", -6.0, 6.0),
     FormulaInput("stress", 50.0, 400.0),
 )
 FAMILIES = (
@@ -70,16 +66,6 @@ FAMILIES = (
         "tertiary creep",
         "creep gets faster with the strain (damage, rafting, necking)",
         "input", "tertiary", "plus", 0.1, 1, ("constant",), ("all",), "blade", "material",
-    ),
-    Family(
-        "primary creep by stress",
-        "the amplitude of primary creep goes with the stress",
-        "input", "primary_stress", "plus", 2.0, 0, ("constant",), ("all",), "blade", "material",
-    ),
-    Family(
-        "tertiary creep by stress",
-        "the amplitude of tertiary creep goes with the stress",
-        "input", "tertiary_stress", "plus", 2.0, 0, ("constant",), ("all",), "blade", "material",
     ),
     Family(
         "offset of the extensometer",
@@ -100,17 +86,14 @@ FAMILIES = (
 
 
 def strain(x: Array, time_h: Array | float) -> Array:
-    """Creep strain [%] at inputs x (…, 8), in the order of `INPUTS`, and times [h], broadcast.
+    """Creep strain [%] at inputs x (…, 6), in the order of `INPUTS`, and times [h], broadcast.
 
-    >>> x = np.array([np.log(0.01), 7.0, 0.0, 0.04, 0.0, 0.0, 0.0, STRESS0])
+    >>> x = np.array([np.log(0.01), 7.0, 0.0, 0.04, 0.0, STRESS0])
     >>> strain(x, np.array([0.0, 100.0])).round(12).tolist()
     [0.0, 1.0]
     """
-    log_rate, n, primary, primary_strain, tertiary, m_p, m_c, stress = np.moveaxis(x, -1, 0)
-    log_stress = np.log(stress / STRESS0)
-    steady = np.exp(log_rate + n * log_stress) * time_h
-    primary = primary * np.exp(m_p * log_stress)
-    tertiary = tertiary * np.exp(m_c * log_stress)
+    log_rate, n, primary, primary_strain, tertiary, stress = np.moveaxis(x, -1, 0)
+    steady = np.exp(log_rate + n * np.log(stress / STRESS0)) * time_h
     power = np.minimum(tertiary * steady, MOST)
     beyond = np.exp(power) * (tertiary * steady - power)
     grown = (np.expm1(power) + beyond) / np.where(tertiary > 0, tertiary, 1.0)
@@ -153,8 +136,6 @@ def network() -> Network:
                 "primary_strain", "dormant", Prior("log_uniform", 0.002, 1.0), "%", "eps_p", 0.04
             ),
             Parameter("tertiary", "dormant", Prior("log_uniform", 0.01, 120.0), "1/%", "c", 0.0),
-            Parameter("primary_stress", "dormant", Prior("uniform", -6.0, 6.0), "1", "m_P", 0.0),
-            Parameter("tertiary_stress", "dormant", Prior("uniform", -6.0, 6.0), "1", "m_c", 0.0),
             Parameter("stress", "known", Prior("uniform", 50.0, 400.0), "MPa", "sigma"),
         ),
         quantities=(
