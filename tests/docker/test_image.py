@@ -14,6 +14,7 @@ import shlex
 import shutil
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,8 +37,9 @@ LONG_S = 1800.0  # installing and compiling, on a machine that others keep busy
 
 
 def hadolint(source: str) -> subprocess.CompletedProcess[str]:
-    found = shutil.which("hadolint")
-    assert found is not None, "hadolint is not on the PATH: install requirements-dev.lock"
+    own = Path(sys.executable).parent  # not on the PATH where the environment is not activated
+    found = shutil.which("hadolint", path=f"{own}{os.pathsep}{os.environ['PATH']}")
+    assert found is not None, "there is no hadolint: install requirements-dev.lock"
     return subprocess.run(
         [found, "--no-color", "--failure-threshold", "style", "-"],
         input=source,
