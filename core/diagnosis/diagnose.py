@@ -8,8 +8,8 @@
     3. With the best of them in the model the readings are scanned again. What is still missing
        joins, up to `MOST` turns; each effect has to earn `EARNED` nats beyond the price of the
        search, the log of the number of families that it was chosen from.
-    4. An effect that was taken early can turn out to have imitated a later one: each has to earn
-       its place beside all others, or it leaves.
+    4. An effect that was taken early can turn out to have imitated a later one: after each turn
+       each has to earn its place beside all others, or it leaves.
     5. The amplitudes have to hold (`verdict`), and what is left has to be chance (`conclude`).
 
 Everything is a function of the readings that count, the facts of the blades and the seed.
@@ -247,15 +247,16 @@ def diagnose(
     if first.word == "adequate":
         return Diagnosis(first, first, (model, state), (model, state), (), 0.0, ())
     turns: list[Turn] = []
+    seen = [frozenset[Cell]()]
     while found.word != "adequate" and len(turns) < MOST:
         turns.append(search.turn(scan, taken))
         if not turns[-1].took:
             break
-        taken = turns[-1].rivals[turns[-1].took]
+        taken = search.needed(turns[-1].rivals[turns[-1].took])
         scan, found = _left(search, taken, len(turns))
-    if (kept := search.needed(taken)) is not taken:
-        taken = kept
-        scan, found = _left(search, taken, len(turns) + 1)
+        if frozenset(taken.effects) in seen:
+            break  # what came has left again
+        seen.append(frozenset(taken.effects))
     verdict = conclude(
         first,
         [c.name for c in taken.effects],
