@@ -102,7 +102,7 @@ def test_a_process_killed_while_writing_leaves_the_runs_before_and_nothing_half(
         "import os, sys, numpy as np\n"
         "import core.archive as a\n"
         "archive = a.Archive.open(sys.argv[1]); good = archive.read(0)\n"
-        "a.os.replace = lambda *names: os._exit(9)\n"
+        "os.replace = lambda *names: os._exit(9)\n"
         "archive.write(1, good)\n"
     )
     killed = subprocess.run([sys.executable, "-c", child, str(archive.path)], check=False)

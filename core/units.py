@@ -1,0 +1,176 @@
+"""Units of quantities: whether a text is one, of what, and by which factor two of them differ.
+
+A unit is a product of powers, in the spellings that engineers type::
+
+    mm   MPa   1/h   W/(m2 K)   kg m^2 s^-2   m2*K/W   %   degC
+
+Factors stand side by side or with ``*`` or ``·``; what follows ``/`` (one name, or a bracket) is
+divided by; a power is ``^2``, ``**2``, ``²`` or the digit alone. Each becomes its seven SI exponents
+and a factor, value[SI] = factor · value + offset; offsets have degC and degF, by themselves.
+Angles, strains and shares have no dimension. Prefixes go with the units that take them, so that
+``Pa`` is no peta-ampere and ``min`` no milli-inch.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+from core.errors import UnitError
+
+BASE = ("m", "kg", "s", "K", "A", "mol", "cd")
+PREFIXES = {
+    "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "h": 1e2,
+    "k": 1e3, "M": 1e6, "G": 1e9,
+}  # fmt: skip
+_M, _KG, _S, _K = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
+_PA, _J, _W = (-1, 1, -2, 0), (2, 1, -2, 0), (2, 1, -3, 0)
+# name: (factor, exponents of m, kg, s, K), with prefixes
+PREFIXED = {
+    "m": (1.0, _M), "g": (1e-3, _KG), "s": (1.0, _S), "K": (1.0, _K), "Pa": (1.0, _PA),
+    "N": (1.0, (1, 1, -2, 0)), "J": (1.0, _J), "W": (1.0, _W), "Hz": (1.0, (0, 0, -1, 0)),
+    "bar": (1e5, _PA), "l": (1e-3, (3, 0, 0, 0)), "L": (1e-3, (3, 0, 0, 0)),
+    "rad": (1.0, (0, 0, 0, 0)), "t": (1e3, _KG),
+}  # fmt: skip
+PLAIN = {
+    "1": (1.0, (0, 0, 0, 0)), "%": (1e-2, (0, 0, 0, 0)), "ppm": (1e-6, (0, 0, 0, 0)),
+    "deg": (math.pi / 180, (0, 0, 0, 0)), "°": (math.pi / 180, (0, 0, 0, 0)),
+    "min": (60.0, _S), "h": (3600.0, _S), "hr": (3600.0, _S), "d": (86_400.0, _S),
+    "day": (86_400.0, _S), "in": (0.0254, _M), "ft": (0.3048, _M), "psi": (6894.757293168, _PA),
+    "ksi": (6894757.293168, _PA), "atm": (101_325.0, _PA), "lb": (0.45359237, _KG),
+    "rpm": (1.0 / 60.0, (0, 0, -1, 0)),
+}  # fmt: skip
+ELECTRIC = {"A": (4, 1.0), "mol": (5, 1.0), "cd": (6, 1.0)}
+OFFSETS = {
+    "degC": (1.0, 273.15), "°C": (1.0, 273.15), "degF": (5.0 / 9.0, 459.67 * 5.0 / 9.0),
+}  # fmt: skip
+_TOKEN = re.compile(r"\s*(?:(\*\*|\^)|([·*/()])|([+-]?\d+)|([^\s·*/()^0-9+\-²³⁻¹]+)|([²³⁻¹]+))")
+_RAISED = str.maketrans("²³⁻¹", "23-1")
+REMEDY = "write it like mm, MPa, 1/h, W/(m2 K), kg m^2 s^-2, % or degC; 1 where there is none"
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """value[SI] = factor · value + offset; exponents of m, kg, s, K, A, mol, cd."""
+
+    factor: float
+    exponents: tuple[int, ...]
+    offset: float = 0.0
+
+
+@lru_cache(maxsize=512)
+def unit(text: str) -> Unit:
+    """A unit by its text; UnitError where it is none.
+
+    >>> unit("W/(m2 K)") == unit("W m^-2 K^-1"), unit("%").factor, unit("kN").exponents[:3]
+    (True, 0.01, (1, 1, -2))
+    """
+    if text.strip() in OFFSETS:
+        factor, offset = OFFSETS[text.strip()]
+        return Unit(factor, (0, 0, 0, 1, 0, 0, 0), offset)
+    tokens = _tokens(text)
+    found, left = _product(text, tokens, 0)
+    if left != len(tokens):
+        raise _none(text)
+    return found
+
+
+def ratio(given: str, wanted: str) -> tuple[float, float]:
+    """(a, b) with value[wanted] = a · value[given] + b; UnitError where they measure other things.
+
+    >>> ratio("m", "mm"), ratio("degC", "K"), ratio("1/h", "1/d")
+    ((1000.0, 0.0), (1.0, 273.15), (24.0, 0.0))
+    """
+    one, other = unit(given), unit(wanted)
+    if one.exponents != other.exponents:
+        problem = f"is a unit of {_shown(one)}, not of {_shown(other)} as {wanted!r} is"
+        raise UnitError("unit", given, problem, f"give the values in {wanted!r}")
+    a = one.factor / other.factor
+    b = (one.offset - other.offset) / other.factor
+    near = float(f"{a:.12g}")
+    return near, float(f"{b:.12g}")
+
+
+def _shown(found: Unit) -> str:
+    names = zip(BASE, found.exponents, strict=True)
+    text = " ".join(n if p == 1 else f"{n}^{p}" for n, p in names if p)
+    return text or "a number"
+
+
+def _none(text: str) -> UnitError:
+    return UnitError("unit", text, "is no unit that is known", REMEDY)
+
+
+def _tokens(text: str) -> list[str]:
+    tokens, at, text = [], 0, text.strip()
+    while at < len(text):
+        match = _TOKEN.match(text, at)
+        if match is None:
+            raise _none(text)
+        power, sign, number, name, raised = match.groups()
+        if raised:
+            tokens.append(raised.translate(_RAISED))
+        elif not power:
+            tokens.append(sign or number or name)
+        at = match.end()
+    if not tokens:
+        raise _none(text)
+    return tokens
+
+
+def _is_number(token: str) -> bool:
+    return token.lstrip("+-").isdigit()
+
+
+def _product(text: str, tokens: list[str], at: int) -> tuple[Unit, int]:
+    """Factors up to a closing bracket or the end."""
+    whole, divided, first = Unit(1.0, (0,) * 7), False, True
+    while at < len(tokens) and tokens[at] != ")":
+        token = tokens[at]
+        if token in "*·/":
+            if first or divided:
+                raise _none(text)
+            divided, at = token == "/", at + 1
+            if at == len(tokens):
+                raise _none(text)
+            continue
+        if token == "(":
+            one, at = _product(text, tokens, at + 1)
+            if at == len(tokens):
+                raise _none(text)
+            at += 1
+        else:
+            one, at = _named(text, token), at + 1
+        power = 1
+        if at < len(tokens) and _is_number(tokens[at]):
+            power, at = int(tokens[at]), at + 1
+        power = -power if divided else power
+        if abs(power) > 9:
+            raise _none(text)
+        exponents = tuple(p + power * q for p, q in zip(whole.exponents, one.exponents, strict=True))
+        whole = Unit(whole.factor * one.factor**power, exponents)
+        divided = first = False
+    if first or divided:
+        raise _none(text)
+    return whole, at
+
+
+def _named(text: str, name: str) -> Unit:
+    if name in PLAIN:
+        factor, four = PLAIN[name]
+        return Unit(factor, (*four, 0, 0, 0))
+    if name in OFFSETS:  # a difference of temperatures, inside a product
+        return Unit(OFFSETS[name][0], (0, 0, 0, 1, 0, 0, 0))
+    for prefix, scale in (("", 1.0), *PREFIXES.items()):
+        rest = name[len(prefix) :]
+        if not name.startswith(prefix):
+            continue
+        if rest in PREFIXED:
+            factor, four = PREFIXED[rest]
+            return Unit(scale * factor, (*four, 0, 0, 0))
+        if rest in ELECTRIC:
+            place, factor = ELECTRIC[rest]
+            return Unit(scale * factor, tuple(int(k == place) for k in range(7)))
+    raise _none(text)
