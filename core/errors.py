@@ -6,6 +6,7 @@
     ├── InputError          a value that cannot be used: what, value, remedy
     │   ├── UnitError       a unit that does not fit the quantity
     │   └── RangeError      a number outside what the model covers
+    ├── FaultsError         one or more faults, each an InputError
     ├── ModelError          a model, archive or artefact that is missing or damaged
     └── CalibrationError    an update that has no trustworthy answer
 
@@ -14,6 +15,9 @@ fields, so that a caller can show or act on them without reading the sentence.
 """
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 
 class BladetwinError(Exception):
@@ -41,6 +45,18 @@ class InputError(BladetwinError):
         self.remedy = remedy
         super().__init__(f"{what} = {value!r} {problem}. To mend it: {remedy}.")
 
+    def to_json(self) -> dict[str, object]:
+        """Plain data: field, value, problem, remedy; what JSON cannot hold becomes a text.
+
+        >>> InputError("x", float("nan"), "is no number", "give one").to_json()["value"]
+        'nan'
+        """
+        value = self.value
+        plain = value is None or isinstance(value, str | bool | int)
+        plain |= isinstance(value, float) and math.isfinite(value)
+        told = {"field": self.what, "value": value if plain else repr(value)}
+        return told | {"problem": self.problem, "remedy": self.remedy}
+
 
 class UnitError(InputError):
     """A unit that does not fit the quantity."""
@@ -48,6 +64,14 @@ class UnitError(InputError):
 
 class RangeError(InputError):
     """A number outside what the model covers."""
+
+
+class FaultsError(BladetwinError):
+    """Something that cannot be used; `faults` names every field, value and remedy."""
+
+    def __init__(self, faults: Sequence[InputError]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("; ".join(map(str, faults)))
 
 
 class ModelError(BladetwinError):

@@ -22,6 +22,7 @@ from core.network import Network, rotor_blade_network
 from core.response import Response
 from core.surrogate import Surrogate
 from core.surrogate.driven import Driven
+from core.surrogate.targets import MEAN_CEEQ
 
 Array = NDArray[np.float64]
 MOST_LOCAL = 10  # local parameters of a component; the polynomials of its rows grow too large
@@ -209,10 +210,12 @@ class Model:
             fixed = {name: value for name, value in asleep.items() if name in inputs}
         if not network.drifts and not (isinstance(surrogate, Surrogate) and fixed):
             return Model(network, surrogate)
-        if not isinstance(surrogate, Surrogate):
+        creeps = isinstance(surrogate, Surrogate) and MEAN_CEEQ in surrogate.parts
+        if not isinstance(surrogate, Surrogate) or not creeps:
+            names = ", ".join([*(d.name for d in network.drifts)] or [*asleep])
             raise ModelError(
-                f"inputs that run in time ({', '.join(d.name for d in network.drifts)}) need one "
-                "surrogate of simulation runs with mean CEEQ; this model's is none"
+                f"inputs that run in time or sleep ({names}) need one surrogate of simulation "
+                "runs with mean CEEQ; this model's is none"
             )
         drifts = tuple(d for d in network.drifts if _of_all(d) and d.name not in asleep)
         free = (inputs - fixed.keys()) | {d.name for d in drifts}

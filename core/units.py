@@ -5,7 +5,7 @@ A unit is a product of powers, in the spellings that engineers type::
     mm   MPa   1/h   W/(m2 K)   kg m^2 s^-2   m2*K/W   %   degC
 
 Factors stand side by side or with ``*`` or ``·``; what follows ``/`` (one name, or a bracket) is
-divided by; a power is ``^2``, ``**2``, ``²`` or the digit alone. Each becomes its seven SI exponents
+divided by; a power is ``^2``, ``**2``, ``²`` or the digit alone. Each becomes its seven exponents
 and a factor, value[SI] = factor · value + offset; offsets have degC and degF, by themselves.
 Angles, strains and shares have no dimension. Prefixes go with the units that take them, so that
 ``Pa`` is no peta-ampere and ``min`` no milli-inch.
@@ -149,7 +149,9 @@ def _product(text: str, tokens: list[str], at: int) -> tuple[Unit, int]:
         power = -power if divided else power
         if abs(power) > 9:
             raise _none(text)
-        exponents = tuple(p + power * q for p, q in zip(whole.exponents, one.exponents, strict=True))
+        exponents = tuple(
+            p + power * q for p, q in zip(whole.exponents, one.exponents, strict=True)
+        )
         whole = Unit(whole.factor * one.factor**power, exponents)
         divided = first = False
     if first or divided:

@@ -31,13 +31,16 @@ from service.worker.supervise import Supervisor
 from service.worker.wake import open_wake
 
 
-def make_science(settings: Settings) -> Science:
-    """The science that the settings name; imported only here and only when asked for."""
+def make_science(settings: Settings, store: SqlStore) -> Science:
+    """The science that the settings name; imported only here and only when asked for.
+
+    Models of users' own runs come from the store.
+    """
     if settings.science == "fake":
         return FakeScience()
     from service.science import CoreScience
 
-    return CoreScience(settings.model_dir)
+    return CoreScience(settings.model_dir, files=store.blob)
 
 
 def make_store(settings: Settings) -> SqlStore:
@@ -130,7 +133,7 @@ def serve(settings: Settings) -> None:
     """API and workers until SIGTERM or SIGINT; returns when all have ended."""
     configure_logs(settings.log_level)
     store = make_store(settings)
-    science = make_science(settings)
+    science = make_science(settings, store)
     prepare(store, settings)
     check_keys(store, settings)
     register_builtins(store, science)
@@ -186,6 +189,6 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
             return
         if role in ("seal", "diagnose"):
             step_back()
-        run_worker(make_worker(store, make_science(settings), settings, owner, role))
+        run_worker(make_worker(store, make_science(settings, store), settings, owner, role))
     finally:
         store.close()

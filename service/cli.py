@@ -15,6 +15,7 @@ import typer
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
 from service.adopt_command import adopt
+from service.commands import models as own_runs
 from service.commands import register
 from service.diagnose_command import diagnose
 from service.key_commands import audit, keys
@@ -32,6 +33,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 models = typer.Typer(help="Models.", no_args_is_help=True)
+own_runs.add(models)
 app.add_typer(models, name="model")
 app.add_typer(studies, name="study")
 app.add_typer(keys, name="keys")

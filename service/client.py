@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 from urllib.parse import quote
@@ -149,6 +150,40 @@ class Client:
         if job["status"] != "done":
             raise RuntimeError(f"{builtin} was not registered: {job}")
         return self.model(builtin)
+
+    def upload_model(
+        self,
+        name: str,
+        runs: str | Path,
+        network: bytes | str,
+        *,
+        leave_out: Sequence[str] = (),
+        patience_s: float = 7200.0,
+        progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    ) -> Json:
+        """Runs and network sent, and the job when it has ended: ``status`` is done or failed.
+
+        runs      a netCDF file (`core.archive.source`); network: its text, YAML or JSON
+        progress  called with (what, done, total) as the training goes on
+        Its ``result`` has ``version``, ``quality`` and ``warnings``, or ``faults`` and
+        ``warnings``.
+
+        Raises TimeoutError when it takes longer than `patience_s`.
+        """
+        form = {"id": name} | ({"leave_out": ",".join(leave_out)} if leave_out else {})
+        told = network.encode() if isinstance(network, str) else network
+        with open(runs, "rb") as handle:
+            files = {"network": ("network.yaml", told), "runs": ("runs.nc", handle)}
+            job: Json = self._call("POST", "/v1/models", data=form, files=files)["job"]
+        end = time.monotonic() + patience_s
+        while job["status"] in ("queued", "running"):
+            if time.monotonic() > end:
+                raise TimeoutError(f"{name} was not trained within {patience_s:g} s")
+            time.sleep(0.2)
+            job = self._call("GET", _path("jobs", job["id"]))
+            if job["progress"] is not None:
+                progress(*(job["progress"][key] for key in ("what", "done", "total")))
+        return job
 
     def create_rotor(
         self,

@@ -4,7 +4,7 @@
 
     BladetwinError
     ├── InputError …          (core.errors)
-    ├── FaultsError           a request with one or more faults, each an InputError
+    ├── FaultsError           (core.errors) a request or an archive with one or more faults
     ├── NotFoundError         something that the address or body names does not exist
     ├── ConflictError         the same id with another content
     ├── NotYetError           an answer that a worker has yet to compute
@@ -24,15 +24,8 @@
 
 from __future__ import annotations
 
-from core.errors import BladetwinError, InputError
-
-
-class FaultsError(BladetwinError):
-    """A request that cannot be used; `faults` names every field, value and remedy."""
-
-    def __init__(self, faults: list[InputError]) -> None:
-        self.faults = tuple(faults)
-        super().__init__("; ".join(map(str, faults)))
+from core.errors import BladetwinError
+from core.errors import FaultsError as FaultsError
 
 
 class NotFoundError(BladetwinError):

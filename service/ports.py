@@ -167,6 +167,31 @@ class Science(Protocol):
         ...
 
     def builtin(self, name: str) -> ModelCard: ...
+    def train(
+        self,
+        name: str,
+        network: Network,
+        runs: bytes,
+        leave_out: Sequence[str],
+        facts: Json,
+        progress: Progress,
+    ) -> tuple[ModelCard, bytes]:
+        """A model of a user's runs (a file of `core.archive.source`): its card and its artefact.
+
+        facts      are kept in the card's summary
+        progress   as of `diagnose`
+
+        Raises FaultsError with everything that is wrong with the runs.
+        """
+        ...
+
+    def opened(self, name: str, artefact: bytes) -> ModelCard:
+        """The card of an artefact that `train`, or `bladetwin model train`, made.
+
+        Raises ModelError for one that is damaged.
+        """
+        ...
+
     def vary(self, card: ModelCard, asked: Json | None) -> ModelCard:
         """A registered model under a rotor's own network (`service.variant`), with its own digest.
 
@@ -523,7 +548,14 @@ class Operations:
 class Records(Protocol):
     """Models, jobs, rotors and blades."""
 
-    def put_model(self, card: ModelCard, source: Json) -> None: ...
+    def put_model(self, card: ModelCard, source: Json, *, newest: bool = False) -> None:
+        """Make a version known; `newest`: the one that new rotors get, though it was known."""
+        ...
+
+    def model_sources(self) -> list[tuple[ModelCard, Json]]:
+        """Every version of every model, with where it comes from."""
+        ...
+
     def model(self, model_id: str, version: str | None = None) -> ModelCard: ...
     def models(self, after: str, limit: int) -> list[ModelCard]: ...
     def put_job(
@@ -599,6 +631,15 @@ class Outbox(Protocol):
         ...
 
 
+class Blobs(Protocol):
+    """Files by their SHA-256: uploaded runs, trained surrogates."""
+
+    def put(self, data: bytes) -> str: ...
+    def has(self, name: str) -> bool: ...
+    def get(self, name: str) -> bytes: ...
+    def drop(self, name: str) -> None: ...
+
+
 class Transaction(Protocol):
     """One transaction: all of it is written, or nothing."""
 
@@ -618,6 +659,8 @@ class Transaction(Protocol):
     def outbox(self) -> Outbox: ...
     @property
     def webhooks(self) -> Webhooks: ...
+    @property
+    def blobs(self) -> Blobs: ...
     def gauges(self) -> Gauges: ...
     def blade_readings(self, rotor_id: str) -> dict[str, BladeReadings]: ...
     def operations(self, limit: int) -> Operations: ...

@@ -1,7 +1,8 @@
 """The calibration behind the `Science` port: core.model, core.calibration, core.prediction.
 
 Three models come with it: blades on their shipped surrogate; the same blades on one of wider runs,
-in which effects that the first lacks find room; and creep specimens in closed form.
+in which effects that the first lacks find room; and creep specimens in closed form. Others are
+trained on users' own runs and lie as files in the store (`service.packed`).
 
 Imported only where it is wired; the compiled kernels of the calibration are imported when a
 worker warms up, so that a process that only serves never loads them.
@@ -9,10 +10,12 @@ worker warms up, so that a process that only serves never loads them.
 
 from __future__ import annotations
 
+import tempfile
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +27,11 @@ from core.calibration.state import Arrays, Posterior, RotorState, blade_posterio
 from core.discrepancy import parameters
 from core.errors import InputError, ModelError
 from core.model import Model, rotor_blade_wide
-from core.network import rotor_blade_network
+from core.network import Network, rotor_blade_network
 from core.observation import Inspection
 from core.prediction import predict
 from core.surrogate.artefact import load
+from service.packed import pack, unpack, write_network
 from service.ports import (
     Array,
     BladeRecord,
@@ -51,6 +55,7 @@ WIDE = f"{NAME}-wide"
 SPECIMENS = creep_specimens.NAME
 INSTANTS = 51
 MOST_VARIED = 64  # varied models kept with the rows compiled for them
+MOST_OWN = 8  # models of users' runs that are kept loaded
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +78,17 @@ class CoreScience:
     folder   holds a rebuilt rotor-blade model, used instead of the shipped one
     model    any network and surrogate, e.g. a formula (core.surrogate.formula), used instead of
              rotor-blade and alone
+    files    gives a stored file by its SHA-256: artefacts that were trained on users' runs
     """
 
-    def __init__(self, folder: str = "", model: Model | None = None) -> None:
+    def __init__(
+        self,
+        folder: str = "",
+        model: Model | None = None,
+        files: Callable[[str], bytes] | None = None,
+    ) -> None:
+        self._files = files
+        self._own: OrderedDict[str, Model] = OrderedDict()
         self._folder = Path(folder) if folder else SHIPPED
         self._models: dict[str, Model] = {} if model is None else {NAME: model}
         self.builtins = (NAME, WIDE, SPECIMENS) if model is None else (NAME,)
@@ -101,10 +114,23 @@ class CoreScience:
             return rotor_blade_wide()
         return Model(rotor_blade_network(), load(self._folder))
 
+    def _trained(self, card: ModelCard) -> Model:
+        """A model of a user's runs, by the file that its card names; the lock is held."""
+        name = str(card.summary["artefact"])
+        if name not in self._own:
+            if self._files is None:
+                raise ModelError(f"model {card.id} lies in a database, and none is open here")
+            self._own[name] = unpack(self._files(name))
+            while len(self._own) > MOST_OWN:
+                self._own.popitem(last=False)
+        self._own.move_to_end(name)
+        return self._own[name]
+
     def _model(self, card: ModelCard) -> Model:
         """The loaded model, or its surrogate under the varied network of the card."""
         with self._lock:
-            model = self._loaded(card.id)
+            own = card.id not in self.builtins and "artefact" in card.summary
+            model = self._trained(card) if own else self._loaded(card.id)
             if card.version != model.version:
                 raise ModelError(
                     f"model {card.id} {card.version} is registered, but this release has "
@@ -137,6 +163,10 @@ class CoreScience:
             raise InputError("builtin", name, "is no built-in model", remedy)
         with self._lock:
             model = self._loaded(name)
+        return self._card(name, model)
+
+    def _card(self, name: str, model: Model, more: Json | None = None) -> ModelCard:
+        """What is told of a model under a name; `more` goes into its summary."""
         surrogate: Any = model.surrogate
         surrogate = getattr(surrogate, "base", surrogate)
         manifest = getattr(surrogate, "manifest", {})
@@ -151,8 +181,34 @@ class CoreScience:
             nodes=dict(surrogate.named),
             time_h=tuple(np.asarray(instants).tolist()),
             outputs={q.name: Output(q.unit, q.kind) for q in model.network.quantities},
-            summary={k: v for k, v in manifest.items() if k not in ("structure", "schema")},
+            summary={k: v for k, v in manifest.items() if k not in ("structure", "schema")}
+            | (more or {}),
         )
+
+    def train(
+        self,
+        name: str,
+        network: Network,
+        runs: bytes,
+        leave_out: Sequence[str],
+        facts: Json,
+        progress: Progress,
+    ) -> tuple[ModelCard, bytes]:
+        from core.archive.source import opened
+        from core.surrogate.own import make
+
+        with tempfile.TemporaryDirectory(prefix="bladetwin-runs-") as folder:
+            file, made = Path(folder) / "runs.nc", Path(folder) / "model"
+            file.write_bytes(runs)
+            with opened(file) as source:
+                make(source, network, made, leave_out=leave_out, progress=progress, facts=facts)
+            write_network(made, network)
+            artefact = pack(made)
+        return self.opened(name, artefact), artefact
+
+    def opened(self, name: str, artefact: bytes) -> ModelCard:
+        model = unpack(artefact)
+        return self._card(name, model, {"artefact": sha256(artefact).hexdigest()})
 
     def update(
         self,

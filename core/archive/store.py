@@ -201,7 +201,9 @@ class Archive:
     def from_netcdf(cls, path: str | Path, directory: str | Path) -> Archive:
         """Unpack a file of `to_netcdf` into `directory`; every run is checked again."""
         with opened(Path(path)) as packed:
-            if "declaration" not in packed.attrs or not {"index", "inputs"} <= set(packed.variables):
+            if "declaration" not in packed.attrs or not {"index", "inputs"} <= set(
+                packed.variables
+            ):
                 raise ModelError(f"{path} holds no packed archive (no declaration or inputs)")
             declared = Declaration.from_json(str(packed.attrs["declaration"]))
             needed = {"points", "cells", "parametric"} if declared.nodes else set()

@@ -144,12 +144,14 @@ class Compiled:
         return self._response(a, np.repeat(b, width, axis=0), ka, np.repeat(kb, width))
 
     def modes(self, mixing: Array) -> Response:
-        """Mixtures T (Q, B) of the deformation's modes times mean CEEQ, at one time."""
+        """Mixtures T (Q, B) of the deformation's modes, times mean CEEQ in creep, at one time."""
         part = self.model.parts[DEFORMATION]
         rows = part.factors.modes(self.time)[:, 0] @ mixing.T
         a = self.compiler.linear(rows[0], rows[1:], part.columns)
         covariance = part.mode_covariance(self.time)[0]
         ka = np.sqrt(np.einsum("qb,bc,qc->q", mixing, covariance, mixing))
+        if part.form == "raw":
+            return self._response(a, np.zeros_like(a), ka, np.zeros_like(ka))
         return self._times_ceeq(a, ka)
 
     def hot(self, rows: Rows) -> Response:

@@ -148,7 +148,7 @@ class Surrogate:
         """Mean and sd at inputs x (n, d): (n, T), with nodes (n, T, K) or (n, T, K, 3)."""
         time, rows = self.check_times(times), self.rows(quantity, nodes)
         z = self.scaled(x)
-        if quantity in (DEFORMATION, "elongation", "displacement"):
+        if self._creeps(quantity):
             evaluate = self._normalised(quantity, time, rows)
         else:
             evaluate = self._direct(self.parts[quantity], time, rows)
@@ -161,6 +161,10 @@ class Surrogate:
         kind = self.quantities[quantity].kind
         shape = {"scalar": (), "field": (len(rows),), "vector field": (len(rows) // 3, 3)}[kind]
         return mean.reshape(*mean.shape[:2], *shape), sd.reshape(*sd.shape[:2], *shape)
+
+    def _creeps(self, quantity: str) -> bool:
+        """Whether it is put together with mean CEEQ; else it is a part of its own."""
+        return quantity not in self.parts or self.parts[quantity].form == "per ceeq"
 
     def _direct(self, part: Part, time: Array, rows: Rows) -> Evaluate:
         decode = part.factors.decoder(time, rows)
@@ -220,10 +224,10 @@ class Surrogate:
         """`predict` compiled to polynomials; rows in C order of (time, node, xyz)."""
         time, rows = self.check_times(times), self.rows(quantity, nodes)
         make = Compiled(self, self.compiler(degree), time)
-        if quantity in (DEFORMATION, "elongation"):
-            return make.per_ceeq(self.parts[quantity], rows)
-        if quantity == "displacement":
+        if quantity == "displacement" and self._creeps(quantity):
             return make.hot(rows)
+        if self._creeps(quantity):
+            return make.per_ceeq(self.parts[quantity], rows)
         return make.direct(self.parts[quantity], rows)
 
     def deformation_modes(self, nodes: Sequence[int] | None = None) -> Array:

@@ -12,6 +12,9 @@ with E(t) the mean CEEQ over the nodes, itself a ``log rate`` curve. The displac
 the field at 0+ (no time, ``raw``) and the permanent deformation u(t) - u(0+). Values below
 1e-8 of the largest one count as that floor: colder parts of a blade do not creep, and the
 logarithm of nothing would rule the basis.
+
+Runs without a field ``ceeq`` are of no creeping body: their elongation is a quantity like any
+other, and their deformation, u(t) - u(0), ``raw``.
 """
 
 from __future__ import annotations
@@ -50,10 +53,10 @@ def mean_ceeq(archive: Archive, indices: Sequence[int]) -> Array:
 
 def forms_of(values: Array, quantity: Quantity) -> tuple[Form, ...]:
     """The forms a quantity's values (n, T, R) allow, best guess first."""
-    if quantity.name in ("elongation", "displacement"):
-        return ("per ceeq",)
+    if quantity.kind == "vector field":
+        return ("raw",)
     if np.all(values[:, 0] == 0) and np.all(values >= 0) and np.all(values[:, 1:].max(-1) > 0):
-        return ("log rate",)
+        return ("log rate",) if quantity.kind == "field" else ("log rate", "raw")
     if np.all(values > 0):
         return ("log", "raw")
     return ("raw",)
@@ -64,11 +67,8 @@ def targets_of(archive: Archive, indices: Sequence[int]) -> Iterator[tuple[Targe
     declared = archive.declaration
     time = np.array(declared.time_h)
     names = {quantity.name for quantity in declared.quantities}
-    if names & {"elongation", "displacement"}:
-        if "ceeq" not in names:
-            raise ModelError(
-                "elongation and displacement are scaled by CEEQ: add it to the archive"
-            )
+    creeps = "ceeq" in names and bool(names & {"elongation", "displacement"})
+    if creeps:
         ceeq = mean_ceeq(archive, indices)
         if np.any(ceeq[:, 1:] <= 0):
             run = int(np.argwhere(ceeq[:, 1:] <= 0)[0, 0])
@@ -78,11 +78,14 @@ def targets_of(archive: Archive, indices: Sequence[int]) -> Iterator[tuple[Targe
         stacked = archive.stack(quantity.name, indices)
         values = np.asarray(stacked, dtype=float).reshape(len(indices), len(time), -1)
         del stacked
-        if quantity.name == "displacement":
+        if quantity.name == "displacement" and not creeps:
+            yield (_target("displacement", "raw", time, values),)
+            yield (_target(DEFORMATION, "raw", time, values - values[:, :1]),)
+        elif quantity.name == "displacement":
             yield (Target(ELASTIC, "raw", time[:1], values[:, :1].copy()),)
             values -= values[:, :1]
             yield (_target(DEFORMATION, "per ceeq", time, values, ceeq),)
-        elif quantity.name == "elongation":
+        elif quantity.name == "elongation" and creeps:
             yield (_target("elongation", "per ceeq", time, values, ceeq),)
         else:
             forms = forms_of(values, quantity)

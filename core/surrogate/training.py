@@ -7,19 +7,22 @@
    same. The degree of the trend (0, 1, 2) is the one of smallest leave-one-out error.
 3. Errors: leave-one-out residuals give the covariance C; ten-fold cross-validation over the
    training runs, bases refitted each time, gives the factor f by which the 95 % intervals have
-   to grow to cover 95 %. Test runs are never looked at here.
+   to grow to cover 95 %. Test runs are never looked at here. The same folds tell how far each
+   quantity is off at runs that were left out, in its own unit (`Held`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from core.archive import Archive, Quantity
+from core.archive.take import MINIMUM_RUNS
 from core.errors import ModelError
 from core.response import multi_indices
 from core.rng import stream
@@ -29,6 +32,7 @@ from core.surrogate.part import Part
 from core.surrogate.targets import (
     DEFORMATION,
     ELASTIC,
+    MEAN_CEEQ,
     Target,
     invert,
     targets_of,
@@ -37,12 +41,11 @@ from core.surrogate.tucker import Factors, Ranks, factorise
 
 Array = NDArray[np.float64]
 Runs = NDArray[np.int64]
-Progress = Callable[[str], None]
+Progress = Callable[[str, int, int], None]
 FOLDS = 10
 LEADING = 0.99
 TRENDS = (0, 1, 2)
 SAMPLED_ROWS = 240
-MINIMUM_RUNS = 3  # times (number of inputs + 1)
 RANKS = {
     "scalar": Ranks(1, 12, 30, 2e-5),
     "field": Ranks(32, 14, 48, 6e-4),
@@ -75,23 +78,24 @@ def train(
         raise ModelError(
             f"{len(chosen)} runs are too few for {d} inputs: make {MINIMUM_RUNS * (d + 1)} or more"
         )
-    say = progress or (lambda text: None)
+    say = progress or (lambda what, done, total: None)
     low = np.array([item.low for item in declared.inputs])
     high = np.array([item.high for item in declared.inputs])
     z = 2.0 * (archive.inputs(chosen) - low) / (high - low) - 1.0
 
     fitted: dict[str, _Fitted] = {}
+    steps = len(declared.quantities) + 1 + FOLDS
     for candidates in targets_of(archive, chosen):
-        say(f"reducing {candidates[0].name}")
+        say(f"reducing {candidates[0].name}", min(len(fitted), len(declared.quantities)), steps)
         best = candidates[0]
         if len(candidates) > 1:
             best = min(candidates, key=lambda t: _form_error(z, t, seed))
         fitted[best.name] = _reduce(best, seed)
-    say("fitting the process")
+    say("fitting the process", len(declared.quantities), steps)
     hyper = _hyper(z, fitted)
     process, parts = _assemble(z, fitted, hyper)
     quantities = {q.name: q for q in declared.quantities}
-    if "displacement" in quantities:
+    if DEFORMATION in fitted:
         unit = quantities["displacement"].unit
         quantities[DEFORMATION] = Quantity(DEFORMATION, unit, "vector field")
     mesh = archive.mesh()
@@ -105,21 +109,24 @@ def train(
         parts=parts,
         v_typical=_typical_variance(process),
     )
-    say("calibrating the errors")
-    found = calibrate(z, {name: one.target for name, one in fitted.items()}, hyper, seed)
-    parts = {name: replace(part, inflation=found[name][0]) for name, part in parts.items()}
+    targets = {name: one.target for name, one in fitted.items()}
+    found = calibrate(
+        z, targets, hyper, seed, lambda k: say("calibrating the errors", steps - FOLDS + k, steps)
+    )
+    parts = {name: replace(part, inflation=found[name].inflation) for name, part in parts.items()}
     bases = {
         name: {
             "form": part.form,
             "space": part.factors.space.shape[1],
             "time": part.factors.time.shape[1],
             "coefficients": part.factors.coefficients,
-            "held_out_percent": round(100 * found[name][1], 4),
+            "held_out_percent": round(100 * found[name].lost, 4),
             "inflation": round(part.inflation, 4),
         }
         for name, part in parts.items()
     }
-    notes = {"runs": len(chosen), "seed": seed, "hyper": asdict(hyper), "bases": bases}
+    notes: dict[str, Any] = {"runs": len(chosen), "seed": seed, "hyper": asdict(hyper)}
+    notes |= {"bases": bases, "held_out": {name: one.to_json() for name, one in found.items()}}
     return replace(made, parts=parts, manifest={"training": notes})
 
 
@@ -150,7 +157,7 @@ def _reduce(target: Target, seed: int) -> _Fitted:
     rows = target.values.shape[2]
     kind = target.name if target.name in RANKS else ("scalar" if rows == 1 else "field")
     ranks = RANKS[kind]
-    if kind != "scalar" and target.form in ("raw", "per ceeq"):
+    if target.form == "raw" or (kind != "scalar" and target.form == "per ceeq"):
         ranks = replace(ranks, tolerance=ranks.tolerance * float(np.std(target.values)))
     factors, c = factorise(target.values, target.time_h, ranks, seed)
     square = np.zeros(target.values.shape[1:])
@@ -227,17 +234,46 @@ def _folds(n: int, count: int, seed: int) -> Iterator[tuple[Runs, Runs]]:
         yield np.setdiff1d(order, left), left
 
 
-def calibrate(
-    z: Array, targets: Mapping[str, Target], hyper: Hyper, seed: int
-) -> dict[str, tuple[float, float]]:
-    """Two figures per part, from cross-validation with the bases refitted in each fold.
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What ten-fold cross-validation, bases refitted in each fold, tells of a part.
 
-    The factor by which the 95 % intervals must grow to cover 95 % of what was left out, and what
-    the bases alone lose of it: ||g - decoded(encoded(g))|| / ||g - mean g||.
+    inflation  factor by which the 95 % intervals must grow to cover 95 % of what was left out
+    lost       what the bases alone lose of it: ||g - decoded(encoded(g))|| / ||g - mean g||
+    rms, p95   of the error of y at runs left out, over runs, instants and rows [unit of y]
+    spread     rms over instants and rows of the standard deviation of y between runs [unit]
+    worst      the run with the largest rms error, among those trained on, and that error [unit]
     """
+
+    inflation: float
+    lost: float
+    rms: float
+    p95: float
+    spread: float
+    worst: int
+    worst_rms: float
+
+    def to_json(self) -> dict[str, float]:
+        """Plain data; the two factors are told elsewhere."""
+        told = asdict(self)
+        return {name: told[name] for name in ("rms", "p95", "spread", "worst", "worst_rms")}
+
+
+def calibrate(
+    z: Array,
+    targets: Mapping[str, Target],
+    hyper: Hyper,
+    seed: int,
+    fold_done: Callable[[int], None] = lambda k: None,
+) -> dict[str, Held]:
+    """How each part does at runs that were left out, by ten-fold cross-validation."""
     seen: dict[str, list[Array]] = {name: [] for name in targets}
     lost: dict[str, list[Array]] = {name: [] for name in targets}
-    for kept, left in _folds(len(z), FOLDS, seed):
+    off = {name: np.zeros(target.values.shape) for name, target in targets.items()}
+    for k, (kept, left) in enumerate(_folds(len(z), FOLDS, seed)):
+        fold_done(k)
+        if not len(left):
+            continue
         fold = {
             name: _reduce(replace(target, values=target.values[kept]), seed)
             for name, target in targets.items()
@@ -249,19 +285,48 @@ def calibrate(
             target = targets[name]
             rows = np.arange(target.values.shape[2])
             mean = part.factors.decode(c[:, part.columns], target.time_h, rows)
-            k = part.scale(target.time_h, rows, v_typical)
-            sd = np.maximum(k * np.sqrt(v)[:, None, None], np.finfo(float).tiny)
+            scale = part.scale(target.time_h, rows, v_typical)
+            sd = np.maximum(scale * np.sqrt(v)[:, None, None], np.finfo(float).tiny)
             true = target.values[left]
             seen[name].append(np.abs(true - mean) / sd)
             again = part.factors.decode(part.factors.encode(true), target.time_h, rows)
             spread = true - target.values[kept].mean(axis=0)
             lost[name].append(np.array([np.sum((true - again) ** 2), np.sum(spread**2)]))
+            off[name][left] = mean
     out = {}
     for name in targets:
         factor = np.quantile(np.concatenate([s.ravel() for s in seen[name]]), 0.95) / 1.959964
         residual, total = np.sum(lost[name], axis=0)
-        out[name] = (float(factor), float(np.sqrt(residual / total)))
+        share = float(np.sqrt(residual / max(total, np.finfo(float).tiny)))
+        out[name] = _held(float(factor), share, name, targets, off)
     return out
+
+
+def _held(
+    factor: float, lost: float, name: str, targets: Mapping[str, Target], means: Mapping[str, Array]
+) -> Held:
+    """Errors of y itself: a part that is learnt as a share of mean CEEQ is multiplied by it."""
+
+    def of(values: Mapping[str, Array]) -> Array:
+        target, ceeq = targets[name], None
+        if target.form == "per ceeq":
+            scale = targets[MEAN_CEEQ]
+            ceeq = invert(scale.form, values[MEAN_CEEQ], scale.time_h)[:, :, 0]
+        return invert(target.form, values[name], target.time_h, ceeq)
+
+    true = of({key: target.values for key, target in targets.items()})
+    error = of(means) - true
+    by_run = np.sqrt(np.mean(error**2, axis=(1, 2)))
+    worst = int(by_run.argmax())
+    return Held(
+        factor,
+        lost,
+        float(np.sqrt(np.mean(error**2))),
+        float(np.quantile(np.abs(error), 0.95)),
+        float(np.sqrt(np.mean(np.var(true, axis=0)))),
+        worst,
+        float(by_run[worst]),
+    )
 
 
 def _form_error(z: Array, target: Target, seed: int) -> float:

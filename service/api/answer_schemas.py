@@ -169,6 +169,7 @@ JOB = having(
     request=ANY,
     result=maybe(ANY),
     error=maybe(TEXT),
+    progress=maybe(having(what=TEXT, done=WHOLE, total=WHOLE, seconds_left=maybe(NUMBER))),
     attempts=WHOLE,
     created_at=TEXT,
     finished_at=maybe(TEXT),

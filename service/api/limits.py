@@ -68,6 +68,11 @@ class BodyLimit:
                 break
         limit = f"{self.limit / 2**20:g} MiB"
         remedy = "post fewer inspections at once, or raise BLADETWIN_MAX_BODY_MB"
+        if scope["path"] == "/v1/models":
+            remedy = (
+                "raise BLADETWIN_MAX_BODY_MB, or train with `bladetwin model train` and put the "
+                "model into the database with `bladetwin model register`"
+            )
         faults = [fault("body", f"{size} bytes or more", f"is above {limit}", remedy)]
         detail = (
             f"the body is above the limit of {limit}; nothing was stored. To mend it: {remedy}."

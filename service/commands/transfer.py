@@ -51,7 +51,7 @@ def import_rotor(
 
     settings = Settings.load()
     with opened(settings) as store:
-        done = use(store, make_science(settings), file, as_id)
+        done = use(store, make_science(settings, store), file, as_id)
     told = done.to_json()
     state = told["state"]
     lines = [f"rotor {told['rotor']}: {told['entries']} entries, {told['blades']} blades"]

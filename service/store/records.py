@@ -39,7 +39,8 @@ class SqlRecords:
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
 
-    def put_model(self, card: ModelCard, source: Json) -> None:
+    def put_model(self, card: ModelCard, source: Json, *, newest: bool = False) -> None:
+        """Make a version known; `newest`: the one that new rotors get, though it was known."""
         values = {
             "id": card.id,
             "version": card.version,
@@ -48,7 +49,15 @@ class SqlRecords:
             "card": json.dumps(card.to_json()),
             "created_at": now_s(),
         }
-        insert_new(self._connection, t.model, values)
+        if not insert_new(self._connection, t.model, values) and newest:
+            own = (t.model.c.id == card.id) & (t.model.c.version == card.version)
+            self._connection.execute(update(t.model).where(own).values(created_at=now_s()))
+
+    def model_sources(self) -> list[tuple[ModelCard, Json]]:
+        """Every version of every model, with where it comes from."""
+        query = select(t.model.c.card, t.model.c.source).order_by(t.model.c.id, t.model.c.version)
+        rows = self._connection.execute(query)
+        return [(_card(row.card), json.loads(row.source)) for row in rows]
 
     def model(self, model_id: str, version: str | None = None) -> ModelCard:
         query = select(t.model.c.card).where(t.model.c.id == model_id)

@@ -20,6 +20,8 @@ its queue; `fence`, `owner` and `lease_until` are those of whoever computes them
 requests with an Idempotency-Key were answered, until it expires.
 `webhook` is served by one worker at a time, under fence and lease like a rotor; `delivery` has a
 row for each event that it is to be told, written in the transaction in which that happens.
+`blob` holds files in parts by their SHA-256: runs that were uploaded, until their job has ended,
+and trained surrogates, which the row of their model names.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
 its own; `rotor.adopt` says whether a diagnosis is adopted by itself. `cursor.outbox_dropped` is the
 newest note of the outbox that is no longer kept.
@@ -308,7 +310,17 @@ delivery = Table(
     Index("ix_delivery_webhook_id_id", "webhook_id", "id"),
 )
 
+blob = Table(
+    "blob",
+    metadata,
+    Column("sha256", String(64), primary_key=True),
+    Column("part", Integer, primary_key=True, autoincrement=False),
+    Column("data", LargeBinary, nullable=False),
+)
+
 # Array bytes do not compress; PostgreSQL need not try.
 EXTERNAL_STORAGE = "ALTER TABLE state_array ALTER COLUMN data SET STORAGE EXTERNAL"
 _external = DDL(EXTERNAL_STORAGE)  # type: ignore[no-untyped-call]
 event.listen(state_array, "after_create", _external.execute_if(dialect="postgresql"))
+_external = DDL("ALTER TABLE blob ALTER COLUMN data SET STORAGE EXTERNAL")  # type: ignore[no-untyped-call]
+event.listen(blob, "after_create", _external.execute_if(dialect="postgresql"))

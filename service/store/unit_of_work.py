@@ -11,6 +11,7 @@ from sqlalchemy import Connection, Engine
 from service.access import EXPECTED, Act
 from service.ports import Array, BladeReadings, Gauges, Get, Guard, Operations
 from service.store.answers import SqlAnswers
+from service.store.blobs import SqlBlobs
 from service.store.cache import ArrayCache, Checked
 from service.store.engine import transaction
 from service.store.gauges import read_gauges
@@ -43,6 +44,7 @@ class SqlTransaction:
         self.audit = SqlAudit(connection)
         self.answers = SqlAnswers(connection)
         self.webhooks = SqlWebhooks(connection)
+        self.blobs = SqlBlobs(connection)
 
     def gauges(self) -> Gauges:
         return read_gauges(self.connection)
@@ -88,6 +90,11 @@ class SqlStore:
                 row = tx.audit.note(act, EXPECTED, entries=tx.log.appended)
         if act is not None and row is not None:
             act.row = row
+
+    def blob(self, name: str) -> bytes:
+        """A stored file by its SHA-256, in a transaction of its own."""
+        with self.read() as tx:
+            return tx.blobs.get(name)
 
     def arrays(self, rotor_id: str, version: int) -> Get:
         """A lazy reader of one version's arrays: what is not cached takes a short transaction."""

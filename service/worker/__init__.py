@@ -2,7 +2,8 @@
 
     lease.py      claim, heartbeat, commit, failure: the fenced moves of a cursor
     update.py     one rotor's pending entries become one new version
-    jobs.py       work that answers later: the registration of a model, a diagnosis
+    jobs.py       work that answers later: the registration or training of a model, a diagnosis
+    training.py   runs that were uploaded become a model
     diagnosing.py what a diagnosis rests on, and its result as data
     wake.py       how a sleeping worker or reader learns of a commit
     loop.py       the life of one worker process

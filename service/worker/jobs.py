@@ -1,10 +1,10 @@
-"""Work that answers later: the registration of a model, a diagnosis.
+"""Work that answers later: the registration or training of a model, a diagnosis.
 
 A job is claimed, fenced and finished like a rotor's update: its result is written only while the
 fence of the claim still holds. While it runs, a heartbeat prolongs its lease every third of it, and
 each step writes how far it is; there a worker stops that lost its lease or whose job was cancelled.
-Diagnoses take minutes and belong to workers of their own (role `diagnose`); the others take the
-short jobs.
+Diagnoses and trainings take minutes and belong to workers of their own (role `diagnose`); the
+others take the short jobs.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from time import monotonic
 
 from sqlalchemy import ColumnElement, Connection, Engine, or_, select, update
 
-from core.errors import BladetwinError, InputError
+from core.errors import BladetwinError, FaultsError, InputError, ModelError
 from service.errors import AdoptionError, LostLeaseError, NotFoundError, StoreAwayError
 from service.handlers.adoptions import adopt_in
 from service.handlers.diagnoses import KIND as DIAGNOSE
+from service.handlers.models import TRAIN
 from service.ports import Json, Progress, Science
 from service.settings import Settings
 from service.store import tables as t
@@ -31,9 +32,11 @@ from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.diagnosing import diagnose
 from service.worker.heartbeat import heartbeats
 from service.worker.lease import Role, over
+from service.worker.training import drop_runs, keep, refusal, train
 
 log = logging.getLogger("bladetwin.worker")
 c = t.job.c
+LONG = (DIAGNOSE, TRAIN)
 # Writes what a job comes to, in the transaction that ends it, and gives the job's result.
 Outcome = Callable[[SqlTransaction], Json]
 
@@ -56,7 +59,7 @@ class JobLease:
 
 def takes(role: Role) -> ColumnElement[bool]:
     """The kinds of jobs that a worker of this role takes."""
-    return c.kind == DIAGNOSE if role == "diagnose" else c.kind != DIAGNOSE
+    return c.kind.in_(LONG) if role == "diagnose" else c.kind.not_in(LONG)
 
 
 def holds(lease: JobLease) -> ColumnElement[bool]:
@@ -179,6 +182,10 @@ class Jobs:
                 return result
 
             return register
+        if lease.kind == TRAIN:
+            told = self.progress(lease)
+            card, artefact = train(self.store, self.science, lease.request, told)
+            return lambda tx: keep(tx, lease.id, lease.request, card, artefact)
         if lease.kind == DIAGNOSE and lease.rotor_id is not None:
             told = self.progress(lease)
             found = diagnose(self.store, self.science, lease.rotor_id, lease.request, told)
@@ -229,16 +236,21 @@ class Jobs:
             _close(connection, lease, status="queued", attempts=c.attempts - 1, progress=None)
 
     def _failed(self, lease: JobLease, error: Exception) -> None:
-        final = isinstance(error, (InputError, NotFoundError))
+        final = isinstance(error, (InputError, FaultsError, NotFoundError))
+        final = final or (lease.kind == TRAIN and isinstance(error, ModelError))
         final = final or lease.attempts >= self.settings.max_attempts
+        refused = {"result": refusal(error)} if final and lease.kind == TRAIN else {}
         pause = self.settings.retry_base_s * 2 ** (lease.attempts - 1)
         log.error("job %s: attempt %d failed: %s", lease.id, lease.attempts, error)
         try:
-            with transaction(self.store.engine, write=True) as connection:
+            with self.store.write() as tx:
+                if final and lease.kind == TRAIN:
+                    drop_runs(tx, lease.id, lease.request)
                 _close(
-                    connection,
+                    tx.connection,
                     lease,
                     status="failed" if final else "queued",
+                    **refused,
                     error=f"{type(error).__name__}: {error}"[:4000],
                     progress=None,
                     not_before=now_s() + min(pause, self.settings.retry_max_s),

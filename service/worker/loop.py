@@ -14,6 +14,7 @@ import threading
 from types import FrameType
 from typing import Protocol
 
+from core.errors import ModelError
 from service.errors import StoreAwayError
 from service.ports import Science
 from service.settings import Settings
@@ -67,7 +68,12 @@ class Worker:
         with self.store.read() as tx:
             cards = tx.records.models("", 100)
         for card in cards:
-            self.science.warm(card)
+            try:
+                self.science.warm(card)
+            except ModelError as error:
+                if "artefact" not in card.summary:
+                    raise
+                log.error("model %s cannot be used: %s", card.id, error)
 
     def drain(self) -> None:
         """Apply everything that can be applied now."""

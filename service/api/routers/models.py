@@ -1,13 +1,17 @@
-"""Models and jobs."""
+"""Models and jobs.
+
+A model is registered by JSON, ``{"builtin": …}``, or trained on runs that come as a form
+(multipart): ``id``, ``network`` (YAML or JSON, text or file), ``runs`` (netCDF-4), ``leave_out``?
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse
 
-from service.api.schemas import ModelIn
+from service.api.model_bodies import BODY, Upload, asked_of
 from service.api.services import Cursor, Limit, Name, Wired, moment, page, page_size
 from service.handlers import models as use
 from service.ports import JobRecord, ModelCard
@@ -27,15 +31,27 @@ def job_out(job: JobRecord) -> dict[str, Any]:
         "request": job.request,
         "result": job.result,
         "error": job.error,
+        "progress": job.progress,
         "attempts": job.attempts,
         "created_at": moment(job.created_at),
         "finished_at": moment(job.finished_at),
     }
 
 
-@router.post("/models", status_code=202, summary="Register a model; answers with a job")
-def post_model(body: ModelIn, services: Wired) -> JSONResponse:
-    job = use.request_builtin(services.store, services.science, body.builtin)
+@router.post(
+    "/models",
+    status_code=202,
+    summary="Register a built-in model, or train one on runs; answers with a job",
+    openapi_extra=BODY,
+)
+def post_model(services: Wired, asked: Annotated[Upload | str, Depends(asked_of)]) -> JSONResponse:
+    store, science = services.store, services.science
+    if isinstance(asked, Upload):
+        job = use.request_training(
+            store, science, asked.id, asked.network, asked.runs, asked.leave_out
+        )
+    else:
+        job = use.request_builtin(store, science, asked)
     return JSONResponse({"job": job_out(job)}, 202, headers={"Location": f"/v1/jobs/{job.id}"})
 
 

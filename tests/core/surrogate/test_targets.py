@@ -48,7 +48,8 @@ def test_growing_positive_and_signed_quantities_get_their_forms() -> None:
     assert forms_of(growing, FIELD) == ("log rate",)
     assert forms_of(growing + 0.1, FIELD) == ("log", "raw")
     assert forms_of(growing - 0.1, FIELD) == ("raw",)
-    assert forms_of(growing, LONGER) == ("per ceeq",)
+    assert forms_of(growing, LONGER) == ("log rate", "raw")
+    assert forms_of(growing, MOVED) == ("raw",)
 
 
 def test_targets_lead_back_to_the_quantities(tmp_path: Path) -> None:
@@ -81,10 +82,22 @@ def test_what_does_not_creep_counts_as_the_floor(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.exp(target.values[0, -1, 1]) * 8000, 4e-3, rtol=1e-6)
 
 
-def test_displacement_without_ceeq_and_a_run_without_creep_are_refused(tmp_path: Path) -> None:
+def test_without_ceeq_nothing_is_a_share_of_it(tmp_path: Path) -> None:
+    ceeq = np.cumsum(np.random.default_rng(3).uniform(1e-4, 1e-3, (2, 4, 2)), axis=1)
+    archive = small(tmp_path, ceeq, (MOVED, LONGER))
+    found = {t[0].name: t[0] for t in targets_of(archive, range(2))}
+    assert {name: target.form for name, target in found.items()} == {
+        "displacement": "raw", "deformation": "raw", "elongation": "log"
+    }  # fmt: skip
+    moved = found["deformation"].values.reshape(2, 4, 2, 3)
+    mean = ceeq.mean(axis=2)
+    np.testing.assert_allclose(
+        moved[..., 2], 40 * np.repeat((mean - mean[:, :1])[:, :, None], 2, axis=2), atol=1e-6
+    )
+
+
+def test_a_run_without_creep_is_refused(tmp_path: Path) -> None:
     still = np.zeros((2, 4, 2))
-    with pytest.raises(ModelError, match="add it to the archive"):
-        next(targets_of(small(tmp_path / "a", still, (MOVED,)), [0, 1]))
     still[0, 1:] = 1e-3
     with pytest.raises(ModelError, match="run 1 does not creep"):
         next(targets_of(small(tmp_path / "b", still, (CEEQ, MOVED)), [0, 1]))

@@ -1,0 +1,200 @@
+"""Whether runs fit a network, before any of their values is read.
+
+The network says which inputs and quantities are wanted, in which units, and within which bounds.
+What the file has beside that is left out, with a word; what it lacks is a fault. Units that differ
+and measure the same are converted, with a warning that tells the factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.archive.declaration import Input, Kind
+from core.archive.faults import Findings
+from core.archive.source import Column, Given, Source
+from core.errors import UnitError
+from core.network import Network, Parameter, Quantity
+from core.units import ratio, unit
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+KINDS: Mapping[str, Kind] = {"scalar": "scalar", "field": "field", "vector": "vector field"}
+DEFORMATION, DISPLACEMENT = "deformation", "displacement"
+BY_CEEQ = ("elongation", DEFORMATION)  # learnt as a share of mean CEEQ where the runs have it
+LEAST_MOVED = 1e-9  # of an input's bounds
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is taken of a source: bounds and values (n, d) of inputs, and how quantities are turned.
+
+    turned   quantity of the runs → (its kind, its unit, a, b): value = a · (value of the file) + b
+    """
+
+    inputs: tuple[Input, ...]
+    values: Array
+    turned: Mapping[str, tuple[Kind, str, float, float]]
+
+
+def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wanted:
+    """What the network wants of the runs that are not skipped (n,); faults go to `found`."""
+    inputs, columns = [], []
+    amplitudes = {d.name for d in network.drifts} | {b.name for b in network.biases}
+    for p in network.parameters:
+        if p.name in source.inputs:
+            item, values = _input(p, source.inputs[p.name], source.labels, skip, found)
+            if item is not None:
+                inputs.append(item)
+                columns.append(values)
+        elif p.name not in amplitudes:
+            have = ", ".join(source.inputs) or "none"
+            remedy = f"the runs have the inputs {have}; give it to them, or take it out"
+            found.fault(f"parameter {p.name}", None, "is no input of the runs", remedy)
+    known = {p.name for p in network.parameters}
+    for name in source.inputs.keys() - known:
+        values = source.inputs[name].values[~skip]
+        if len(values) and np.ptp(values) <= LEAST_MOVED * abs(float(values[0])):
+            problem = "never varies and is no parameter of the network: left out"
+            found.warn(f"input {name}", float(values[0]), problem, "nothing, if that is meant")
+        else:
+            remedy = "declare it: local, shared or known, with its bounds as prior"
+            found.fault(f"input {name}", None, "varies and is no parameter of the network", remedy)
+    if "ceeq" not in source.quantities:
+        _no_clock(network, found)
+    turned: dict[str, tuple[Kind, str, float, float]] = {}
+    for q in network.quantities:
+        _quantity(q, source, turned, found)
+    if "ceeq" in source.quantities and {q.name for q in network.quantities} & {*BY_CEEQ}:
+        given = source.quantities["ceeq"]
+        turned.setdefault("ceeq", (given.kind, given.unit, 1.0, 0.0))
+    for name in sorted(source.quantities.keys() - turned.keys()):
+        remedy = "declare it, if it is to be read or predicted"
+        found.warn(f"quantity {name}", None, "is not in the network: left out", remedy)
+    return Wanted(tuple(inputs), np.array(columns).reshape(len(columns), -1).T, turned)
+
+
+def _no_clock(network: Network, found: Findings) -> None:
+    """Inputs that run in time, or sleep, go through creep: that needs its clock, mean CEEQ."""
+    for what, names in (
+        ("effect", [d.name for d in network.drifts]),
+        ("dormant parameter", [p.name for p in network.of_level("dormant")]),
+    ):
+        for name in names:
+            problem = "goes through creep strain, and the runs have no field ceeq"
+            remedy = "take it out, or declare it known with a nominal value"
+            found.fault(f"{what} {name}", None, problem, remedy)
+
+
+def _input(
+    p: Parameter, column: Column, labels: tuple[str, ...], skip: Flags, found: Findings
+) -> tuple[Input | None, Array]:
+    """The input in the parameter's unit, with the bounds of its design."""
+    what, values = f"input {p.name}", column.values
+    low, high = column.low, column.high
+    turn = _turn(what, column.unit, p.unit, found) if column.unit else (1.0, 0.0)
+    if turn is None:
+        return None, values
+    a, b = turn
+    values = a * values + b
+    low, high = (None if end is None else a * end + b for end in (low, high))
+    for k in np.flatnonzero(~np.isfinite(values) & ~skip):
+        found.fault(f"run {labels[k]}: {p.name}", float("nan"), "is no number", "give the input")
+    seen = values[np.isfinite(values) & ~skip]
+    if not len(seen):
+        return None, values
+    least, most = float(seen.min()), float(seen.max())
+    low = min(least, p.prior.low) if low is None else low
+    high = max(most, p.prior.high) if high is None else high
+    width = high - low
+    if not width > 0:
+        found.fault(f"bounds of {p.name}", f"{low:g} … {high:g}", "are no interval", "low < high")
+        return None, values
+    slack = 1e-9 * width
+    if p.prior.low < low - slack or p.prior.high > high + slack:
+        problem = f"is wider than the bounds of the runs, {low:g} … {high:g} {p.unit}"
+        shown = f"{p.prior.low:g} … {p.prior.high:g}"
+        found.fault(f"prior of {p.name}", shown, problem, "narrow it, or add runs")
+    outside = (values < low - slack) | (values > high + slack)
+    for k in np.flatnonzero(outside & ~skip):
+        problem = f"lies outside its bounds, {low:g} … {high:g} {p.unit}"
+        remedy = "correct the input, leave the run out, or widen the bounds"
+        found.fault(f"run {labels[k]}: {p.name}", float(values[k]), problem, remedy)
+    if most - least <= LEAST_MOVED * width:
+        problem = f"is the same in all {len(seen)} runs: nothing is learnt of it"
+        remedy = "vary it in the runs, or take it out of network and runs"
+        found.fault(what, least, problem, remedy)
+    else:
+        _cover(p, (low, high), (least, most), len(seen), found)
+    return Input(p.name, float(low), float(high)), values
+
+
+def _cover(
+    p: Parameter,
+    bounds: tuple[float, float],
+    seen: tuple[float, float],
+    count: int,
+    found: Findings,
+) -> None:
+    """Warn where the runs stop short of the bounds by more than designs do."""
+    width = bounds[1] - bounds[0]
+    gap = max(seen[0] - bounds[0], bounds[1] - seen[1]) / width
+    if gap > max(0.1, 1.5 / count):
+        problem = f"is what the runs cover of {bounds[0]:g} … {bounds[1]:g}: it extrapolates beyond"
+        remedy = "add runs at the edges, or narrow the prior"
+        found.warn(f"input {p.name}", f"{seen[0]:g} … {seen[1]:g}", problem, remedy)
+
+
+def _turn(what: str, given: str, needed: str, found: Findings) -> tuple[float, float] | None:
+    """(a, b) from the file's unit to the network's; a fault where they measure other things."""
+    if given == needed:
+        return 1.0, 0.0
+    try:
+        unit(needed)
+    except UnitError as error:
+        problem = f"{error.problem}, so the runs' {given!r} cannot be compared with it"
+        found.add(UnitError(f"unit of {what} in the network", needed, problem, error.remedy))
+        return None
+    try:
+        a, b = ratio(given, needed)
+    except UnitError as error:
+        found.add(UnitError(f"units of {what}", given, error.problem, error.remedy))
+        return None
+    if (a, b) != (1.0, 0.0):
+        by = f"multiplied by {a:g}" + (f", plus {b:g}" if b else "")
+        problem = f"is not the network's {needed!r}: {by}"
+        found.warn(f"units of {what}", given, problem, "nothing, if both units are right")
+    return a, b
+
+
+def _quantity(
+    q: Quantity,
+    source: Source,
+    turned: dict[str, tuple[Kind, str, float, float]],
+    found: Findings,
+) -> None:
+    what, name = f"quantity {q.name}", q.name
+    if q.kind == "vector":
+        if q.name != DEFORMATION:
+            problem = "is a vector: of vectors only deformation is calibrated"
+            found.fault(what, q.kind, problem, "give the runs displacement, read deformation")
+            return
+        name = DISPLACEMENT
+    given: Given | None = source.quantities.get(name)
+    if given is None:
+        have = ", ".join(source.quantities)
+        found.fault(what, None, "is not in the runs", f"they hold {have}; name it as they do")
+        return
+    if given.kind != KINDS[q.kind]:
+        problem = f"is a {given.kind} in the runs, and a {q.kind} in the network"
+        found.fault(what, given.kind, problem, "declare it as it is")
+        return
+    if q.kind == "field" and q.node is not None and q.node not in source.mesh.named:
+        remedy = "name it in the file's named_nodes, or leave the quantity's node out"
+        found.fault(f"node of {q.name}", q.node, "is no named node of the runs", remedy)
+    turn = _turn(what, given.unit, q.unit, found)
+    if turn is not None:
+        turned[name] = (given.kind, q.unit, *turn)
