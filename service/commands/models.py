@@ -135,7 +135,7 @@ def train(
         version = Model.of(declared, surrogate).version
         warn(found, as_json)
     rows = surrogate.manifest["quality"]
-    told = {"folder": str(out), "version": version, "digest": surrogate.digest}
+    told: dict[str, Any] = {"folder": str(out), "version": version, "digest": surrogate.digest}
     told |= {"runs": surrogate.manifest["runs"], "quality": rows, "warnings": _told(found)}
     lines = [f"{out}: version {version}, {told['runs']} runs", *table(rows)]
     say(told, lines, as_json=as_json)
@@ -174,9 +174,7 @@ def upload(
     name: Annotated[str, typer.Option(help="Id that the model is to have.")],
     leave_out: LeaveOut = None,
     url: Annotated[str, typer.Option(help="Of the service.")] = "http://127.0.0.1:8000",
-    key: Annotated[
-        str | None, typer.Option(envvar="BLADETWIN_KEY", help="API key with scope operate.")
-    ] = None,
+    key: Annotated[str | None, typer.Option(help="An API key with read and operate.")] = None,
     as_json: Json = False,
 ) -> None:
     """Send runs and network to a service, which trains the model; waits for it.

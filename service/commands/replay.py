@@ -170,7 +170,7 @@ def _rotors(store: SqlStore) -> list[str]:
 
 
 def _models(store: SqlStore, science: Science) -> list[Finding]:
-    from service.store.audit import audit_models
+    from service.store.audit import audit_artefact, audit_models
     from service.store.engine import snapshot
 
     cards: dict[str, Any] = {}
@@ -179,8 +179,11 @@ def _models(store: SqlStore, science: Science) -> list[Finding]:
             cards[name] = science.builtin(name)
         except BladetwinError as error:
             cards[name] = error
+    with store.read() as tx:
+        own = [card for card, source in tx.records.model_sources() if "artefact" in source]
     with snapshot(store.engine) as connection:
-        return audit_models(connection, cards)
+        found = audit_models(connection, cards)
+    return found + [one for card in own for one in audit_artefact(store.blob, science, card)]
 
 
 def _patiently(patience_s: float, work: Any) -> Repair:

@@ -10,7 +10,7 @@ Rows are read one by one in one snapshot, so that neither size nor a worker at w
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -21,7 +21,7 @@ from core.errors import BladetwinError
 from core.observation import digest_of, effective
 from service.entries import body_problem, entries_of
 from service.errors import NotFoundError
-from service.ports import Event, Json
+from service.ports import Event, Json, ModelCard, Science
 from service.store import intact
 from service.store import tables as t
 from service.store.encoding import DamagedArrayError, Encoded, decode
@@ -139,6 +139,20 @@ def array_problem(row: Encoded) -> str | None:
     except (DamagedArrayError, ValueError) as error:
         return str(error)
     return None
+
+
+def audit_artefact(
+    files: Callable[[str], bytes], science: Science, card: ModelCard
+) -> list[Finding]:
+    """A model of users' runs: its file, and the card that the file gives again."""
+    try:
+        again = science.opened(card.id, files(str(card.summary["artefact"])))
+    except BladetwinError as error:
+        return [Finding("model", None, None, f"{card.id} {card.version}", str(error))]
+    if json.dumps(again.to_json(), sort_keys=True) == json.dumps(card.to_json(), sort_keys=True):
+        return []
+    problem = "the registered card is not that of its file"
+    return [Finding("model", None, None, f"{card.id} {card.version}", problem)]
 
 
 def audit_models(connection: Connection, builtin: Mapping[str, Any]) -> list[Finding]:
