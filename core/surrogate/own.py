@@ -192,4 +192,4 @@ def judge(row: Quality, found: Findings) -> None:
         problem = "is what its polynomials are off, above a reading's expected noise"
         shown = f"{row.polynomials:.3g} {row.unit}"
         remedy = "narrow the inputs' bounds: the response is too crooked for one box"
-        found.warn(what, shown, problem, remedy)
+        found.warn(f"polynomials of {row.quantity}", shown, problem, remedy)

@@ -1,0 +1,214 @@
+"""Tables, numpy archives and series of mesh files become the one format."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+import xarray as xr
+
+from core.archive.arrays import convert_arrays
+from core.archive.faults import RunsError
+from core.archive.meshes import convert_meshes
+from core.archive.source import opened
+from core.archive.table import convert_table, read_table
+from core.archive.take import take
+from core.errors import ModelError, UnitError
+from core.units import ratio, unit
+from tests.exchanger import TIME_H, drop, network, points, write_table
+
+
+def fields(error: pytest.ExceptionInfo[RunsError]) -> list[str]:
+    return [one.what for one in error.value.faults]
+
+
+def test_a_table_becomes_runs_whatever_the_order_of_its_lines(tmp_path: Path) -> None:
+    x = points(12)
+    table = write_table(tmp_path / "runs.csv", x)
+    head, *lines = table.read_text().splitlines()
+    shuffled = np.random.default_rng(1).permutation(len(lines))
+    table.write_text("\ufeff" + "\n".join([head, *(lines[i] for i in shuffled)]) + "\n")
+    convert_table(table, tmp_path / "runs.nc")
+    with xr.open_dataset(tmp_path / "runs.nc", engine="h5netcdf", decode_times=False) as data:
+        order = [int(label) for label in data["run"].values]
+        assert sorted(order) == list(range(12))
+        np.testing.assert_array_equal(data["time"], TIME_H)
+        np.testing.assert_array_equal(data["roughness"], x[order, 0])
+        assert data["drop"].attrs["units"] == "kPa"
+        for place, k in enumerate(order):
+            np.testing.assert_array_equal(data["drop"][place], drop(x[k], TIME_H))
+
+
+def test_an_empty_cell_of_a_table_is_a_value_that_is_missing(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "runs.csv", points(12), {(3, 5): "", (8, 2): "NaN"})
+    convert_table(table, tmp_path / "runs.nc")
+    with opened(tmp_path / "runs.nc") as source, pytest.raises(RunsError) as caught:
+        take(source, network(), tmp_path / "taken")
+    assert fields(caught) == ["run 3: drop", "run 8: drop"]
+    assert "at 4000 h" in caught.value.faults[0].problem
+
+
+def test_runs_of_a_table_may_have_instants_of_their_own(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "runs.csv", points(12))
+    lines = [line for line in table.read_text().splitlines() if not line.startswith("2,250")]
+    table.write_text("\n".join(lines))
+    convert_table(table, tmp_path / "runs.nc")
+    with opened(tmp_path / "runs.nc") as source:
+        archive, found, chosen = take(source, network(), tmp_path / "taken")
+    assert source.time_h.shape == (12, 9)
+    assert archive.declaration.time_h == tuple(TIME_H)
+    assert next(one.value for one in found.warnings if one.what == "runs") == "2"
+    assert len(chosen) == 12
+
+
+@pytest.mark.parametrize(
+    ("text", "what", "words"),
+    [
+        ("run,time [h],a [1],y\n1,0,2,3\n", "column y", "has no unit"),
+        ("run,time [h],a [1],y [smoot]\n1,0,2,3\n", "column y", "is no unit"),
+        ("run,time [mm],a [1],y [K]\n1,0,2,3\n", "column time", "not of s"),
+        ("time [h],a [1],y [K]\n0,2,3\n", "header", "missing among the columns"),
+        ("run,time [h],a [1],a [1]\n1,0,2,3\n", "header", "a column twice"),
+        ("run,time [h],a [1],y [K]\n1,0,2,3\n1,5,2,4;5\n", "line 3: y", "is no number"),
+        ("run,time [h],a [1],y [K]\n1,0,2\n", "line 2", "has not the 4 cells"),
+        ("run,time [h],a [1],y [K]\n1,0,2,3\n1,0,2,4\n", "run 1", "two lines at 0 h"),
+        ("run,time [h],a [1],y [K]\n1,,2,3\n", "line 2: time", "is no instant"),
+        ("run,time [h],a [1],y [K]\n,0,2,3\n", "line 2: run", "is empty"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_told_with_line_and_column(
+    text: str, what: str, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "runs.csv").write_text(text)
+    with pytest.raises(RunsError) as caught:
+        read_table(tmp_path / "runs.csv")
+    assert caught.value.faults[0].what == what
+    assert words in str(caught.value.faults[0])
+
+
+def test_an_input_that_is_named_and_changes_within_a_run_is_refused(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "runs.csv", points(12))
+    with pytest.raises(RunsError, match="one value for each run"):
+        convert_table(table, tmp_path / "a.nc", inputs=["roughness", "drop"])
+    with pytest.raises(RunsError, match="is no column"):
+        convert_table(table, tmp_path / "a.nc", inputs=["grain"])
+    assert not (tmp_path / "a.nc").exists()
+    told = convert_table(table, tmp_path / "a.nc", inputs=["roughness"])
+    assert told["quantities"] == ["fouling_rate", "drop"]
+
+
+def arrays(path: Path, **change: object) -> Path:
+    x = points(12)
+    told: dict[str, object] = {
+        "roughness": x[:, 0],
+        "fouling_rate": x[:, 1],
+        "drop": np.array([drop(a, TIME_H) for a in x]),
+        "time": TIME_H,
+        "units": json.dumps({"roughness": "um", "fouling_rate": "1/h", "drop": "kPa", "time": "h"}),
+        "bounds": json.dumps({"roughness": [1.0, 9.0]}),
+    }
+    np.savez(path, **(told | change))  # type: ignore[arg-type]
+    return path
+
+
+def test_a_numpy_archive_becomes_runs(tmp_path: Path) -> None:
+    told = convert_arrays(arrays(tmp_path / "runs.npz"), tmp_path / "runs.nc")
+    assert told == {"runs": 12, "inputs": ["roughness", "fouling_rate"], "quantities": ["drop"]}
+    with opened(tmp_path / "runs.nc") as source:
+        assert (source.inputs["roughness"].low, source.inputs["roughness"].high) == (1.0, 9.0)
+        np.testing.assert_array_equal(source.read(7, "drop"), drop(points(12)[7], TIME_H))
+
+
+def test_a_numpy_archive_that_does_not_fit_or_is_pickled_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunsError) as caught:
+        convert_arrays(
+            arrays(tmp_path / "a.npz", drop=np.zeros((12, 5)), units="{}"), tmp_path / "n"
+        )
+    assert fields(caught) == [
+        "units of time", "units of roughness", "units of fouling_rate", "units of drop", "drop"
+    ]  # fmt: skip
+    odd = arrays(tmp_path / "b.npz", drop=np.array([{}, 1], dtype=object))
+    with pytest.raises(ModelError, match="without pickle"):
+        convert_arrays(odd, tmp_path / "n")
+    (tmp_path / "c.npz").write_text("no zip")
+    with pytest.raises(ModelError, match=r"c\.npz"):
+        convert_arrays(tmp_path / "c.npz", tmp_path / "n")
+
+
+def meshes(folder: Path, runs: int = 3, spoil: str = "") -> Path:
+    """VTU files of a warm bar of four hexahedra, and their table."""
+    grid = np.array([[x, y, z] for z in range(5) for y in range(2) for x in range(2)], float)
+    cells = [
+        [4 * z + k for k in (0, 1, 3, 2)] + [4 * z + 4 + k for k in (0, 1, 3, 2)] for z in range(4)
+    ]
+    lines = ["run,time [h],file,load [kN],reaction [N]"]
+    for k in range(runs):
+        for i, t in enumerate((0.0, 10.0, 40.0, 90.0)):
+            name = f"run{k}-{i}.vtu"
+            warm = 300 + (k + 1) * t * grid[:, 2]
+            moved = 1e-3 * np.outer(warm - 300, [0, 0, 1])
+            here = grid + (0.01 if spoil == name else 0.0)
+            data = {"temperature": warm, "displacement": moved}
+            meshio.Mesh(here, [("hexahedron", cells)], point_data=data).write(folder / name)
+            lines.append(f"{k},{t},{name},{k + 1},{100 * t + k}")
+    (folder / "runs.csv").write_text("\n".join(lines))
+    return folder / "runs.csv"
+
+
+def test_a_series_of_mesh_files_becomes_fields_on_one_mesh(tmp_path: Path) -> None:
+    wanted = {"temperature": "K", "displacement": "m"}
+    told = convert_meshes(meshes(tmp_path), tmp_path / "runs.nc", wanted, named={"end": 19})
+    assert told["quantities"] == ["reaction", "temperature", "displacement"]
+    with opened(tmp_path / "runs.nc") as source:
+        assert source.mesh.named == {"end": 19}
+        assert source.mesh.cells.shape == (4, 8)
+        np.testing.assert_allclose(source.mesh.points[19], [1, 1, 4])
+        assert source.quantities["displacement"].kind == "vector field"
+        np.testing.assert_allclose(source.read(1, "temperature")[2, 19], 300 + 2 * 40 * 4)
+        np.testing.assert_allclose(source.read(2, "reaction"), [2, 1002, 4002, 9002])
+        assert source.inputs["load"].values.tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_mesh_file_that_is_missing_moved_or_lacks_the_field_is_named(tmp_path: Path) -> None:
+    table = meshes(tmp_path, spoil="run1-2.vtu")
+    with pytest.raises(RunsError) as caught:
+        convert_meshes(table, tmp_path / "runs.nc", {"temperature": "K"})
+    assert fields(caught) == ["run 1: run1-2.vtu"]
+    assert not (tmp_path / "runs.nc").exists()
+    with pytest.raises(RunsError, match="its point data are temperature, displacement"):
+        convert_meshes(table, tmp_path / "runs.nc", {"strain": "1"})
+    (tmp_path / "run2-3.vtu").unlink()
+    with pytest.raises(RunsError, match=r"run 2: file at 90 h = 'run2-3\.vtu' does not exist"):
+        convert_meshes(table, tmp_path / "runs.nc", {"temperature": "K"})
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted", "factor"),
+    [
+        ("m", "mm", 1e3), ("MPa", "Pa", 1e6), ("ksi", "MPa", 6.894757293168), ("%", "1", 0.01),
+        ("um/h", "mm/d", 0.024), ("W/(m2 K)", "kW m^-2 K^-1", 1e-3), ("m²·K/W", "m2 K/W", 1.0),
+        ("min", "h", 1 / 60), ("l/min", "m3/h", 0.06), ("N mm", "J", 1e-3),
+    ],
+)  # fmt: skip
+def test_units_of_the_same_differ_by_their_factor(given: str, wanted: str, factor: float) -> None:
+    a, b = ratio(given, wanted)
+    assert (a, b) == (pytest.approx(factor, rel=1e-9), 0.0)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "smoot", "m/", "m//s", "(m", "m)", "1e3 m", "m^99", "mmm", "-"]
+)
+def test_a_text_that_is_no_unit_is_refused(text: str) -> None:
+    with pytest.raises(UnitError, match="is no unit"):
+        unit(text)
+
+
+def test_temperatures_differ_by_an_offset_and_other_things_do_not_compare() -> None:
+    assert ratio("degC", "K") == (1.0, 273.15)
+    a, b = ratio("degF", "degC")
+    assert 212 * a + b == pytest.approx(100.0)
+    with pytest.raises(UnitError, match="unit of m, not of s"):
+        ratio("mm", "min")

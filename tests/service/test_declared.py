@@ -1,0 +1,67 @@
+"""A network written by hand: read safely, and refused with every fault."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from core.errors import FaultsError
+from core.network import rotor_blade_network
+from service.declared import read_network
+from tests.exchanger import NETWORK
+
+
+def faults(text: str) -> dict[str, str]:
+    with pytest.raises(FaultsError) as caught:
+        read_network(text)
+    return {one.what: one.problem for one in caught.value.faults}
+
+
+def test_yaml_and_json_declare_the_same_network() -> None:
+    from_yaml = read_network(NETWORK)
+    assert from_yaml.parameter("fouling_rate").prior.low == 2e-5
+    assert read_network(json.dumps(from_yaml.to_json())) == from_yaml
+    assert from_yaml.quantity("drop").sigma_obs.high == 2.0
+    shipped = rotor_blade_network()
+    assert read_network(json.dumps(shipped.to_json())) == shipped
+
+
+def test_every_fault_of_a_declaration_is_told_under_the_name_that_was_written() -> None:
+    text = (
+        NETWORK.replace("level: local", "level: 3")
+        .replace("low: 1, high: 9", "low: one, high: 9, width: 2")
+        .replace("unit: kPa, kind: scalar", "kind: skalar")
+        .replace("name: fouling_rate", "name: yes")
+    )
+    found = faults(text)
+    assert found == {
+        "network.parameters[0].level": "is not a text",
+        "network.parameters[0].prior.width": "is not known",
+        "network.parameters[0].prior.low": "is not a number",
+        "network.parameters[1].name": "is not a text",
+        "network.quantities[0].unit": "is missing",
+        "network.quantities[0].kind": "is not known",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name: [", "is neither YAML nor JSON"),
+        ("a: &x [1]\nb: *x", "aliases"),
+        ("name: a\nname: b", "has name twice"),
+        ("!!python/object/apply:os.system ['true']", "is neither YAML nor JSON"),
+        ("just words", "is no mapping"),
+        ("name: " + "x" * 2**20, "is too long"),
+        ("\x00", "is neither YAML nor JSON"),
+    ],
+)
+def test_what_is_no_plain_data_is_refused(text: str, words: str) -> None:
+    (problem,) = faults(text).values()
+    assert words in problem
+
+
+def test_what_the_network_itself_refuses_is_told_as_well() -> None:
+    found = faults(NETWORK.replace("low: 1, high: 9", "low: 9, high: 1"))
+    assert list(found.values()) == ["are not an interval"]
