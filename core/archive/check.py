@@ -71,7 +71,8 @@ def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wa
     if "ceeq" in source.quantities and {q.name for q in network.quantities} & {*BY_CEEQ}:
         given = source.quantities["ceeq"]
         turned.setdefault("ceeq", (given.kind, given.unit, 1.0, 0.0))
-    for name in sorted(source.quantities.keys() - turned.keys()):
+    asked = {DISPLACEMENT if q.kind == "vector" else q.name for q in network.quantities}
+    for name in sorted(source.quantities.keys() - turned.keys() - asked):
         remedy = "declare it, if it is to be read or predicted"
         found.warn(f"quantity {name}", None, "is not in the network: left out", remedy)
     return Wanted(tuple(inputs), np.array(columns).reshape(len(columns), -1).T, turned)
