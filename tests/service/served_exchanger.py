@@ -1,4 +1,4 @@
-"""The exchanger served over UM-Bridge by its own package: ``python served_exchanger.py PORT LIMIT``.
+"""The exchanger served by UM-Bridge's own package: ``python served_exchanger.py PORT LIMIT``.
 
 It refuses to run at roughnesses above LIMIT, as simulations fail; it writes a line for each run.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -43,6 +44,12 @@ def test_every_fault_of_a_declaration_is_told_under_the_name_that_was_written() 
         "network.quantities[0].unit": "is missing",
         "network.quantities[0].kind": "is not known",
     }
+
+
+def test_the_network_of_the_readme_is_one() -> None:
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    text = readme.partition("# network.yaml")[2].partition("```")[0]
+    assert read_network("#" + text) == read_network(NETWORK)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,15 +18,27 @@ from core.archive.table import convert_table
 from core.errors import ModelError
 from service.bootstrap import make_worker
 from service.client import Client
-from service.handlers.models import TRAIN, register_builtins, register_trained
+from service.fake import FakeScience
+from service.handlers.models import (
+    HDF5,
+    find_job,
+    find_model,
+    register_builtins,
+    register_trained,
+    request_training,
+)
+from service.handlers.rotors import view_rotor
 from service.science import CoreScience
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import open_engine, transaction
 from service.store.unit_of_work import SqlStore
+from service.worker.lease import Role
+from service.worker.supervise import Supervisor
 from tests import exchanger
 from tests.service.conftest import RunningServer, served
 from tests.service.test_api import refuse
+from tests.service.test_processes import ROOT, Make, Post, until
 
 ROUGH = {"E1": 2.6, "E2": 4.1, "E3": 6.2, "E4": 7.7}
 RATE = 8.3e-5
@@ -275,4 +290,48 @@ def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
     with pytest.raises(ModelError, match="upload the model again"):
         fresh.warm(card)
     make_worker(own_store, fresh, settings).warm()  # others are warmed all the same
-    assert TRAIN == "train-model"
+
+
+def test_a_training_outlives_its_killed_worker_and_holds_nothing_up(
+    store: SqlStore, settings: Settings, reading: Make, post: Post, rotor: str
+) -> None:
+    twin = FakeScience()
+    job = request_training(store, twin, "mine", exchanger.network(), HDF5 + b"runs")
+
+    def command(owner: str, role: Role) -> list[str]:
+        delay = "1.0" if role == "diagnose" else "0.0"
+        return [sys.executable, "-m", "tests.service.slow_worker", owner, role, delay]
+
+    environ = {**settings.environ(), "PYTHONPATH": str(ROOT)}
+    trainer = Supervisor(store.engine, ["diagnose"], command, environ)
+    others = Supervisor(store.engine, ["apply", "seal"], command, environ)
+    trainer.start()
+    others.start()
+    try:
+        until("a step", lambda: (find_job(store, job.id).progress or {}).get("done", 0) >= 1)
+        os.kill(trainer.pids()[0], signal.SIGKILL)
+        until("a second worker", lambda: find_job(store, job.id).attempts == 2)
+        seq = post("r1", reading("i1"))
+        until("applying beside it", lambda: view_rotor(store, "r1").rotor.applied_seq == seq)
+        until("its end", lambda: find_job(store, job.id).status == "done")
+    finally:
+        trainer.stop()
+        others.stop()
+    ended = find_job(store, job.id)
+    assert ended.attempts == 2
+    assert (ended.result or {})["model"] == "mine"
+    assert find_model(store, "mine").version == (ended.result or {})["version"]
+    assert blobs(store) == 1
+
+
+def test_a_job_that_kills_every_worker_fails_and_leaves_no_runs(
+    store: SqlStore, settings: Settings
+) -> None:
+    twin = FakeScience()
+    job = request_training(store, twin, "mine", exchanger.network(), HDF5 + b"runs")
+    with transaction(store.engine, write=True) as connection:
+        tried = update(t.job).where(t.job.c.id == job.id)
+        connection.execute(tried.values(attempts=settings.max_attempts))
+    assert make_worker(store, twin, settings, role="diagnose").jobs.run_once()
+    assert find_job(store, job.id).status == "failed"
+    assert blobs(store) == 0
