@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from core.archive.declaration import Input, Kind
 from core.archive.faults import Findings
-from core.archive.source import Column, Given, Source
+from core.archive.source import UNKNOWN, Column, Given, Source
 from core.errors import UnitError
 from core.network import Network, Parameter, Quantity
 from core.units import ratio, unit
@@ -96,7 +96,7 @@ def _input(
     """The input in the parameter's unit, with the bounds of its design."""
     what, values = f"input {p.name}", column.values
     low, high = column.low, column.high
-    turn = _turn(what, column.unit, p.unit, found) if column.unit else (1.0, 0.0)
+    turn = _turn(what, column.unit, p.unit, found)
     if turn is None:
         return None, values
     a, b = turn
@@ -151,7 +151,7 @@ def _cover(
 
 def _turn(what: str, given: str, needed: str, found: Findings) -> tuple[float, float] | None:
     """(a, b) from the file's unit to the network's; a fault where they measure other things."""
-    if given == needed:
+    if given in (needed, UNKNOWN):
         return 1.0, 0.0
     try:
         unit(needed)

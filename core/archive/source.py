@@ -57,6 +57,7 @@ KINDS: dict[frozenset[str], Kind] = {
     for kind, dimensions in DIMENSIONS.items()
 }
 OURS = ("points", "cells", "time", "run", "time_of_run", "parametric", "xyz", "node")
+UNKNOWN = ""  # the unit where the file says none that is known
 MOST_VALUES = 2**30  # of one file: 8 GiB in the precision that training computes in
 
 
@@ -86,6 +87,7 @@ class Source:
     time_h   (T,), or (n, T) where runs have instants of their own, NaN after a run's last
     read     (run, quantity) → values (T,), (T, N) or (T, N, 3) in the quantity's unit
     command  where the runs come from
+    faults   what is wrong with it and keeps no value from being read: units
     """
 
     name: str
@@ -96,6 +98,7 @@ class Source:
     mesh: Mesh
     read: Callable[[int, str], Array]
     command: str
+    faults: tuple[InputError, ...] = ()
 
 
 @contextmanager
@@ -199,7 +202,7 @@ def _packed(path: Path, data: Any) -> Source:
 
 def _read(path: Path, data: Any, most_values: int) -> Source:
     """A user's file; every fault of its structure is found before any value is read."""
-    found = Findings()
+    found, units_found = Findings(), Findings()
     sizes = {str(name): int(size) for name, size in data.sizes.items()}
     inputs: dict[str, Column] = {}
     quantities: dict[str, Given] = {}
@@ -226,7 +229,7 @@ def _read(path: Path, data: Any, most_values: int) -> Source:
         if variable.dtype.kind not in "iuf":
             found.fault(name, str(variable.dtype), "holds no numbers", "write it as float64")
             continue
-        units = _units(found, name, variable.attrs)
+        units = _units(units_found, name, variable.attrs)
         if own == frozenset(("run",)):
             values = np.asarray(variable.values, dtype=float)
             low, high = (_bound(found, name, variable.attrs, end) for end in ("low", "high"))
@@ -240,14 +243,26 @@ def _read(path: Path, data: Any, most_values: int) -> Source:
     labels = _labels(found, data, sizes["run"])
     time_h = _time(found, data)
     mesh = _mesh(found, data, sizes, quantities)
-    found.end()
+    if found.faults:
+        found.faults += units_found.faults
+        found.end()
 
     def read(k: int, quantity: str) -> Array:
         dims = DIMENSIONS[quantities[quantity].kind]
         return np.asarray(data[quantity].isel(run=k).transpose(*dims).values, dtype=float)
 
     command = str(data.attrs.get("source") or data.attrs.get("title") or path.name)
-    return Source(path.name, labels, inputs, quantities, time_h, mesh, read, command[:200])
+    return Source(
+        path.name,
+        labels,
+        inputs,
+        quantities,
+        time_h,
+        mesh,
+        read,
+        command[:200],
+        tuple(units_found.faults),
+    )
 
 
 def _units(found: Findings, name: str, attrs: Mapping[str, Any]) -> str:
@@ -257,11 +272,12 @@ def _units(found: Findings, name: str, attrs: Mapping[str, Any]) -> str:
         found.fault(
             f"units of {name}", None, "are missing", "set its attribute units, e.g. mm or 1"
         )
-        return "1"
+        return UNKNOWN
     try:
         unit(str(text))
     except UnitError as error:
         found.add(UnitError(f"units of {name}", str(text), error.problem, error.remedy))
+        return UNKNOWN
     return str(text)
 
 

@@ -90,7 +90,7 @@ def take(
     leave_out   labels of runs that the user wants left out
     Raises RunsError with every fault; the folder is then not to be used.
     """
-    found = Findings()
+    found = Findings([*source.faults])
     skip = _skipped(source, leave_out, found)
     axis = common(source.time_h, source.labels, skip.tolist(), found)
     plan = wanted(source, network, skip, found)

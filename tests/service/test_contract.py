@@ -29,11 +29,13 @@ from sqlalchemy import update
 
 from service.api.routers import rotors
 from service.bootstrap import make_worker
+from service.handlers.models import HDF5
 from service.handlers.webhooks import create_webhook
 from service.store import tables as t
 from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
+from tests.exchanger import NETWORK
 from tests.service.adopting import Offsets
 from tests.service.test_adoption import OFF, visits
 
@@ -88,6 +90,10 @@ def fitted(label: str, body: Any) -> Any:
         return body
     if label == "POST /v1/rotors":
         return body | {"model": "rotor-blade", "network": None, "blades": [{"id": "B1"}]}
+    if label == "POST /v1/models" and "builtin" in body:
+        return {"builtin": "rotor-blade"}
+    if label == "POST /v1/models":
+        return {"id": "mine", "network": NETWORK, "runs": HDF5 + b"runs"}
     if label == "POST /v1/webhooks":
         return body | {"url": "https://plant.example/x"}
     if label.endswith("/inspections"):

@@ -174,7 +174,9 @@ def test_every_fault_of_an_archive_is_in_the_job_that_failed_and_nothing_is_left
     assert send(http, exchanger.stored(data, tmp_path / "runs.nc")).status_code == 202
     job = trained(http, own_store, real, settings)
     assert (job["status"], job["attempts"]) == ("failed", 1)
-    assert [one["field"] for one in job["result"]["faults"]] == ["units of fouling_rate"]
+    assert [one["field"] for one in job["result"]["faults"]] == [
+        "units of fouling_rate", "run 2: roughness", "run 7: drop"
+    ]  # fmt: skip
     data["fouling_rate"].attrs["units"] = "1/h"
     assert send(http, exchanger.stored(data, tmp_path / "runs.nc")).status_code == 202
     job = trained(http, own_store, real, settings)

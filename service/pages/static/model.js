@@ -42,6 +42,24 @@ function bars(contest) {
     grid, rows, s("text", { x: 350, y: height + 2, "text-anchor": "middle", "font-size": 11, fill: colour("soft") }, "relative error [%], logarithmic: ● median, ■ 95th percentile"));
 }
 
+// How a model of a user's own runs does at runs that were left out, and what to mind.
+function learnt(told) {
+  const rows = Object.values(told.quality);
+  const size = (v) => plain(v, 3);
+  return [
+    scroll("Held-out errors", table([
+      { name: "Quantity", value: (q) => words(q.quantity), sort: (q) => q.quantity },
+      { name: "Unit", value: (q) => unit(q.unit) },
+      { name: "RMS", value: (q) => size(q.rms), sort: (q) => q.rms, number: true },
+      { name: "95th percentile", value: (q) => size(q.p95), sort: (q) => q.p95, number: true },
+      { name: "Spread of runs", value: (q) => size(q.spread), sort: (q) => q.spread, number: true },
+      { name: "Noise expected", value: (q) => size(q.noise), sort: (q) => q.noise, number: true },
+      { name: "Verdict", value: (q) => q.verdict, sort: (q) => q.verdict },
+      { name: "Worst run", value: (q) => `${q.worst} (${size(q.worst_rms)})` },
+    ], rows)),
+    told.warnings?.length ? h("ul", {}, told.warnings.map((w) => h("li", {}, `${w.field}: ${w.value ?? ""} ${w.problem}. ${w.remedy}.`))) : null];
+}
+
 keep(async () => {
   const model = await get(path`/v1/models/${names.m}`);
   notices([]);
@@ -53,6 +71,7 @@ keep(async () => {
     ["Covers", `0 … ${hours(model.horizon_h)}`],
     ["Mesh", model.node_count > 1 ? `${number(model.node_count, "node")}${told.mesh ? `, ${told.mesh}` : ""}` : "none"],
     ["Named nodes", Object.entries(model.nodes).map(([name, n]) => `${name}: ${n}`).join(", ") || "none"],
+    told.source && ["Runs", told.source],
     told.training && ["Trained on", `${number(told.training.runs, "run")}, seed ${told.training.seed}`],
     told.runs?.test && ["Measured on", `${number(told.runs.test, "run")} that it never saw`],
     told.command && ["Made by", h("code", {}, told.command)],
@@ -68,7 +87,7 @@ keep(async () => {
         { name: "RMSE", value: (r) => (r.rmse === undefined ? "–" : plain(r.rmse, 3)), number: true },
         { name: "95 % covers", value: (r) => (r.covers === undefined ? "–" : `${fixed(100 * r.covers, 1)} %`), number: true },
       ], rows))
-    : h("p", { class: "soft" }, "The model tells no errors: it is a closed form, or does not say."));
+    : told.quality ? learnt(told) : h("p", { class: "soft" }, "The model tells no errors: it is a closed form, or does not say."));
   const contest = told.contest?.length
     ? panel("The contest of surrogates", bars(told.contest), aside("As a table", table([
         { name: "Candidate", value: (c) => c.name, sort: (c) => c.name },
