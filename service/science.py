@@ -194,7 +194,7 @@ class CoreScience:
         facts: Json,
         progress: Progress,
     ) -> tuple[ModelCard, bytes]:
-        from core.archive.source import opened
+        from core.archive.opening import opened
         from core.surrogate.own import make
 
         with tempfile.TemporaryDirectory(prefix="bladetwin-runs-") as folder:

@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.archive.axis import Axis, common
+from core.archive.changes import Seen, check_changes
 from core.archive.check import Wanted, wanted
 from core.archive.declaration import Mesh, Quantity, Run
 from core.archive.faults import Findings
@@ -43,38 +43,7 @@ Flags = NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
 MINIMUM_RUNS = 3  # times (number of inputs + 1)
 ENOUGH = 10  # runs for each input (J. L. Loeppky, J. Sacks, W. J. Welch, Technometrics 51 (2009))
-CONSTANT = 1e-9  # relative
-FACTORS = (1e3, 1e-3, 1e6, 1e-6, 1e2, 1e-2)
 COMMAND = "runs of a user's own"
-
-
-@dataclass(slots=True)
-class Seen:
-    """What all runs together show of a quantity: sums over runs of each value, and extremes."""
-
-    count: int = 0
-    mean: Array | None = None
-    square: Array | None = None
-    low: float = np.inf
-    high: float = -np.inf
-    brought: float = 0.0
-
-    def add(self, values: Array) -> None:
-        """One more run (Welford's recurrence)."""
-        self.count += 1
-        if self.mean is None or self.square is None:
-            self.mean, self.square = values.copy(), np.zeros_like(values)
-        else:
-            step = values - self.mean
-            self.mean += step / self.count
-            self.square += step * (values - self.mean)
-        self.low, self.high = min(self.low, values.min()), max(self.high, values.max())
-
-    @property
-    def between(self) -> float:
-        """The largest standard deviation between runs, over instants and nodes."""
-        assert self.square is not None
-        return float(np.sqrt(self.square.max() / max(self.count - 1, 1)))
 
 
 def take(
@@ -111,7 +80,7 @@ def take(
     if archive is not None:
         kept = _no_twins(archive, source.labels, list(archive.done()), found)
         _enough(archive, kept, found)
-    _changes(seen, network, found)
+    check_changes(seen, network, found)
     found.end()
     assert archive is not None
     return archive, found, tuple(kept)
@@ -138,7 +107,7 @@ def _skipped(source: Source, leave_out: Sequence[str], found: Findings) -> Flags
     gone = [label for label in source.labels if label in set(leave_out)]
     if gone:
         problem = f"{'is' if len(gone) == 1 else 'are'} left out, as asked"
-        found.warn("runs", ", ".join(gone[:20]), problem, "nothing")
+        found.warn("runs", ", ".join(gone[:20]), problem, "nothing, if that is meant")
     numbers = [int(label) for label in source.labels if re.fullmatch(r"\d{1,9}", label)]
     if len(numbers) == len(source.labels) and 1 < len(numbers) <= 100_000:
         lost = sorted(set(range(min(numbers), max(numbers) + 1)) - set(numbers))
@@ -278,47 +247,3 @@ def nearest(archive: Archive, kept: Sequence[int]) -> dict[str, float]:
             low, high = min(low, one.min()), max(high, one.max())
         out[q.name] = float(np.sqrt(square)) / max(high - low, np.finfo(float).tiny)
     return out
-
-
-def _changes(seen: dict[str, Seen], network: Network, found: Findings) -> None:
-    """Quantities that never change, that leave what readings may be, or drown in their noise."""
-    by_name = {q.name: q for q in network.quantities}
-    if "displacement" in seen and "deformation" in by_name:
-        by_name["displacement"] = by_name["deformation"]
-    for name, one in seen.items():
-        if not one.count:
-            continue
-        largest = max(abs(one.low), abs(one.high))
-        what = f"quantity {name}"
-        if one.between <= CONSTANT * max(largest, np.finfo(float).tiny):
-            problem = "is the same in every run: no input moves it, and nothing is learnt"
-            remedy = "check what the runs write, or take it out of the network"
-            found.fault(what, largest, problem, remedy)
-            continue
-        q = by_name.get(name)
-        if q is None:
-            continue
-        if one.brought > 0.25 * q.sigma_obs.low:
-            problem = "is what interpolating in time may miss, against the least noise "
-            problem += f"{q.sigma_obs.low:g} {q.unit}"
-            found.warn(what, one.brought, problem, "write all runs at the same instants")
-        outside = one.high > q.high or one.low < q.low
-        buried = one.between < 0.1 * q.sigma_obs.low
-        if not outside and not buried:
-            continue
-        fits = [
-            f
-            for f in FACTORS
-            if f * one.high <= q.high and f * one.low >= q.low and f * one.between > q.sigma_obs.low
-        ]
-        shown = f"{one.low:.4g} … {one.high:.4g} {q.unit}"
-        problem = (
-            f"leaves what readings may be, {q.low:g} … {q.high:g}"
-            if outside
-            else f"differs between runs by {one.between:.3g} at most, a tenth of the least noise "
-            f"({q.sigma_obs.low:g}) or less: readings tell nothing"
-        )
-        remedy = "check the unit"
-        if fits:
-            remedy += f": times {fits[0]:g} it would fit, as if the runs were written in another"
-        found.warn(what, shown, problem, remedy)

@@ -89,7 +89,7 @@ def convert(
 
 def check(runs: Runs, network: Network, leave_out: LeaveOut = None, as_json: Json = False) -> None:
     """Tell everything that is wrong with runs, without training on them. Exit status 1: faults."""
-    from core.archive.source import opened as source_of
+    from core.archive.opening import opened as source_of
     from core.archive.take import take
     from service.declared import read_file
 
@@ -117,7 +117,7 @@ def train(
 
     Exit status 1: the runs have faults, or a quantity is not learnt from them.
     """
-    from core.archive.source import opened as source_of
+    from core.archive.opening import opened as source_of
     from core.model import Model
     from core.surrogate.own import make
     from service.declared import read_file

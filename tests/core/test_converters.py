@@ -13,7 +13,7 @@ import xarray as xr
 from core.archive.arrays import convert_arrays
 from core.archive.faults import RunsError
 from core.archive.meshes import convert_meshes
-from core.archive.source import opened
+from core.archive.opening import opened
 from core.archive.table import convert_table, read_table
 from core.archive.take import take
 from core.errors import ModelError, UnitError

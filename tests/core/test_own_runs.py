@@ -12,7 +12,7 @@ import xarray as xr
 
 from core.archive import Archive
 from core.archive.faults import Findings, RunsError
-from core.archive.source import check_file, opened
+from core.archive.opening import check_file, opened
 from core.archive.take import take
 from core.errors import InputError, ModelError
 from core.model import Model

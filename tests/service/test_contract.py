@@ -92,7 +92,7 @@ def fitted(label: str, body: Any) -> Any:
         return body | {"model": "rotor-blade", "network": None, "blades": [{"id": "B1"}]}
     if label == "POST /v1/models" and "builtin" in body:
         return {"builtin": "rotor-blade"}
-    if label == "POST /v1/models":
+    if label == "POST /v1/models" and {"network", "runs"} <= body.keys():
         return {"id": "mine", "network": NETWORK, "runs": HDF5 + b"runs"}
     if label == "POST /v1/webhooks":
         return body | {"url": "https://plant.example/x"}

@@ -57,7 +57,7 @@ function learnt(told) {
       { name: "Verdict", value: (q) => q.verdict, sort: (q) => q.verdict },
       { name: "Worst run", value: (q) => `${q.worst} (${size(q.worst_rms)})` },
     ], rows)),
-    told.warnings?.length ? h("ul", {}, told.warnings.map((w) => h("li", {}, `${w.field}: ${w.value ?? ""} ${w.problem}. ${w.remedy}.`))) : null];
+    told.warnings?.length ? h("ul", {}, told.warnings.map((w) => h("li", {}, `${w.field}: ${w.value ?? ""} ${w.problem}.`))) : null];
 }
 
 keep(async () => {
