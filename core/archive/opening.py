@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from core.archive.declaration import Declaration, Mesh
 from core.archive.reading import MOST_VALUES, read_user_file
-from core.archive.source import Column, Given, Source
+from core.archive.source import Array, Column, Given, Source
 from core.archive.store import Archive
 from core.errors import ModelError
 
@@ -41,10 +42,25 @@ def opened(path: str | Path, *, most_values: int = MOST_VALUES) -> Iterator[Sour
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise ModelError(f"{path.name} cannot be read as netCDF: {error}") from error
     with data:
-        if "declaration" in data.attrs:
-            yield _packed(path, data)
-        else:
-            yield read_user_file(path, data, most_values)
+        packed = "declaration" in data.attrs
+        with unbroken(path):
+            source = _packed(path, data) if packed else read_user_file(path, data, most_values)
+        own = source.read
+
+        def read(k: int, quantity: str) -> Array:
+            with unbroken(path):
+                return own(k, quantity)
+
+        yield replace(source, read=read)
+
+
+@contextmanager
+def unbroken(path: Path) -> Iterator[None]:
+    """What the libraries raise where a file's bytes are damaged, in words."""
+    try:
+        yield
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
+        raise ModelError(f"{path.name} is damaged: {error}. Write it again") from error
 
 
 def check_file(path: Path) -> None:

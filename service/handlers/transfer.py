@@ -189,6 +189,10 @@ def _registered(store: Store, science: Science, told: RotorLine) -> ModelCard:
         try:
             card = tx.records.model(told.model, told.model_version)
         except NotFoundError:
+            if told.model not in science.builtins:
+                known = "register it first (`bladetwin model register`), or upload its runs"
+                problem = "is no built-in model, and none that is registered here"
+                raise InputError("model of the file", told.model, problem, known) from None
             card = science.builtin(told.model)
     if (card.version, card.digest) != (told.model_version, told.model_digest):
         problem = f"is not the model here, which is {card.version} ({card.digest[:12]}…)"

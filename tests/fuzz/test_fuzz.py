@@ -18,6 +18,9 @@ from pathlib import Path
 import httpx
 import pytest
 
+from core.archive.opening import opened
+from core.archive.table import convert_table
+from core.archive.take import take
 from core.errors import BladetwinError
 from core.observation import Inspection
 from service.api.schemas import CSV_EXAMPLE
@@ -25,6 +28,7 @@ from service.fake import FakeScience
 from service.handlers.transfer import export_rotor, import_rotor
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
+from tests.exchanger import network, points, write_table
 from tests.service.test_contract import READING, answered
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "1"))
@@ -107,6 +111,25 @@ def test_fuzzed_csv_is_stored_or_refused_in_words(
     assert {202, 422} <= set(statuses)
     told = {"files": sum(statuses.values()), "answers": dict(sorted(statuses.items()))}
     keep("csv", database_url, told)
+
+
+def test_runs_with_changed_bytes_are_refused_in_words_or_taken(tmp_path: Path) -> None:
+    chosen, outcomes = random.Random(SEED), Counter[str]()
+    convert_table(write_table(tmp_path / "runs.csv", points(12)), tmp_path / "runs.nc")
+    whole, file = (tmp_path / "runs.nc").read_bytes(), tmp_path / "spoilt.nc"
+    for number in range(60 * EXAMPLES):
+        changed = bytearray(whole)
+        for _ in range(chosen.randint(1, 3)):
+            changed[chosen.randrange(len(changed))] = chosen.randrange(256)
+        file.write_bytes(bytes(changed))
+        try:
+            with opened(file) as source:
+                take(source, network(), tmp_path / f"taken-{number}")
+        except BladetwinError as error:
+            outcomes[type(error).__name__] += 1
+        else:
+            outcomes["taken"] += 1
+    assert outcomes["ModelError"] > 0 < outcomes["taken"], outcomes
 
 
 @pytest.fixture
