@@ -226,7 +226,7 @@ def sample(
     """
     import httpx
 
-    from service import umbridge
+    from service import sampling
     from service.declared import read_file
     from service.progress import bar
 
@@ -243,8 +243,8 @@ def sample(
             httpx.Client(base_url=url, timeout=timeout) as http,
             bar("runs", design, quiet=as_json) as shown,
         ):
-            served = umbridge.Served(http, model, options)
-            done = umbridge.sample(
+            served = sampling.Served(http, model, options)
+            done = sampling.sample(
                 served, declared, str(out), hours, design, seed=seed, progress=shown
             )
     failed = [{"run": k, "error": why} for k, why in done.failed]

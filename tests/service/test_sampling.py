@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from core.archive import Archive
 from core.errors import InputError, ModelError
-from service import umbridge
+from service import sampling
 from service.cli import app
 from tests.exchanger import BOTH, NETWORK, TIME_H, drop, network, transfer
 from tests.service.test_processes import ROOT, free_port
@@ -93,17 +93,17 @@ def test_a_served_model_is_run_at_maximin_points_and_a_sampling_that_was_cut_goe
 def test_a_served_model_that_does_not_fit_is_refused_by_name(tmp_path: Path) -> None:
     with serving(99.0, tmp_path / "log") as url, httpx.Client(base_url=url) as http:
         with pytest.raises(InputError, match="use one of \\['exchanger'\\]"):
-            umbridge.Served(http, "pump", {})
-        served = umbridge.Served(http, None, {})
+            sampling.Served(http, "pump", {})
+        served = sampling.Served(http, None, {})
         with pytest.raises(InputError, match="are not the sizes of drop \\(scalar\\)"):
-            umbridge.sample(served, network(NETWORK), str(tmp_path / "a"), TIME_H.tolist(), 4)
+            sampling.sample(served, network(NETWORK), str(tmp_path / "a"), TIME_H.tolist(), 4)
         salt = "  - {name: salt, level: known, prior: {kind: uniform, low: 0, high: 1}}\n"
         more = BOTH.replace("quantities:", f"{salt}quantities:")
         with pytest.raises(InputError, match="are not the 3 parameters"):
-            umbridge.sample(served, network(more), str(tmp_path / "a"), TIME_H.tolist(), 4)
+            sampling.sample(served, network(more), str(tmp_path / "a"), TIME_H.tolist(), 4)
         assert not (tmp_path / "a").exists()
-        doubled = umbridge.Served(http, None, {"scale": 2})
+        doubled = sampling.Served(http, None, {"scale": 2})
         x = np.array([3.0, 1e-4])
         np.testing.assert_allclose(doubled(x)[9:], 2 * served(x)[9:])
     with httpx.Client(base_url=url) as http, pytest.raises(ModelError, match="does not answer"):
-        umbridge.Served(http, None, {})
+        sampling.Served(http, None, {})
