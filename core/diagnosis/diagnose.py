@@ -126,9 +126,8 @@ class Case:
         )
         gone = {one.name for one in taken}
         every = [c for c in every if c.name not in gone]
-        physics = Physics(answers, dict(answers.fixed) if isinstance(answers, Driven) else {})
-        g = signatures(model, seen, every, facts, self.noise(model, state), physics)
-        return Scan.of(every, seen, g, unnamed(seen, facts))
+        found = signatures(model, seen, every, facts, self.noise(model, state), _physics(model))
+        return Scan.of(every, seen, found, unnamed(seen, facts))
 
     def halves(self, model: Model, taken: Rival) -> tuple[Held, ...]:
         """Whether the amplitudes of the effects in a model agree between halves."""
@@ -137,7 +136,16 @@ class Case:
         seen = scores(taken.model, taken.state, self.readings, self.spec.known)
         facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
         noise = self.noise(model, taken.state)
-        return halves(model, taken.state, seen, taken.effects, facts, noise)
+        physics = _physics(taken.model)
+        more = signatures(taken.model, seen, taken.effects, facts, noise, physics)
+        return halves(model, taken.state, seen, taken.effects, facts, noise, more)
+
+
+def _physics(model: Model) -> Physics:
+    answers = model.surrogate
+    if isinstance(answers, Stacked):
+        raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
+    return Physics(answers, dict(answers.fixed) if isinstance(answers, Driven) else {})
 
 
 @dataclass

@@ -115,6 +115,11 @@ class SharedGP:
         trend = solve_triangular(factor[0], np.eye(h.shape[1]), lower=True)
         return cls(z, hyper, weights, beta, whiten, trend, h_solve)
 
+    def mean(self, z: Array, columns: Sequence[slice] = (slice(None),)) -> list[Array]:
+        """At z (m, d): coefficients (m, J') of each set of columns."""
+        k, h = correlation(z, self.z, np.array(self.hyper.lengths)), monomials(z, self.hyper.trend)
+        return [k @ self.weights[:, some] + h @ self.beta[:, some] for some in columns]
+
     def mean_and_variance(
         self, z: Array, columns: Sequence[slice] = (slice(None),)
     ) -> tuple[list[Array], Array]:
