@@ -54,6 +54,7 @@ from core.prior import Prior
 
 Array = NDArray[np.float64]
 POINTS = 32  # particles of a blade at which effects of physics are computed
+FAINT, CUT = 0.01, 3.0
 DIRECTIONS = 5  # of the answers over these, on which an effect is regressed
 
 
@@ -298,15 +299,30 @@ def _blade(
     c = np.diag(typical) + (j * own) @ j.T
     r = (rows.y[:count] - f) / v
     some = _evenly(w, f)
+    q = w @ r
     return _Blade(
-        w @ r,
-        np.linalg.inv(c),
+        q,
+        _bounded(np.linalg.inv(c), q),
         slope[:, len(own) :],
         answer,
         (w[:, None] * r).T @ (f - answer),
         dict(zip(names, x[some].T, strict=True)),
         f[some],
     )
+
+
+def _bounded(information: Array, q: Array) -> Array:
+    """Q (n, n), but along a direction in which it is faint, at least what `CUT` sds of q say.
+
+    There the blade's own parameters imitate nearly all, by their priors' variances; one that leans
+    on a bound cannot, and q along it is many sds of what Q says (7 in one blade of a hundred, which
+    looked like an effect of that blade, and made the null of all others wide).
+    """
+    value, vector = np.linalg.eigh(information)
+    along = vector.T @ q
+    faint = value < FAINT * value[-1]
+    value = np.where(faint, np.maximum(value, (along / CUT) ** 2), value)
+    return np.asarray((vector * value) @ vector.T)
 
 
 def _evenly(w: Array, f: Array) -> NDArray[np.int64]:

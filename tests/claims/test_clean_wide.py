@@ -1,6 +1,6 @@
 """Finite-element blades without any effect, on the model that has room for effects.
 
-The readings are those of the main job's plan on the mesh ``fine``, with 0.02 mm of noise drawn anew.
+The readings are those of the main job's plan on the mesh ``fine``, 0.02 mm of noise drawn anew.
 Accelerating creep grows faster than the answer does: as its covariance with the residual was once
 taken for a gain's, its score stood at +3.5 sd in such rotors, and three of four were alarmed.
 """

@@ -12,7 +12,7 @@ from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
-from core.diagnosis.scores import Scores, scores
+from core.diagnosis.scores import Scores, _bounded, scores
 from core.diagnosis.signature import Signatures
 from core.errors import InputError
 from core.family import Family
@@ -125,6 +125,17 @@ def test_a_change_that_goes_with_the_parameters_leans_as_over_all_particles() ->
     half = seen.in_proportion(np.full(seen.place.shape, 0.5))
     again = seen.over(0.5 * seen.answers)
     assert again[1].sum() == pytest.approx(half[1].sum(), rel=1e-6)
+
+
+def test_where_a_bound_forbids_to_imitate_there_is_information() -> None:
+    faint = np.diag([1e-4, 1.0, 2.0])
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    q = turn @ np.array([0.07, 0.9, -1.5])  # 7 sds of a direction that is all but imitated
+    found = np.linalg.eigvalsh(_bounded(turn @ faint @ turn.T, q))
+    assert found == pytest.approx([(0.07 / 3.0) ** 2, 1.0, 2.0], rel=1e-9)
+    within = turn @ np.array([0.02, 9.0, -1.5])  # 2 sds there; 9 in a direction that is seen well
+    same = np.linalg.eigvalsh(_bounded(turn @ faint @ turn.T, within))
+    assert same == pytest.approx([1e-4, 1.0, 2.0], rel=1e-9)
 
 
 def test_a_state_of_other_readings_is_refused() -> None:
