@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,26 @@ import pytest
 from core.blade.geometry import build_mesh
 from core.calibration.state import Posterior
 from core.model import rotor_blade
+from core.observation import Inspection
 from core.smc.particles import Particles
 from service.export.vtu import vtu
 from service.fields import field_of, mesh_of
 from service.ports import Mesh
 from service.science import CoreScience
-from tests.service.test_export_draws import told  # noqa: F401
+from service.worker.loop import Worker
 
 Json = dict[str, Any]
 BLADE = "/v1/rotors/r1/blades/B1"
+
+
+@pytest.fixture
+def told(
+    rotor: str, post: Callable[..., int], reading: Callable[..., Inspection], worker: Worker
+) -> str:
+    """B1 has a reading."""
+    post(rotor, reading("i1"))
+    worker.drain()
+    return rotor
 
 
 def read(body: bytes, tmp_path: Path) -> meshio.Mesh:
@@ -39,7 +51,7 @@ def test_meshio_reads_the_field_that_the_api_says_on_the_model_s_points(
     told: str,
     tmp_path: Path,
     quantity: str,
-    unit: str,  # noqa: F811
+    unit: str,
 ) -> None:
     path = f"{BLADE}/field?quantity={quantity}&time_h=30000"
     answer = api.get(f"{path}&format=vtu")
@@ -100,7 +112,7 @@ def test_names_and_numbers_of_a_vtu_are_those_given(tmp_path: Path) -> None:
     assert found.points[2].tolist() == [0.0, 1.0, 0.25]
 
 
-def test_pandas_reads_a_prediction_to_the_last_digit(api: httpx.Client, told: str) -> None:  # noqa: F811
+def test_pandas_reads_a_prediction_to_the_last_digit(api: httpx.Client, told: str) -> None:
     path = f"{BLADE}/prediction?times=0,8000.5,50000&probability=0.9"
     answer = api.get(f"{path}&format=csv")
     assert answer.headers["content-type"] == "text/csv; charset=utf-8"
@@ -119,7 +131,7 @@ def test_pandas_reads_a_prediction_to_the_last_digit(api: httpx.Client, told: st
     assert found["sealed"].all()
 
 
-def test_a_vector_s_prediction_has_a_row_for_each_direction(api: httpx.Client, told: str) -> None:  # noqa: F811
+def test_a_vector_s_prediction_has_a_row_for_each_direction(api: httpx.Client, told: str) -> None:
     path = f"{BLADE}/prediction?quantity=deformation&node=17&times=8000,50000"
     body = api.get(f"{path}&format=csv").content
     found = pandas.read_csv(io.BytesIO(body))
