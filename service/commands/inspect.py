@@ -15,9 +15,11 @@ from typing import Annotated, Any
 import httpx
 import typer
 
+from core.network import Network
 from service.client import Client
 from service.commands import Json
 from service.diagnose_command import AwayError
+from service.export.units import unit_of
 
 Told = dict[str, Any]
 FEW_SD = 2.0
@@ -31,7 +33,7 @@ def gathered(
     Raises ProblemError where the rotor is not there, or the question does not fit its model.
     """
     rotor = twin.rotor(name)
-    told: Told = {"rotor": rotor, "posterior": None, "blades": [], "question": None}
+    told: Told = {"rotor": rotor, "posterior": None, "blades": [], "units": {}, "question": None}
     if rotor["posterior"] is None:
         return told
     version = rotor["version"]
@@ -39,6 +41,7 @@ def gathered(
     told["posterior"] = twin.posterior(name, version=version)
     shared = set(told["posterior"]["names"])
     model = twin.model(rotor["model"])
+    network = Network.from_json(model["network"])
     quantity = quantity or next(iter(model["outputs"]))
     told["question"] = {
         "quantity": quantity,
@@ -50,7 +53,15 @@ def gathered(
         own = twin.posterior(name, blade["id"], version=version)["parameters"]
         local = {k: {"mean": v["mean"], "sd": v["sd"]} for k, v in own.items() if k not in shared}
         told["blades"].append(blade | {"parameters": local})
+    names = {name for blade in told["blades"] for name in blade["parameters"]} | shared
+    told["units"] = {name: unit for name in sorted(names) if (unit := own_unit(network, name))}
     return told
+
+
+def own_unit(network: Network, name: str) -> str | None:
+    """The unit of a parameter that the model itself declares; None: the rotor has added it."""
+    unit = None if name.startswith("theta") else unit_of(network, name)
+    return None if unit in ("", "1") else unit
 
 
 def with_margins(told: Told, limit: float) -> Told:
@@ -116,7 +127,8 @@ def lines_of(told: Told) -> Iterator[str]:
     for effect in rotor["effects"]:
         yield f"  effect   {effect['name']}, adopted"
     for name, one in posterior["parameters"].items():
-        yield f"  {name} = {one['mean']:.5g} ± {one['sd']:.2g}"
+        unit = told["units"].get(name, "")
+        yield f"  {name} = {one['mean']:.4g} ± {one['sd']:.2g} {unit}".rstrip()
     yield ""
     yield from blade_lines(told)
 
@@ -128,7 +140,9 @@ def blade_lines(told: Told) -> Iterator[str]:
     margin = "limit" in asked
     what = f"{asked['quantity']} [{asked['unit']}] at {asked['time_h']:g} h"
     head = ["blade", "slot", "lot", "readings", "last [h]", what]
-    rows = [[*head, *(["margin [sd]"] if margin else []), *local, ""]]
+    units = told["units"]
+    named = [f"{name} [{units[name]}]" if name in units else name for name in local]
+    rows = [[*head, *(["margin [sd]"] if margin else []), *named, ""]]
     for blade in blades:
         readings, last = blade["readings"], blade["readings"]["last"]
         row = [blade["id"], blade["slot"] or "", blade["lot"] or "", str(readings["counting"])]

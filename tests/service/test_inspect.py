@@ -73,6 +73,9 @@ def test_people_get_a_table_with_what_to_look_at(api: httpx.Client, url: str) ->
     assert "  health   ok" in lines
     head = next(line for line in lines if line.startswith("blade "))
     assert "elongation [mm] at 50000 h" in head
+    assert "offset [mm]" in head
+    rate = api.get("/v1/rotors/r1/posterior").json()["parameters"]["rate"]
+    assert f"  rate = {rate['mean']:.4g} ± {rate['sd']:.2g} mm" in lines
     rows = {line.split()[0]: line for line in lines[lines.index(head) + 1 :]}
     assert list(rows) == ["B1", "B2", "B3"]
     assert rows["B2"].endswith("limit within 2 sd")
