@@ -61,6 +61,10 @@ def test_arviz_opens_a_blade_s_draws_and_finds_what_the_api_says(
         "mm",
         "local",
     )
+    # 64 particles drawn ten times each: in their order they would look like a chain that is stuck
+    rate = posterior["rate"].values[0]
+    assert abs(np.corrcoef(rate[1:], rate[:-1])[0, 1]) < 4 / np.sqrt(640)
+    assert np.corrcoef(np.sort(rate)[1:], np.sort(rate)[:-1])[0, 1] > 0.9, "negative control"
     attributes = posterior.attrs
     for name in ("rotor", "version", "state_digest", "model_digest", "model_version"):
         assert attributes[name] == said["rests_on"][name]
