@@ -21,8 +21,8 @@ from starlette.exceptions import HTTPException
 
 from core.errors import FaultsError, InputError
 from core.network import Network
-from service.api.problems import RequestError, faults_of_validation
-from service.api.schemas import ModelIn, invalid
+from service.api.problems import RequestError, faults_of_validation, invalid
+from service.api.schemas import ModelIn
 from service.declared import read_network
 from service.names import ID_PATTERN
 

@@ -23,7 +23,7 @@ from core.archive.table import convert_table
 from core.archive.take import take
 from core.errors import BladetwinError
 from core.observation import Inspection
-from service.api.schemas import CSV_EXAMPLE
+from service.api.csv_rows import CSV_EXAMPLE
 from service.fake import FakeScience
 from service.handlers.transfer import export_rotor, import_rotor
 from service.store.unit_of_work import SqlStore

@@ -90,11 +90,10 @@ def blobs(store: SqlStore) -> int:
 
 def covered(twin: Client, truth: dict[str, np.ndarray[Any, Any]]) -> dict[str, float]:
     """|mean − truth| / sd of the shared rate and of each exchanger's roughness."""
-    found = twin._call("GET", "/v1/rotors/station/posterior")["parameters"]["fouling_rate"]
+    found = twin.posterior("station")["parameters"]["fouling_rate"]
     off = {"fouling_rate": abs(found["mean"] - RATE) / found["sd"]}
     for name, x in truth.items():
-        path = f"/v1/rotors/station/blades/{name}/posterior"
-        own = twin._call("GET", path)["parameters"]["roughness"]
+        own = twin.posterior("station", name)["parameters"]["roughness"]
         off[name] = abs(own["mean"] - x[0]) / own["sd"]
     return off
 
@@ -144,7 +143,7 @@ def test_a_table_of_runs_becomes_a_model_whose_posterior_covers_the_truth_and_pr
     twin.create_rotor("elsewhere", model="exchanger", blades=[*ROUGH], particles=1024)
     twin.post_inspections("elsewhere", exchanger.readings(other, HOURS, 0.3, seed=5))
     make_worker(own_store, real, settings).drain()
-    found = twin._call("GET", "/v1/rotors/elsewhere/posterior")["parameters"]["fouling_rate"]
+    found = twin.posterior("elsewhere")["parameters"]["fouling_rate"]
     assert abs(found["mean"] - RATE) > 6 * found["sd"]
     assert abs(found["mean"] - 2 * RATE) < 3 * found["sd"]
 
