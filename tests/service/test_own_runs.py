@@ -158,6 +158,45 @@ def test_a_table_of_runs_becomes_a_model_whose_posterior_covers_the_truth_and_pr
     assert twin.rotor("station")["applied_seq"] == 17
 
 
+CLOGGED = {
+    "name": "clogged gauge",
+    "sentence": "The gauge of one exchanger reads too much.",
+    "target": "reading",
+    "of": "drop",
+    "how": "plus",
+    "size": 1.0,
+    "sign": 0,
+    "shapes": ["constant"],
+    "whom": ["blade"],
+    "clock": "blade",
+    "kind": "sensor",
+}
+
+
+def test_a_diagnosis_of_other_physics_asks_for_families_and_looks_for_those_it_gets(
+    http: httpx.Client,
+    own_store: SqlStore,
+    real: CoreScience,
+    settings: Settings,
+    tmp_path: Path,
+) -> None:
+    send(http, exchanger.stored(exchanger.dataset(), tmp_path / "runs.nc"))
+    trained(http, own_store, real, settings)
+    twin = Client(http=http)
+    twin.create_rotor("station", model="exchanger", blades=[*ROUGH], particles=512)
+    twin.post_inspections("station", exchanger.readings(TRUTH, HOURS, 0.3, seed=5))
+    make_worker(own_store, real, settings).drain()
+    asked = [twin.diagnose("station"), twin.diagnose("station", families=[CLOGGED])]
+    make_worker(own_store, real, settings, role="diagnose").drain()
+    without, with_one = (twin.diagnosis("station", one["id"]) for one in asked)
+    assert (without["status"], without["attempts"]) == ("failed", 1)
+    assert "give families of this physics" in without["error"]
+    assert (with_one["status"], with_one["result"]["verdict"]) == ("done", "adequate")
+    residuals = twin.residuals("station")
+    assert residuals["error"] is None
+    assert len(residuals["items"]) == 16
+
+
 def test_every_fault_of_an_archive_is_in_the_job_that_failed_and_nothing_is_left_of_it(
     http: httpx.Client,
     own_store: SqlStore,
