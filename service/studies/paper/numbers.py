@@ -26,7 +26,8 @@ from core.calibration.state import Posterior
 from core.diagnosis.pictures import quantiles
 from core.model import Model
 from core.prediction import noise_of, predict
-from core.validation.paper import LEVELS, SHOWN, THETA_SD, Stage, model_with, readings_of
+from core.validation.paper import SHOWN, THETA_SD, Stage, model_with, readings_of
+from core.validation.paper_above import LEVELS
 from core.validation.paper_scan import Scan
 from service.fields import field_of
 

@@ -17,7 +17,8 @@ from service.report.markup import Markup, el, join
 from service.report.page import style
 from service.report.tables import facts, figure, pairs, section, table
 from service.report.words import joined, number, with_sd
-from service.studies.paper.plots import FIGURES, PSI, label_of
+from service.studies.paper.densities import PSI, label_of
+from service.studies.paper.plots import FIGURES
 from service.studies.paper.statements import Judged
 
 Json = Mapping[str, Any]
