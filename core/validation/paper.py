@@ -130,9 +130,10 @@ def calibrated(
     names: Sequence[str],
     particles: int,
     seed: int,
+    ways: Sequence[Strategy] = WAYS,
     tell: Callable[[str], None] | None = None,
 ) -> dict[Strategy, list[Stage]]:
-    """Both calibrations with or without delta: a stage of all outages, and one after each.
+    """The calibrations with or without delta: a stage of all outages, and one after each.
 
     Steps 3 and 4 are a function of step 2's state: where the last online state has the digest of
     the offline one, they are not computed again. Nothing else is shared between the two.
@@ -142,7 +143,7 @@ def calibrated(
     model, rotor = model_with(delta), RotorSpec("paper", tuple(names), particles, seed)
     last, found = len(OUTAGES_H), dict[Strategy, list[Stage]]()
     known: dict[str, tuple[Above, Above, float]] = {}
-    for strategy in WAYS:
+    for strategy in ways:
         work, state = Workspace(), None
         for outages in [last] if strategy == "offline" else range(1, last + 1):
             start = time.process_time()

@@ -87,7 +87,7 @@ def posteriors(names: Sequence[str], lines: Sequence[Line], truth: Mapping[str, 
     """A panel for each parameter: prior (grey), posteriors, truth (dotted)."""
     model = model_with(True)
     figure, axes = plt.subplots(
-        1, len(names), figsize=(2.75 * len(names), 2.6), squeeze=False, layout="constrained"
+        1, len(names), figsize=(11, 2.7), squeeze=False, layout="constrained"
     )
     for axis, name in zip(axes[0], names, strict=True):
         prior = prior_of(model, name)

@@ -33,7 +33,7 @@ from service.fields import field_of
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
-DRAWS = 2000  # of a posterior, for its picture
+DRAWS = 600  # of a posterior, for its picture: about as many as nodes carry it
 COURSE = tuple(1000.0 * k for k in range(1, 41))  # hours
 HALF = 1.959963984540054
 HOURS = (*OUTAGES_H, HELD_OUT_H)

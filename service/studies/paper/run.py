@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -13,7 +13,7 @@ import service.one_thread  # noqa: F401  before numpy, as in every process
 from core.builtin import inspection_plan
 from core.errors import InputError
 from core.validation import paper, paper_scan
-from core.validation.paper import CASES, Case
+from core.validation.paper import CASES, WAYS, Case, Strategy
 from service.studies.paper.numbers import Drawn, Told, surrogate, told
 from service.studies.paper.statements import judged
 
@@ -28,10 +28,12 @@ class Study:
     drawn: dict[str, list[Drawn]]
 
 
-def both(delta: bool, blades: int, particles: int, seed: int) -> dict[str, list[Told]]:
+def both(
+    delta: bool, blades: int, particles: int, seed: int, ways: Sequence[Strategy] = WAYS
+) -> dict[str, list[Told]]:
     """Offline and online with or without delta, by the name of their case."""
     plan, scan, known = inspection_plan.load(), paper_scan.load(), dict[str, Told]()
-    found = paper.calibrated(delta, plan, paper.chosen(blades), particles, seed)
+    found = paper.calibrated(delta, plan, paper.chosen(blades), particles, seed, ways)
     return {
         Case(strategy, delta).name: told(delta, stages, plan, scan, known)
         for strategy, stages in found.items()
