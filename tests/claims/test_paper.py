@@ -49,8 +49,11 @@ def plain() -> dict[str, list[paper.Stage]]:
     return {**calibrated(False, plan, chosen(BLADES), PARTICLES, SEED)}
 
 
-def numbers(stages: list[paper.Stage], plan: inspection_plan.Plan) -> list[Json]:
-    return [one for one, _ in made_of.told(False, stages, plan, paper_scan.load(), {})]
+@pytest.fixture(scope="module")
+def told(plain: dict[str, list[paper.Stage]]) -> dict[str, list[made_of.Told]]:
+    """Their numbers and picture material."""
+    plan, scan, known = inspection_plan.load(), paper_scan.load(), dict[str, made_of.Told]()
+    return {s: made_of.told(False, stages, plan, scan, known) for s, stages in plain.items()}
 
 
 def test_the_held_out_scan_is_the_run_that_the_plan_ships() -> None:
@@ -76,18 +79,24 @@ def test_blades_of_the_paper_are_always_there() -> None:
         chosen(4)
 
 
-def test_the_last_online_state_is_the_offline_one(plain: dict[str, list[paper.Stage]]) -> None:
+def test_the_last_online_state_is_the_offline_one(
+    plain: dict[str, list[paper.Stage]], told: dict[str, list[made_of.Told]]
+) -> None:
     assert plain["online"][-1].digest == plain["offline"][0].digest
     assert plain["online"][1].digest != plain["offline"][0].digest
-    verdict, _ = offline_sharper({"cases": as_cases(plain), "schedule": {}})
+    verdict, said = offline_sharper({"cases": as_cases(told), "schedule": {}})
     assert verdict == "disagrees"
+    assert "the same bit for bit" in said
 
 
-def as_cases(plain: dict[str, list[paper.Stage]], plan: Any = None) -> Json:
-    """Numbers of the calibrations without delta under both names."""
-    plan = plan or inspection_plan.load()
-    told = {s: numbers(stages, plan) for s, stages in plain.items()}
-    return {Case(s, d).name: told[s] for s in told for d in (False, True)}  # type: ignore[arg-type]
+def as_cases(told: dict[str, list[made_of.Told]]) -> Json:
+    """Numbers of the calibrations without delta, under the names of those with it as well."""
+    return {
+        Case(s, d).name: [numbers for numbers, _ in told[s]]
+        for s in paper.WAYS
+        for d in (False, True)
+        if s in told
+    }
 
 
 def test_steps_three_and_four_are_the_joint_posterior(
@@ -123,17 +132,18 @@ def test_discrepancies_of_both_quantities_are_calibrated_well() -> None:
 
 
 def test_readings_that_are_not_the_blades_own_are_outside_its_bounds(
-    plain: dict[str, list[paper.Stage]],
+    plain: dict[str, list[paper.Stage]], told: dict[str, list[made_of.Told]]
 ) -> None:
     """Negative control of a statement: on wrong data it says so."""
     plan = inspection_plan.load()
-    assert within_bounds({"cases": as_cases(plain)})[0] != "disagrees"
+    assert within_bounds({"cases": as_cases(told)})[0] != "disagrees"
     shifted = tuple(
         {**body, "value": body["value"] + 0.2} if body["id"].startswith("B090-e") else body
         for body in plan.inspections
     )
     wrong = replace(plan, inspections=shifted)
-    verdict, said = within_bounds({"cases": as_cases(plain, wrong)})
+    off = made_of.told(False, plain["offline"], wrong, paper_scan.load(), {})
+    verdict, said = within_bounds({"cases": as_cases({"offline": off})})
     assert verdict == "disagrees"
     assert "0 of 3 elongations" in said
 
@@ -151,14 +161,14 @@ def as_the_paper_says(kept: Json) -> Json:
     """The kept numbers, bent until the paper is right in everything."""
     found = deepcopy(kept)
 
-    def last(strategy: str, delta: bool) -> Json:
-        return found["cases"][Case(strategy, delta).name][-1]  # type: ignore[arg-type,no-any-return]
+    def last(strategy: paper.Strategy, delta: bool) -> Json:
+        return found["cases"][Case(strategy, delta).name][-1]  # type: ignore[no-any-return]
 
     for row in found["surrogate"]["contest"]:
         row["median_percent"] = 0.1 if row["name"] == "extra trees" else 1.0
-    for strategy in ("offline", "online"):
+    for strategy in paper.WAYS:
         for delta in (False, True):
-            for stage in found["cases"][Case(strategy, delta).name]:  # type: ignore[arg-type]
+            for stage in found["cases"][Case(strategy, delta).name]:
                 stage["cpu_s"] = 27.0 / 3 if strategy == "online" else 48.0
                 for s in stage["scans"]:
                     s |= {"reading_inside_1sd": 0.97, "reading_inside_95": 0.8}
@@ -176,11 +186,9 @@ def as_the_paper_says(kept: Json) -> Json:
 def test_the_kept_study_is_the_papers_table_one_and_sound(kept: Json) -> None:
     assert (kept["blades"], kept["seed"]) == (100, SEED)
     assert kept["commit"]
-    for strategy, delta, count in (
-        ("offline", False, 1), ("offline", True, 1), ("online", False, 3), ("online", True, 3),
-    ):  # fmt: skip
-        stages = kept["cases"][Case(strategy, delta).name]  # type: ignore[arg-type]
-        assert len(stages) == count
+    for case in paper.CASES:
+        stages = kept["cases"][case.name]
+        assert len(stages) == {"offline": 1, "online": 3}[case.strategy]
         for stage in stages:
             assert {one["status"] for one in stage["health"].values()} == {"ok"}
     for delta in (False, True):
@@ -216,12 +224,15 @@ def test_the_kept_page_says_what_the_numbers_say(kept: Json) -> None:
 
 
 def test_the_command_writes_page_figures_and_numbers(
-    plain: dict[str, list[paper.Stage]], kept: Json, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    told: dict[str, list[made_of.Told]],
+    kept: Json,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With the short calibrations in place of the four, under the kept numbers."""
-    scan, plan = paper_scan.load(), inspection_plan.load()
-    told = {s: made_of.told(False, stages, plan, scan, {}) for s, stages in plain.items()}
-    drawn = {Case(s, d).name: [shown for _, shown in told[s]] for s in told for d in (False, True)}  # type: ignore[arg-type]
+    drawn = {
+        Case(s, d).name: [shown for _, shown in told[s]] for s in paper.WAYS for d in (False, True)
+    }
     head = ("model", "machine", "seconds", "cpu_s", "command", "commit")
     study = run.Study({k: v for k, v in kept.items() if k not in head}, drawn)
     progress: list[Callable[[int], None]] = []
