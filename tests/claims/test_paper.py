@@ -79,6 +79,14 @@ def test_blades_of_the_paper_are_always_there() -> None:
         chosen(4)
 
 
+@pytest.mark.parametrize(
+    "options", [{"particles": 99}, {"schedule": 99}, {"processes": 0}, {"blades": 101}]
+)
+def test_a_study_of_too_little_is_refused_before_it_begins(options: Json) -> None:
+    with pytest.raises(InputError, match=next(iter(options))):
+        run.run(**options)
+
+
 def test_the_last_online_state_is_the_offline_one(
     plain: dict[str, list[paper.Stage]], told: dict[str, list[made_of.Told]]
 ) -> None:

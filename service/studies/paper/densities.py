@@ -84,8 +84,9 @@ def prior_of(model: Model, name: str) -> Prior:
 
 
 def posteriors(names: Sequence[str], lines: Sequence[Line], truth: Mapping[str, Any]) -> Any:
-    """A panel for each parameter: prior (grey), posteriors, truth (dotted)."""
+    """A panel for each parameter that a posterior has: prior (grey), posteriors, truth (dotted)."""
     model = model_with(True)
+    names = [n for n in names if any(n in line.posterior.names for line in lines)]
     figure, axes = plt.subplots(
         1, len(names), figsize=(11, 2.7), squeeze=False, layout="constrained"
     )

@@ -18,6 +18,7 @@ from service.studies.paper.numbers import Drawn, Told, surrogate, told
 from service.studies.paper.statements import judged
 
 Json = dict[str, Any]
+LEAST = 100  # particles, of a blade or of a set of the schedule
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,10 @@ def run(
     """
     if processes < 1:
         raise InputError("processes", processes, "compute nothing", "give 1 or more")
+    if particles < LEAST:
+        raise InputError("particles", particles, "are too few", f"give {LEAST} or more")
+    if schedule and schedule < LEAST:
+        raise InputError("schedule", schedule, "are too few particles", f"give {LEAST}, or 0")
     paper.chosen(blades)
     start = time.monotonic()
     made: dict[str, list[Told]] = {}
