@@ -26,7 +26,7 @@ TITLE = "The paper's example, remade"
 OWN_STYLE = Markup(
     "figure img{width:100%;height:auto;background:#fff;border:1px solid var(--rule)}"
     "blockquote{margin:.3rem 0;padding-left:.8rem;border-left:3px solid var(--rule);"
-    "max-width:46rem}.said-here{margin:.6rem 0 1.1rem}.word,td:first-child{white-space:nowrap}"
+    "max-width:46rem}.said-here{margin:.6rem 0 1.1rem}.word,th,td:first-child{white-space:nowrap}"
 )
 KINDS = {"agrees": "adequate", "in part": "not-separable", "disagrees": "unattributed"}
 CITED = (
