@@ -21,6 +21,7 @@ from core.errors import InputError, ModelError
 from core.network import Network, rotor_blade_network
 from core.response import Response
 from core.surrogate import Surrogate
+from core.surrogate.anchor import Anchor
 from core.surrogate.driven import Driven
 
 Array = NDArray[np.float64]
@@ -195,14 +196,15 @@ class Model:
             self.few_locals([i.name for i in self.part(quantity.name).inputs], quantity.name)
 
     @staticmethod
-    def of(network: Network, surrogate: Answers | Stacked) -> Model:
+    def of(network: Network, surrogate: Answers | Stacked, anchor: Anchor | None = None) -> Model:
         """The network on a surrogate that is driven by the network's drifts, if there are any.
 
+        anchor  of a wide surrogate (`core.surrogate.anchor`); that of a driven one is kept
         Raises ModelError where the drifts cannot go through this surrogate, InputError where an
         input would leave its runs.
         """
         if isinstance(surrogate, Driven):
-            surrogate = surrogate.base
+            anchor, surrogate = surrogate.anchor, surrogate.base
         asleep = {p.name: p.nominal for p in network.of_level("dormant") if p.nominal is not None}
         if isinstance(surrogate, Surrogate):
             inputs = {i.name for i in surrogate.inputs}
@@ -217,7 +219,7 @@ class Model:
         drifts = tuple(d for d in network.drifts if _of_all(d) and d.name not in asleep)
         free = (inputs - fixed.keys()) | {d.name for d in drifts}
         ranges = {p.name: (p.prior.low, p.prior.high) for p in network.parameters if p.name in free}
-        return Model(network, Driven(surrogate, drifts, ranges, fixed))
+        return Model(network, Driven(surrogate, drifts, ranges, fixed, anchor))
 
     def for_blade(self, blade: str) -> Model:
         """The model as one blade has it; itself where no effect is of some blades only."""
@@ -275,7 +277,12 @@ def rotor_blade() -> Model:
 
 
 def rotor_blade_wide() -> Model:
-    """The model of the wide plan, in which effects find room; dormant inputs are asleep."""
+    """The model of the wide plan, in which effects find room; dormant inputs are asleep.
+
+    Where there is no effect it answers as `rotor_blade` does (`core.surrogate.anchor`).
+    """
     from core.builtin import rotor_blade as builtin
 
-    return Model.of(builtin.wide_network(), builtin.load_wide())
+    network = builtin.wide_network()
+    asleep = {p.name: p.nominal for p in network.of_level("dormant") if p.nominal is not None}
+    return Model.of(network, builtin.load_wide(), Anchor(builtin.load(), asleep))

@@ -15,6 +15,7 @@
     ├── DamagedError          a stored part that is not what was written
     ├── DamagedLogError       an entry of the log that is not what was written
     ├── WebhooksOffError      webhooks without the key file that their secrets are made of
+    ├── NotInstalledError     a format whose library is not installed here
     ├── HeldError             a rotor that a worker holds at the moment
     ├── BackupError           a backup that is not made, or not restored
     ├── SchemaError           a database whose schema is not that of this release
@@ -185,6 +186,15 @@ class WebhooksOffError(BladetwinError):
         self.setting = setting
         self.remedy = f"set {setting} to a file with 32 or more random bytes"
         super().__init__(f"webhooks are not in use here. To mend it: {self.remedy}.")
+
+
+class NotInstalledError(BladetwinError):
+    """A format that this service cannot write: `package` is not installed, `extra` brings it."""
+
+    def __init__(self, package: str, extra: str, instead: str) -> None:
+        self.package = package
+        self.remedy = f"install bladetwin[{extra}] on the server, or {instead}"
+        super().__init__(f"{package} is not installed here. To mend it: {self.remedy}.")
 
 
 class LostLeaseError(BladetwinError):

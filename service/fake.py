@@ -37,8 +37,11 @@ from service.ports import (
     BladeRecord,
     Draws,
     Field,
+    Forward,
     Get,
+    JointDraws,
     Json,
+    Mesh,
     ModelCard,
     NoiseFrom,
     Output,
@@ -100,6 +103,35 @@ class FakePrediction:
     quantiles: Mapping[float, Array]
     instrument: str | None = None
     noise_from: NoiseFrom = "prior"
+
+
+@dataclass(frozen=True, slots=True)
+class FakeForward:
+    """(m + l_b) h at a node, known exactly."""
+
+    card: ModelCard
+    quantity: str
+    names: tuple[str, ...] = ("rate", "offset")
+    units: tuple[str, ...] = ("mm", "mm")
+    low: tuple[float, ...] = (-5.0, -5.0)
+    high: tuple[float, ...] = (5.0, 5.0)
+
+    def __call__(
+        self, x: Sequence[float], times: Sequence[float], node: int | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        scale = along(self.card, self.quantity, node)
+        y = sum(x) * np.asarray(times, float)[:, None] / HORIZON_H * scale
+        y = y if self.quantity == "deformation" else y[:, 0]
+        return y, np.zeros_like(y)
+
+
+def along(card: ModelCard, quantity: str, node: int | None) -> NDArray[np.float64]:
+    """What a quantity at a node has of the elongation at the tip: (1,), of a deformation (3,)."""
+    if quantity == "elongation":
+        return np.ones(1)
+    k = card.nodes["critical"] if node is None else node
+    scale = np.array([0.0, 0.0, 1.0]) if quantity == "deformation" else np.array([0.01])
+    return scale * (k + 1) / card.node_count
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,6 +374,32 @@ class FakeScience:
         root = np.linalg.cholesky(covariance + 1e-15 * np.eye(2))
         return Draws(("rate", "offset"), mean + z @ root.T, np.zeros(len(z)))
 
+    def joint_draws(
+        self, meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int
+    ) -> JointDraws:
+        """m first, then each l_b given m."""
+        rng = stream(meta["seed"], "joint")
+        centre, variance = get("shared/moments")
+        shared = centre + np.sqrt(variance) * rng.standard_normal((count, 1))
+        local = np.empty((count, len(blades), 1))
+        for i, blade in enumerate(blades):
+            mean, covariance = self.moments(get, blade)
+            slope = covariance[1, 0] / variance
+            left = np.sqrt(covariance[1, 1] - slope**2 * variance)
+            local[:, i] = mean[1] + slope * (shared - centre)
+            local[:, i] += left * rng.standard_normal((count, 1))
+        return JointDraws(("rate",), shared, ("offset",), tuple(blades), local, meta["particles"])
+
+    def forward(
+        self, card: ModelCard, quantity: str, blade: str | None, known: Mapping[str, float] | None
+    ) -> Forward:
+        return FakeForward(card, quantity)
+
+    def mesh(self, card: ModelCard) -> Mesh:
+        """The strip's triangles."""
+        strip = self.surface(card)
+        return Mesh(strip.points, strip.triangles, "triangle")
+
     def surface(self, card: ModelCard) -> Surface:
         """A strip of two columns of nodes, from root to tip."""
         rows = card.node_count // 2
@@ -384,12 +442,7 @@ class FakeScience:
     ) -> FakePrediction:
         mean, covariance = self.moments(get, blade)
         time_h = np.asarray(times, float)
-        scale = np.ones(1)
-        if quantity != "elongation":
-            k = card.nodes["critical"] if node is None else node
-            scale = np.array([0.0, 0.0, 1.0]) if quantity == "deformation" else np.array([0.01])
-            scale = scale * (k + 1) / card.node_count
-        h = time_h[:, None] / HORIZON_H * scale
+        h = time_h[:, None] / HORIZON_H * along(card, quantity, node)
         h = h if quantity == "deformation" else h[:, 0]
         parameters = np.sqrt(covariance.sum()) * h
         zero, noise = np.zeros_like(h), np.full_like(h, SIGMA)

@@ -24,7 +24,7 @@ from core.blade.geometry import MESHES, build_mesh
 from core.calibration.state import Posterior
 from core.model import Model
 from core.prediction import corrected, inputs_of
-from service.ports import Field, Surface
+from service.ports import Field, Mesh, Surface
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -60,13 +60,19 @@ def skin(points: Array, cells: Index) -> Surface:
     return Surface(points, outer[:, CUT].reshape(-1, 3))
 
 
-def surface_of(points: Array | None, mesh: str | None) -> Surface | None:
-    """The surface of a model that was made on one of the blade's meshes; None: on no such mesh."""
+def mesh_of(points: Array | None, mesh: str | None) -> Mesh | None:
+    """The mesh of a model that was made on one of the blade's meshes; None: on no such mesh."""
     if points is None or mesh not in MESHES:
         return None
     built = build_mesh(mesh)
     same = built.points.shape == points.shape and np.allclose(built.points, points, atol=1e-6)
-    return skin(built.points, built.cells) if same else None
+    return Mesh(built.points, built.cells, "hexahedron20") if same else None
+
+
+def surface_of(points: Array | None, mesh: str | None) -> Surface | None:
+    """The surface of that mesh; None: there is none."""
+    found = mesh_of(points, mesh)
+    return None if found is None else skin(found.points, found.cells)
 
 
 def field_of(

@@ -113,6 +113,23 @@ class Draws:
     log_w: NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True)
+class JointDraws:
+    """Equally weighted draws of the shared parameters and of several blades' own ones, jointly.
+
+    shared  (n, S) by `shared_names`, local (n, B, L) by `blades` and `local_names`: row i of both
+            is one draw, in which all blades have the same shared values
+    of      weighted particles behind them, of one blade
+    """
+
+    shared_names: tuple[str, ...]
+    shared: NDArray[np.float64]
+    local_names: tuple[str, ...]
+    blades: tuple[str, ...]
+    local: NDArray[np.float64]
+    of: int
+
+
 class Prediction(Protocol):
     """Bands of one quantity of one blade, by source (see core.prediction).
 
@@ -147,6 +164,38 @@ class Surface:
 
     points: NDArray[np.float64]
     triangles: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """A model's mesh: points (N, 3) [mm], cells (E, n) of node numbers, all of one kind, in VTK's
+    order of nodes.
+    """
+
+    points: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    kind: Literal["hexahedron20", "triangle"]
+
+
+class Forward(Protocol):
+    """A model without a posterior: what it answers for given parameters (see `core.model`).
+
+    names   of the parameters, with `units` and the bounds `low` … `high` of the training runs
+    """
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+    @property
+    def low(self) -> tuple[float, ...]: ...
+    @property
+    def high(self) -> tuple[float, ...]: ...
+    def __call__(
+        self, x: Sequence[float], times: Sequence[float], node: int | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean and the surrogate's own sd at the hours: (T,), for a vector (T, 3) [unit]."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +237,18 @@ class Science(Protocol):
     def restore(self, meta: Mapping[str, Any], get: Get) -> RotorState: ...
     def shared_draws(self, meta: Mapping[str, Any], get: Get) -> Draws: ...
     def blade_draws(self, meta: Mapping[str, Any], get: Get, blade: str) -> Draws: ...
+    def joint_draws(
+        self, meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int
+    ) -> JointDraws:
+        """Draws of several blades with the same shared values in each, in random order."""
+        ...
+
+    def forward(
+        self, card: ModelCard, quantity: str, blade: str | None, known: Mapping[str, float] | None
+    ) -> Forward:
+        """The model as it is, or as one blade has it, with its effects and known inputs."""
+        ...
+
     def predict(
         self,
         card: ModelCard,
@@ -222,6 +283,10 @@ class Science(Protocol):
 
     def surface(self, card: ModelCard) -> Surface | None:
         """The surface of the model's mesh; None: it has none that is known."""
+        ...
+
+    def mesh(self, card: ModelCard) -> Mesh | None:
+        """The mesh of a model's fields; None where it has none."""
         ...
 
     def field(

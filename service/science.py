@@ -33,8 +33,11 @@ from service.ports import (
     BladeRecord,
     Draws,
     Field,
+    Forward,
     Get,
+    JointDraws,
     Json,
+    Mesh,
     ModelCard,
     NoiseFrom,
     Output,
@@ -228,11 +231,36 @@ class CoreScience:
             "readings" if noise in posterior.names else "prior",
         )
 
+    def joint_draws(
+        self, meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int
+    ) -> JointDraws:
+        from service.joint import joint_draws
+
+        return joint_draws(meta, get, blades, count)
+
+    def forward(
+        self, card: ModelCard, quantity: str, blade: str | None, known: Mapping[str, float] | None
+    ) -> Forward:
+        from service.forward import forward_of
+
+        model = self._model(card)
+        return forward_of(model if blade is None else model.for_blade(blade), quantity, known)
+
+    def mesh(self, card: ModelCard) -> Mesh | None:
+        from service.fields import mesh_of
+
+        return mesh_of(self._points(card), card.summary.get("mesh"))
+
+    def _points(self, card: ModelCard) -> Array | None:
+        """The nodes of the training runs, also of a surrogate that effects drive."""
+        surrogate = self._model(card).surrogate
+        points: Array | None = getattr(getattr(surrogate, "base", surrogate), "points", None)
+        return points
+
     def surface(self, card: ModelCard) -> Surface | None:
         from service.fields import surface_of
 
-        points = getattr(self._model(card).surrogate, "points", None)
-        return surface_of(points, card.summary.get("mesh"))
+        return surface_of(self._points(card), card.summary.get("mesh"))
 
     def field(
         self,

@@ -23,20 +23,31 @@ def frame(event: str, data: dict[str, Any], number: int | None = None) -> str:
     return f"{head}event: {event}\ndata: {json.dumps(data)}\n\n"
 
 
+class Reader:
+    """Reads a stream line by line."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, str] = {}
+
+    def line(self, line: str) -> dict[str, Any] | None:
+        """The event that this line ends: its data, with ``id`` and ``event``; None: none."""
+        if line != "":
+            name, _, value = line.partition(":")
+            if name:
+                self._told[name] = value.removeprefix(" ")
+            return None
+        told, self._told = self._told, {}
+        if "data" not in told:
+            return None
+        number = {"id": int(told["id"])} if "id" in told else {}
+        return {**json.loads(told["data"]), **number, "event": told.get("event", "message")}
+
+
 def events(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
-    """The events of a stream of lines: their data, with ``id`` and ``event``.
+    """The events of a stream of lines.
 
     >>> list(events(["id: 7", "event: applied", 'data: {"version": 3}', "", ": alive", ""]))
     [{'version': 3, 'id': 7, 'event': 'applied'}]
     """
-    told: dict[str, str] = {}
-    for line in lines:
-        if line == "":
-            if "data" in told:
-                number = {"id": int(told["id"])} if "id" in told else {}
-                yield {**json.loads(told["data"]), **number, "event": told.get("event", "message")}
-            told = {}
-            continue
-        name, _, value = line.partition(":")
-        if name:
-            told[name] = value.removeprefix(" ")
+    reader = Reader()
+    return (event for line in lines if (event := reader.line(line)) is not None)

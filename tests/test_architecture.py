@@ -51,7 +51,7 @@ RULES: tuple[tuple[str, frozenset[str]], ...] = (
     ),
     ("service/handlers", frozenset({"fastapi", "starlette", "httpx", "uvicorn"})),
     ("service/api", frozenset({"sqlalchemy", "psycopg", "sqlite3"})),
-    ("service/client.py", frozenset({"sqlalchemy", "fastapi", "service.store"})),
+    ("service/client", frozenset({"sqlalchemy", "fastapi", "service.store"})),
 )
 
 

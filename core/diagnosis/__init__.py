@@ -12,6 +12,7 @@ conclude    the word, every name on its own turn
 halves      whether an amplitude holds between halves of blades and readings
 transfer    whether an effect holds in another condition
 report      before and after, on readings that neither model used
+residuals   every reading predicted from the visits before it; omnibus: tests of what they should be
 left_out    each reading as predicted without itself
 pictures    what a report draws
 separate    which inspections would tell rivals apart; rivals: for a set that is not separable

@@ -135,11 +135,14 @@ def conclude(
     gained: float,
     held: tuple[Held, ...],
     refused: Mapping[tuple[str, ...], str],
+    open_: Mapping[str, float] | None = None,
 ) -> Verdict:
     """The verdict on the effects `names` that are in the model, from all that was seen.
 
     after    p of what is left; held: whether amplitudes agree between halves
     refused  hypotheses that the runs have no room for, with the reason
+    open_    effects that were taken, could not be told from their rivals and left again, as chance
+             explains the readings without them; by what they gained besides, together [nat]
     """
     reasons = _against(names, after, held, refused)
     if reasons:
@@ -162,15 +165,22 @@ def conclude(
         best=took[-1].hypotheses[0],
     )
     sure = sorted(c for c in claims.values() if c is not None)
-    if all(turn.settled for turn in took):
+    if all(c is not None for c in claims.values()):
         whys = [f"{' and '.join(sure)} gains {gained:.1f} nat and leaves nothing behind"]
         whys += [
             f"how {claim} runs is open: {name} has {evidence.get(name, 0.0):.0%} of the evidence"
             for name, claim in claims.items()
             if claim not in (None, name)
         ]
+        if open_:
+            gain = next(iter(open_.values()))
+            whys.append(
+                f"{' and '.join(open_)} would gain {gain:.1f} nat more; what is left without has "
+                f"p = {after:.2g} and no name of its own"
+            )
         return replace(said, names=tuple(sure), reasons=tuple(whys))
-    rest = {n for turn in took if not turn.settled for n in credible(turn.hypotheses)}
+    doubt = [t for t in took if any(claims.get(n, n) is None for n in t.took)]
+    rest = {n for turn in doubt for n in credible(turn.hypotheses)}
     several = sorted({*sure, *rest})
     why = f"{len(rest)} names share the evidence"
     if sure:

@@ -10,7 +10,9 @@
        search, the log of the number of families that it was chosen from.
     4. An effect that was taken early can turn out to have imitated a later one: after each turn
        each has to earn its place beside all others, or it leaves.
-    5. The amplitudes have to hold (`verdict`), and what is left has to be chance (`conclude`).
+    5. What was taken but could not be told from its rivals leaves again where chance explains the
+       readings without it: a name that is not settled must not keep those that are from being said.
+    6. The amplitudes have to hold (`verdict`), and what is left has to be chance (`conclude`).
 
 Everything is a function of the readings that count, the facts of the blades and the seed.
 """
@@ -48,7 +50,7 @@ RIVALS = 3
 MOST = 3
 EARNED = 2.0
 SIBLINGS = 5
-STEPS = 1 + MOST * (RIVALS + SIBLINGS + 2)  # at most; few more where effects leave again
+STEPS = 3 + MOST * (RIVALS + SIBLINGS + 2)  # at most; few more where effects leave again
 NOTICEABLE = 0.03  # share of the evidence from which a rival is calibrated
 
 
@@ -85,8 +87,10 @@ class Diagnosis:
 
     @property
     def open(self) -> Turn | None:
-        """The first turn that took something and does not settle on its name."""
-        return next((t for t in self.turns if t.took and not t.settled), None)
+        """The first turn that took something which stayed, and does not settle on its name."""
+        stayed = {e.cell.name for e in self.effects}
+        turns = (t for t in self.turns if stayed.intersection(t.took))
+        return next((t for t in turns if not t.settled), None)
 
 
 @dataclass(frozen=True)
@@ -122,9 +126,8 @@ class Case:
         )
         gone = {one.name for one in taken}
         every = [c for c in every if c.name not in gone]
-        physics = Physics(answers, dict(answers.fixed) if isinstance(answers, Driven) else {})
-        g = signatures(model, seen, every, facts, self.noise(model, state), physics)
-        return Scan.of(every, seen, g, unnamed(seen, facts))
+        found = signatures(model, seen, every, facts, self.noise(model, state), _physics(model))
+        return Scan.of(every, seen, found, unnamed(seen, facts))
 
     def halves(self, model: Model, taken: Rival) -> tuple[Held, ...]:
         """Whether the amplitudes of the effects in a model agree between halves."""
@@ -133,7 +136,16 @@ class Case:
         seen = scores(taken.model, taken.state, self.readings, self.spec.known)
         facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
         noise = self.noise(model, taken.state)
-        return halves(model, taken.state, seen, taken.effects, facts, noise)
+        physics = _physics(taken.model)
+        more = signatures(taken.model, seen, taken.effects, facts, noise, physics)
+        return halves(model, taken.state, seen, taken.effects, facts, noise, more)
+
+
+def _physics(model: Model) -> Physics:
+    answers = model.surrogate
+    if isinstance(answers, Stacked):
+        raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
+    return Physics(answers, dict(answers.fixed) if isinstance(answers, Driven) else {})
 
 
 @dataclass
@@ -209,6 +221,21 @@ class _Search:
                 return self.needed(rest)
         return taken
 
+    def without_open(self, taken: Rival, turns: Sequence[Turn]) -> tuple[Rival, float] | None:
+        """Without the effects whose turn left their names open, and the p of what is then left.
+
+        None where no effect is open, none is settled, or more than chance is left without them.
+        """
+        claims = {n: turn.claim(n) for turn in turns for n in turn.took}
+        sure = tuple(c for c in taken.effects if claims.get(c.name) is not None)
+        if not 0 < len(sure) < len(taken.effects):
+            return None
+        rest = self.calibrated(sure)
+        if rest is None:
+            return None
+        _, found = _left(self, rest, len(turns))
+        return (rest, found.p) if found.word == "adequate" else None
+
 
 def _best(known: Mapping[tuple[int, ...], Rival]) -> tuple[int, ...]:
     return max(known, key=lambda c: known[c].gained)
@@ -257,14 +284,20 @@ def diagnose(
         if frozenset(taken.effects) in seen:
             break  # what came has left again
         seen.append(frozenset(taken.effects))
+    after, open_ = found.p, dict[str, float]()
+    if (fewer := search.without_open(taken, turns)) is not None:
+        gone = [c.name for c in taken.effects if c not in fewer[0].effects]
+        open_ = dict.fromkeys(gone, taken.gained - fewer[0].gained)
+        taken, after = fewer
     verdict = conclude(
         first,
         [c.name for c in taken.effects],
-        found.p,
+        after,
         turns,
         taken.gained,
         case.halves(model, taken),
         search.refused,
+        open_,
     )
     return Diagnosis(
         verdict,

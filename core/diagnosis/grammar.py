@@ -177,11 +177,6 @@ class Cell:
         return what if self.value is None else f"{what} ({who}{self.value})"
 
     @property
-    def grows(self) -> bool:
-        """Whether a blade that creeps more shows more of it: all but offsets of readings."""
-        return self.family.target == "input" or self.family.how == "times"
-
-    @property
     def course(self) -> Course:
         """Its shape s(t) over the clock's hours, of the order of 1."""
         if self.shape == "constant":

@@ -9,7 +9,8 @@ the signature
 is zero on average if there is one amplitude; what d could be is d = U_d / (I_d + 1/w²), with a
 prior sd w of `WIDE` expected sizes. As it is asked at the calibrated amplitude and not at none,
 effects that the answer is far from linear in (tertiary creep) are halved rightly too. df/da is
-the regression on a over the particles, in rows that the effect concerns.
+the regression on a over the particles, in rows that the effect concerns; how it goes with the
+residual is taken from one more effect of the expected size, in proportion.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from core.diagnosis.adopt import amplitude, expected
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.scan import overdispersion
 from core.diagnosis.scores import Scores
-from core.diagnosis.signature import masks
+from core.diagnosis.signature import Signatures, masks
 from core.diagnosis.verdict import WIDE, Held
 from core.model import Model
 
@@ -38,10 +39,12 @@ def halves(
     effects: Sequence[Cell],
     facts: Mapping[str, Facts],
     noise: Mapping[str, float],
+    more: Signatures,
 ) -> tuple[Held, ...]:
     """Of the effects in a state's model, each in both ways of halving where it concerns enough.
 
     before  the model without the effects; state, seen: with them
+    more    signatures of the effects once more, in the model that has them
     """
     shared = shared_posterior(state.meta, state.arrays.__getitem__)
     others = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
@@ -52,8 +55,11 @@ def halves(
         size = expected(cell, noise)
         mean = float(shared.particles.w @ shared.column(name)) - origin
         g = np.where(concerned[:, :, c], seen.slope[:, :, others.index(name)], 0.0)
+        once = more.g[:, :, c]
+        share = np.where(once != 0, g * size / np.where(once != 0, once, 1.0), 0.0)
+        h = np.where(concerned[:, :, c], share * more.h[:, :, c], 0.0)
         for by, half in splits(seen, g):
-            found.append(between(seen, g * size, half, cell, by, mean / size))
+            found.append(between(seen, g * size, h, half, cell, by, mean / size))
     return tuple(found)
 
 
@@ -71,12 +77,18 @@ def splits(seen: Scores, g: Array) -> list[tuple[str, NDArray[np.bool_]]]:
 
 
 def between(
-    seen: Scores, g: Array, half: NDArray[np.bool_], cell: Cell, by: str, mean: float
+    seen: Scores,
+    g: Array,
+    h: Array,
+    half: NDArray[np.bool_],
+    cell: Cell,
+    by: str,
+    mean: float,
 ) -> Held:
-    """The amplitudes of two halves of a signature g (B, n) of one expected size."""
+    """The amplitudes of two halves of a signature g, h (B, n) of one expected size."""
     d = np.where(half, -g, g)[:, :, None]
     efficient = seen.efficient(d)
-    pull = seen.pull(d, np.array([cell.grows]))
+    pull = np.where(half, -h, h).sum(axis=1)[:, None]
     c = np.einsum("bic,bi->bc", efficient, seen.q) + pull
     own = np.einsum("bic,bij,bjc->bc", efficient, seen.information, efficient)
     u = np.einsum("bic,bi->c", d, seen.q) + pull.sum(axis=0)

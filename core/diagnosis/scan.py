@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scores import Scores
+from core.diagnosis.signature import Signatures
 from core.rng import stream
 from core.smc.particles import log_sum_exp
 
@@ -46,7 +47,8 @@ class Scan:
     """Cells against a rotor's residuals.
 
     free    sets of columns that have no name, by what they are: their places among the columns
-    g (B, n, C) signatures, those of `free` behind the cells'; u, phi (C,); information (C, C);
+    g (B, n, C) signatures, those of `free` behind the cells', and h, their covariances with the
+    residual (`scores`); u, phi (C,); information (C, C);
     c, own (B, C): the blades' shares of score and information
     """
 
@@ -54,6 +56,7 @@ class Scan:
     free: Mapping[str, tuple[int, ...]]
     seen: Scores
     g: Array
+    h: Array
     efficient: Array
     u: Array
     information: Array
@@ -63,32 +66,40 @@ class Scan:
 
     @staticmethod
     def of(
-        cells: Sequence[Cell], seen: Scores, g: Array, free: Mapping[str, Array] | None = None
+        cells: Sequence[Cell],
+        seen: Scores,
+        found: Signatures,
+        free: Mapping[str, Signatures] | None = None,
     ) -> Scan:
-        """All cells at once, signatures (B, n, C), and free sets of columns (B, n, K)."""
+        """All cells at once, and free sets of columns."""
         places: dict[str, tuple[int, ...]] = {}
+        parts, width = [found], len(cells)
         for name, columns in (free or {}).items():
-            places[name] = tuple(range(g.shape[2], g.shape[2] + columns.shape[2]))
-            g = np.concatenate([g, columns], axis=2)
-        return Scan._of(tuple(cells), places, seen, g)
+            parts.append(columns)
+            places[name] = tuple(range(width, width + columns.g.shape[2]))
+            width += columns.g.shape[2]
+        g, h = (np.concatenate([p.g for p in parts], 2), np.concatenate([p.h for p in parts], 2))
+        return Scan._of(tuple(cells), places, seen, g, h)
 
     @staticmethod
     def _of(
-        cells: tuple[Cell, ...], free: Mapping[str, tuple[int, ...]], seen: Scores, g: Array
+        cells: tuple[Cell, ...],
+        free: Mapping[str, tuple[int, ...]],
+        seen: Scores,
+        g: Array,
+        h: Array,
     ) -> Scan:
         efficient = seen.efficient(g)
         weighted = np.einsum("bij,bjc->bic", seen.information, efficient)
         own = np.einsum("bic,bic->bc", efficient, weighted)
-        grows = np.ones(g.shape[2], bool)
-        grows[: len(cells)] = [cell.grows for cell in cells]
-        pull = seen.pull(g, grows)
+        pull = h.sum(axis=1)
         c = np.einsum("bic,bi->bc", efficient, seen.q) + pull
         information = seen.cross(g)
         concerned = np.any(g != 0, axis=1)  # (B, C)
         alone = _alone(cells, g.shape[2])
         u = np.einsum("bic,bi->c", g, seen.q) + pull.sum(axis=0)
         phi = overdispersion(c, own, u, np.diag(information), concerned, alone)
-        return Scan(cells, free, seen, g, efficient, u, information, c, own, phi)
+        return Scan(cells, free, seen, g, h, efficient, u, information, c, own, phi)
 
     @cached_property
     def _scaled(self) -> tuple[Array, Array]:
@@ -184,7 +195,7 @@ class Scan:
         """The scan of what is left once these cells' effects are in the model."""
         mean, _ = self.amplitudes(*which)
         taken = self.seen.including(self.g[:, :, list(which)], mean)
-        return Scan._of(self.cells, self.free, taken, self.g)
+        return Scan._of(self.cells, self.free, taken, self.g, self.h)
 
 
 def _alone(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:

@@ -5,13 +5,18 @@ posterior mean of the derivative of the log likelihood,
 
     U = d/da = Σ_b gᵀ q_b,      q_b = E[ V⁻¹ (y − f) ]    over the particles of blade b,
 
-V being the variance of noise and surrogate: exact however skew the posterior is. Where g grows with
-the blade's answer, g = kappa f, the mean of the product is not that of the means,
+V being the variance of noise and surrogate: exact however skew the posterior is. Where g goes with
+the parameters, as gains and effects of physics do, the mean of the product is not that of the
+means,
 
-    U = Σ_b gᵀ q_b + Σ_i kappa_i h_bi,      h_bi = Cov[f_i, (y_i − f_i) / V_i] < 0,
+    U = Σ_b gᵀ q_b + Σ_i h_bi,      h_bi = Cov[g_i, r_i],   r_i = (y_i − f_i) / V_i
 
+g is known at `POINTS` particles of each blade; its regression on the answers f over these, g ≈ Σ_j
+kappa_ij f_j, and the covariances over all particles give h_bi = Σ_j kappa_ij Cov[f_j, r_i]. For a
+gain that is kappa f_i and h < 0,
 without which a gain would be found in every clean rotor, as residuals lean to where priors pull
-the fit. How much of a
+the fit, and accelerating creep, which grows faster than the answer, in most of them even with a
+gain's h. How much of a
 shift the parameters would imitate is told by the sensitivities J (local) and S (shared), the
 regression of f on the inputs over the same particles, and by the priors' covariances P and P_s:
 
@@ -48,6 +53,9 @@ from core.observation import Inspection, digest_of
 from core.prior import Prior
 
 Array = NDArray[np.float64]
+POINTS = 32  # particles of a blade at which effects of physics are computed
+FAINT, CUT = 0.01, 3.0
+DIRECTIONS = 5  # of the answers over these, on which an effect is regressed
 
 
 @dataclass(frozen=True)
@@ -58,8 +66,8 @@ class Scores:
     place    reading of each row within its blade's `rows.readings`, −1 beyond, (B, n)
     q        (B, n); information Q (B, n, n)
     slope    S, (B, n, S), and the prior variances of what it is by, (S,)
-    answer   E[f], (B, n); lean: h, (B, n)
-    x        mean inputs of the surrogate, one mapping a blade
+    answer   E[f], (B, n); lean: Cov[f_j, r_i] at [b, i, j], (B, n, n)
+    points   inputs at K particles, (K,) each, one mapping a blade; answers there, (B, K, n)
     """
 
     blades: tuple[str, ...]
@@ -71,7 +79,8 @@ class Scores:
     prior: Array
     answer: Array
     lean: Array
-    x: tuple[Mapping[str, float], ...]
+    points: tuple[Mapping[str, Array], ...]
+    answers: Array
 
     @property
     def real(self) -> NDArray[np.bool_]:
@@ -119,13 +128,28 @@ class Scores:
         """D = Q Z, (B, n, S)."""
         return np.asarray(self.information @ self.imitated)
 
-    def pull(self, g: Array, grows: NDArray[np.bool_]) -> Array:
-        """What `lean` adds to the score of each blade, (B, C).
+    def over(self, values: Array) -> tuple[Array, Array]:
+        """Mean g and h of a change that is `values` (B, K, n) at the points, (B, n) each."""
+        mean, centred = values.mean(axis=1), values - values.mean(axis=1, keepdims=True)
+        left, size, right, spread = self._directions
+        kappa = np.einsum("bdj,bd,bkd,bki->bji", right, size, left, centred) / spread[:, :, None]
+        return mean, np.einsum("bji,bij->bi", kappa, self.lean)
 
-        grows  whether a column goes with the answer, (C,)
-        """
-        answer = np.where(self.answer == 0, np.inf, self.answer)
-        return np.asarray(np.einsum("bic,bi->bc", g, self.lean / answer) * grows)
+    def in_proportion(self, share: Array) -> tuple[Array, Array]:
+        """Mean g and h of a change of a share (B, n) of the answer, (B, n) each."""
+        return share * self.answer, share * np.einsum("bii->bi", self.lean)
+
+    @cached_property
+    def _directions(self) -> tuple[Array, Array, Array, Array]:
+        """The answers at the points by their few main directions: left vectors (B, K, D),
+        reciprocal sizes (B, D), right vectors (B, D, n), and the answers' sds (B, n)."""
+        off = self.answers - self.answers.mean(axis=1, keepdims=True)
+        spread = off.std(axis=1) + 1e-300
+        left, size, right = np.linalg.svd(off / spread[:, None, :], full_matrices=False)
+        few = min(DIRECTIONS, size.shape[1])
+        sure = size[:, :few] > 1e-3 * np.maximum(size[:, :1], 1e-300)
+        back = np.where(sure, 1.0 / np.where(sure, size[:, :few], 1.0), 0.0)
+        return left[:, :, :few], back, right[:, :few], spread
 
     def efficient(self, g: Array) -> Array:
         """g⊥ (B, n, C) of signatures g (B, n, C)."""
@@ -177,19 +201,22 @@ def scores(
         _blade(model, state, b, r, (known or {}).get(b)) for b, r in zip(blades, rows, strict=True)
     ]
     shape = (len(made), max(len(one.q) for one in made))
-    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(3)]
-    information = np.zeros((*shape, shape[1]))
+    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(2)]
+    information, lean = (np.zeros((*shape, shape[1])) for _ in range(2))
+    answers = np.zeros((shape[0], POINTS, shape[1]))
     priors = shared_priors_of(model, state)
     slope = np.zeros((*shape, len(priors)))
     for b, one in enumerate(made):
         n = len(one.q)
         place[b, :n] = rows[b].of[:n]
-        own = (one.q, one.answer, one.lean)
+        own = (one.q, one.answer)
         for array, value in zip(filled, own, strict=True):
             array[b, :n] = value
         information[b, :n, :n] = one.information
+        lean[b, :n, :n] = one.lean
+        answers[b, :, :n] = one.answers
         slope[b, :n] = one.shared
-    q, answer, lean = filled
+    q, answer = filled
     return Scores(
         blades,
         rows,
@@ -200,7 +227,8 @@ def scores(
         np.array(priors),
         answer,
         lean,
-        tuple(one.x for one in made),
+        tuple(one.points for one in made),
+        answers,
     )
 
 
@@ -221,14 +249,15 @@ def variance(prior: Prior) -> float:
 
 @dataclass(frozen=True)
 class _Blade:
-    """q (n,), Q (n, n), S (n, s), E[f] (n,), h (n,), mean inputs."""
+    """q (n,), Q (n, n), S (n, s), E[f] (n,), Cov[f_j, r_i] (n, n), inputs and answers (K, n)."""
 
     q: Array
     information: Array
     shared: Array
     answer: Array
     lean: Array
-    x: Mapping[str, float]
+    points: Mapping[str, Array]
+    answers: Array
 
 
 def _blade(
@@ -269,14 +298,40 @@ def _blade(
     typical = 1.0 / (w @ (1.0 / v))
     c = np.diag(typical) + (j * own) @ j.T
     r = (rows.y[:count] - f) / v
+    some = _evenly(w, f)
+    q = w @ r
     return _Blade(
-        w @ r,
-        np.linalg.inv(c),
+        q,
+        _bounded(np.linalg.inv(c), q),
         slope[:, len(own) :],
         answer,
-        w @ ((f - answer) * r),
-        dict(zip(names, (w @ x).tolist(), strict=True)),
+        (w[:, None] * r).T @ (f - answer),
+        dict(zip(names, x[some].T, strict=True)),
+        f[some],
     )
+
+
+def _bounded(information: Array, q: Array) -> Array:
+    """Q (n, n), but along a direction in which it is faint, at least what `CUT` sds of q say.
+
+    There the blade's own parameters imitate nearly all, by their priors' variances; one that leans
+    on a bound cannot, and q along it is many sds of what Q says (7 in one blade of a hundred, which
+    looked like an effect of that blade, and made the null of all others wide).
+    """
+    value, vector = np.linalg.eigh(information)
+    along = vector.T @ q
+    faint = value < FAINT * value[-1]
+    value = np.where(faint, np.maximum(value, (along / CUT) ** 2), value)
+    return np.asarray((vector * value) @ vector.T)
+
+
+def _evenly(w: Array, f: Array) -> NDArray[np.int64]:
+    """`POINTS` particles of equal weight, evenly along the sum of the answers f (P, n)."""
+    spread = np.sqrt(w @ (f - w @ f) ** 2) + 1e-300
+    order = np.argsort(np.sum(f / spread, axis=1), kind="stable")
+    levels = (np.arange(POINTS) + 0.5) / POINTS
+    places = np.searchsorted(np.cumsum(w[order]), levels)
+    return np.asarray(order[np.minimum(places, len(w) - 1)])
 
 
 def _own_variance(parameter: Parameter, posterior: Posterior) -> float:

@@ -2,8 +2,9 @@
 
 An input that runs in time acts through the creep's memory (`core.surrogate.history`), so that
 elongation, deformation and CEEQ move together as physics has it; a sensor moves its readings only.
-A signature is the change that an effect of its expected size makes of each row, at each blade's
-mean inputs; whom it concerns is a mask over blades or readings.
+A signature is the change that an effect of its expected size makes of each row, on average over a
+blade's particles, and how that change goes with the residual over them (`core.diagnosis.scores`);
+whom it concerns is a mask over blades or readings.
 """
 
 from __future__ import annotations
@@ -83,6 +84,20 @@ def masks(cells: Sequence[Cell], seen: Scores, facts: Mapping[str, Facts]) -> Ar
     return out
 
 
+@dataclass(frozen=True, slots=True)
+class Signatures:
+    """Mean changes g and covariances h with the residual (`scores`), (B, n, C) each."""
+
+    g: Array
+    h: Array
+
+    @staticmethod
+    def of(parts: Sequence[tuple[Array, Array]], mask: Array) -> Signatures:
+        """From g and h (B, n) of each column; mask (B, n, C)."""
+        g, h = (np.stack(both, axis=2) for both in zip(*parts, strict=True))
+        return Signatures(g * mask, h * mask)
+
+
 def signatures(
     model: Model,
     seen: Scores,
@@ -90,8 +105,8 @@ def signatures(
     facts: Mapping[str, Facts],
     noise: Mapping[str, float],
     physics: Physics | None = None,
-) -> Array:
-    """Change of each row [unit] by each cell at its expected size, (B, n, C).
+) -> Signatures:
+    """Change of each row [unit] by each cell at its expected size.
 
     noise    standard deviation of a reading, by quantity
     physics  a surrogate with more inputs than the model's own, for the change alone
@@ -99,36 +114,36 @@ def signatures(
     if isinstance(model.surrogate, Stacked):
         raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
     physics = physics or Physics(model.surrogate, {})
-    out = masks(cells, seen, facts)
-    found: dict[_Course, Array] = {}
-    for c, cell in enumerate(cells):
+    found: dict[_Course, tuple[Array, Array]] = {}
+    parts: list[tuple[Array, Array]] = []
+    for cell in cells:
         family = cell.family
         if family.target == "reading":
-            out[:, :, c] *= _reading(cell, seen, facts, noise)
+            parts.append(_reading(cell, seen, facts, noise))
             continue
         key = _Course(family.of, family.how, directed(cell), cell.course, family.clock == "rotor")
         if key not in found:
-            found[key] = _change(physics, seen, facts, key)
-        out[:, :, c] *= found[key]
-    return out
+            found[key] = seen.over(_change(physics, seen, facts, key))
+        parts.append(found[key])
+    return Signatures.of(parts, masks(cells, seen, facts))
 
 
 def _reading(
     cell: Cell, seen: Scores, facts: Mapping[str, Facts], noise: Mapping[str, float]
-) -> Array:
-    """(B, n) of a sensor's cell."""
+) -> tuple[Array, Array]:
+    """g and h (B, n) of a sensor's cell."""
     size = cell.family.size if cell.family.size is not None else NOISES * noise[cell.family.of]
     size *= cell.family.sign or 1
     hours = seen.hours
     if cell.family.clock == "rotor":
         hours = hours + np.array([[facts[b].offset_h] for b in seen.blades])
     s = np.where(seen.real, cell.course.at(hours), 0.0)
-    return np.asarray(size * s * (seen.answer if cell.family.how == "times" else 1.0))
+    return seen.in_proportion(size * s) if cell.family.how == "times" else (size * s, 0.0 * s)
 
 
 def _change(physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: _Course) -> Array:
-    """(B, n): the rows with the effect less those without, for every blade."""
-    out = np.zeros(seen.place.shape)
+    """(B, K, n): the rows with the effect less those without, at the points of every blade."""
+    out = np.zeros(seen.answers.shape)
     groups: dict[object, list[tuple[int, int]]] = {}
     for b, i in np.argwhere(seen.real):
         reading, rows = seen.reading(b, i), seen.rows[b]
@@ -145,14 +160,14 @@ def _change(physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: 
             hours = np.array([reading.time_h])
             moved = _follow(physics, seen, facts, effect, [b0], hours, rows.mixings[place], None)
             for b, i in members:
-                out[b, i] = moved[0, 0, i - i0]
+                out[b, :, i] = moved[0, :, 0, i - i0]
             continue
         blades = sorted({b for b, _ in members})
         hours = np.unique([seen.reading(b, i).time_h for b, i in members])
         moved = _follow(physics, seen, facts, effect, blades, hours, None, reading)
         for b, i in members:
             at = int(np.searchsorted(hours, seen.reading(b, i).time_h))
-            out[b, i] = moved[blades.index(b), at, 0]
+            out[b, :, i] = moved[blades.index(b), :, at, 0]
     return out
 
 
@@ -166,18 +181,17 @@ def _follow(
     mixing: Array | None,
     reading: Inspection | None,
 ) -> Array:
-    """Change of the rows (n, T, R) of these blades at hours (T,)."""
-    answers = physics.answers
+    """Change of the rows (n, K, T, R) at the points of these blades at hours (T,)."""
+    answers, points = physics.answers, seen.answers.shape[1]
     base, drifts = (answers.base, answers.drifts) if isinstance(answers, Driven) else (answers, ())
     names = [i.name for i in base.inputs]
-    x = np.array([[seen.x[b].get(n, physics.rest.get(n, np.nan)) for n in names] for b in blades])
-    if np.isnan(x).any():
-        unknown = [n for n, column in zip(names, x.T, strict=True) if np.isnan(column).any()]
-        raise InputError("inputs", unknown, "have no value", "give them as nominal ones")
+    x = _inputs(physics, seen, blades, names)
     if not isinstance(base, Surrogate):
-        return _at_once(base, x, names.index(effect.input), effect, hours, reading)
-    offset = np.array([facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades])
-    cuts = {h - o for h in effect.course.cuts(PARTS) for o in set(offset.tolist())}
+        flat = _at_once(base, x, names.index(effect.input), effect, hours, reading)
+        return flat.reshape(len(blades), points, *flat.shape[1:])
+    clock = [facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades]
+    offset = np.repeat(clock, points)
+    cuts = {h - o for h in effect.course.cuts(PARTS) for o in set(clock)}
     cuts |= {h for d in drifts for h in d.shape.cuts(PARTS)}
     edges = np.array([0.0, *sorted(h for h in cuts if 0 < h < hours.max())])
     marks = hours[hours > 0]
@@ -186,12 +200,12 @@ def _follow(
     middle = 0.5 * (np.r_[edges[:-1], starts] + ends)  # of the pieces, then of those to the marks
     held = np.repeat(x[:, None], len(middle), axis=1)
     for d in drifts:
-        j, a = names.index(d.input), np.array([seen.x[b][d.name] for b in blades])
+        j, a = names.index(d.input), np.concatenate([seen.points[b][d.name] for b in blades])
         for p, hour in enumerate(middle):
             held[:, p, j] = d.moved(held[:, p, j], a, float(d.shape.at(hour)))
     changed = held.copy()
     j = names.index(effect.input)
-    for o in set(offset.tolist()):
+    for o in set(clock):
         s, own = effect.course.at(middle + o), offset == o
         changed[own, :, j] = effect.moved(held[own, :, j], s)
     low, high = np.array([(i.low, i.high) for i in base.inputs]).T
@@ -200,13 +214,29 @@ def _follow(
         if mixing is not None
         else Followed.of(base, *_asked(base, reading))
     )
-    out = np.zeros((len(blades), len(hours), what.curves.forms.shape[2]))
+    out = np.zeros((len(x), len(hours), what.curves.forms.shape[2]))
     for sign, inputs in ((1.0, changed), (-1.0, held)):
         inside = np.clip(inputs, low, high)
         pieces, last = inside[:, : len(edges) - 1], inside[:, len(edges) - 1 :]
-        mean, _, _ = follow(base, edges, pieces, marks, last, what)
+        mean, _, _ = follow(base, edges, pieces, marks, last, what, doubt=False)
         out[:, hours > 0] += sign * mean
-    return out
+    return out.reshape(len(blades), points, *out.shape[1:])
+
+
+def _inputs(physics: Physics, seen: Scores, blades: Sequence[int], names: Sequence[str]) -> Array:
+    """Inputs (n K, d) at the points of these blades."""
+    points = seen.answers.shape[1]
+    columns = [
+        np.concatenate(
+            [seen.points[b].get(n, np.full(points, physics.rest.get(n, np.nan))) for b in blades]
+        )
+        for n in names
+    ]
+    x = np.stack(columns, axis=1)
+    if np.isnan(x).any():
+        unknown = [n for n, column in zip(names, x.T, strict=True) if np.isnan(column).any()]
+        raise InputError("inputs", unknown, "have no value", "give them as nominal ones")
+    return x
 
 
 def _asked(base: Answers, reading: Inspection | None) -> tuple[str, list[int] | None]:
@@ -231,7 +261,7 @@ def _at_once(
     return np.asarray((after - before).reshape(len(x), len(hours), -1))
 
 
-def unnamed(seen: Scores, facts: Mapping[str, Facts], bins: int = BINS) -> dict[str, Array]:
+def unnamed(seen: Scores, facts: Mapping[str, Facts], bins: int = BINS) -> dict[str, Signatures]:
     """Sets of columns for what has no name: a misfit in proportion, of its own for each bin.
 
     Bins of the rotor's hours (what happened on a day) and of the blades' own (what comes with
@@ -248,7 +278,8 @@ def unnamed(seen: Scores, facts: Mapping[str, Facts], bins: int = BINS) -> dict[
         place = np.clip(np.searchsorted(edges, hours, side="right") - 1, 0, bins - 1)
         columns = np.zeros((*seen.place.shape, int(place.max(initial=0)) + 1))
         for (b, i), k in zip(scalar, place, strict=True):
-            columns[b, i, k] = PROPORTION * seen.answer[b, i]
+            columns[b, i, k] = 1.0
         if columns.shape[2] > 1:
-            found[name] = columns
+            misfit = seen.in_proportion(PROPORTION * np.ones(seen.place.shape))
+            found[name] = Signatures.of([misfit] * columns.shape[2], columns)
     return found

@@ -235,16 +235,22 @@ def holds(scan: Scan, together: tuple[int, ...], cell: int) -> list[Held]:
     late = hours > np.median(hours[concerned])
     parts = (("in two halves of the blades", odd), ("early and late", late))
     return [
-        _held(scan, cell, by, np.stack([g * ~half, g * half], axis=2))
+        _held(
+            scan,
+            cell,
+            by,
+            np.stack([np.broadcast_to(~half, g.shape), np.broadcast_to(half, g.shape)], axis=2),
+        )
         for by, half in parts
         if np.any(concerned & half) and np.any(concerned & ~half)
     ]
 
 
-def _held(scan: Scan, cell: int, by: str, halves: Array) -> Held:
-    """The amplitudes of two halves of a signature (B, n, 2), each free."""
+def _held(scan: Scan, cell: int, by: str, parts: NDArray[np.bool_]) -> Held:
+    """The amplitudes of a cell in two halves of the rows (B, n, 2), each free."""
     phi = float(scan.phi[cell])
-    pull = scan.seen.pull(halves, np.full(2, scan.cells[cell].grows)).sum(axis=0)
+    halves = scan.g[:, :, cell, None] * parts
+    pull = (scan.h[:, :, cell, None] * parts).sum(axis=(0, 1))
     u = (np.einsum("bik,bi->k", halves, scan.seen.q) + pull) / phi
     information = scan.seen.cross(halves) / phi + np.eye(2) / WIDE**2
     covariance = np.linalg.inv(information)

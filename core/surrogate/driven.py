@@ -30,12 +30,14 @@ from core.archive import Input
 from core.course import Drift
 from core.errors import InputError
 from core.response import Response
+from core.surrogate.anchor import Anchor
 from core.surrogate.compile import fitting
 from core.surrogate.history import FOLLOWED, Followed, follow
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
+Rows = tuple[Followed, Followed | None]
 PARTS = 8
 MANY = 200  # inputs from which polynomials answer
 KEPT = 512  # of them
@@ -49,6 +51,7 @@ class Driven:
     ranges   of each amplitude, and of inputs at the start (default: the surrogate's own), by name;
              what they become must stay inside the surrogate's box
     fixed    inputs held at a value, which are no inputs of this surrogate
+    anchor   a finer surrogate that answers where nothing runs (`core.surrogate.anchor`)
 
     Raises InputError for a course that leaves the surrogate's box.
     """
@@ -57,6 +60,7 @@ class Driven:
     drifts: tuple[Drift, ...]
     ranges: Mapping[str, tuple[float, float]]
     fixed: Mapping[str, float]
+    anchor: Anchor | None = None
     _answers: dict[tuple[str, float, tuple[int, ...] | None], Response] = field(
         default_factory=dict, repr=False, compare=False
     )
@@ -75,6 +79,8 @@ class Driven:
                 raise InputError(name, (low, high), "is no range", "give low < high")
         for own in known.values():
             self._check_reach(own)
+        if self.anchor is not None:
+            self.anchor.fits(self.base, {i.name: self._range(i) for i in self.base.inputs})
 
     def _check_reach(self, own: Input) -> None:
         """Refuse what an input may become outside of the runs."""
@@ -125,9 +131,10 @@ class Driven:
         """SHA-256 of the surrogate's own and what drives it."""
         boxes = [(i.name, float(i.low), float(i.high)) for i in self.inputs]
         text = repr((self.base.digest, self.drifts, boxes, sorted(self.fixed.items())))
+        text += "" if self.anchor is None else self.anchor.digest
         return sha256(text.encode()).hexdigest()
 
-    def _along(self, x: Array, times: Array, what: Followed) -> tuple[Array, Array, Array]:
+    def _along(self, x: Array, times: Array, what: Rows) -> tuple[Array, Array, Array]:
         """Mean, sd (n, T, R) and mean CEEQ (n, T) at times for inputs x (n, d)."""
         if np.any(times <= 0):
             raise InputError("times", times.tolist(), "are not after the start", "ask later")
@@ -139,7 +146,35 @@ class Driven:
         held = self._held(x, list(pairwise(edges)))
         at_times = self._held(x, list(zip(starts, times, strict=True)))
         rule = FOLLOWED if self.drifts else 0.0
-        return follow(self.base, edges, held, times, at_times, what, rule)
+        found = follow(self.base, edges, held, times, at_times, what[0], rule)
+        if self.anchor is None or what[1] is None:
+            return found
+        middle = np.stack(
+            [
+                (np.diff(edges[: k + 1]) @ held[:, :k] + (t - edges[k]) * at_times[:, m]) / t
+                for m, (t, k) in enumerate(
+                    zip(times, np.searchsorted(edges, times) - 1, strict=True)
+                )
+            ],
+            axis=1,
+        )
+        both = (what[0], what[1])
+        return self.anchor.corrected(self.base, self._start(x), middle, times, found, both)
+
+    def _start(self, x: Array) -> Array:
+        """The base's inputs (n, d) before anything runs, with what sleeps asleep."""
+        assert self.anchor is not None
+        names = [i.name for i in self.inputs]
+        out = np.empty((len(x), len(self.base.inputs)))
+        for j, own in enumerate(self.base.inputs):
+            asleep = self.anchor.asleep.get(own.name, self.fixed.get(own.name))
+            out[:, j] = x[:, names.index(own.name)] if asleep is None else asleep
+        return out
+
+    def _rows(self, quantity: str, nodes: Sequence[int] | None) -> Rows:
+        """What is followed of the base, and of the anchor."""
+        fine = None if self.anchor is None else Followed.of(self.anchor.fine, quantity, nodes)
+        return Followed.of(self.base, quantity, nodes), fine
 
     def _held(self, x: Array, pieces: Sequence[tuple[float, float]]) -> Array:
         """The base's inputs (n, P, d) over pieces of time: the mean of each."""
@@ -162,8 +197,8 @@ class Driven:
         times = np.atleast_1d(np.asarray(times, float))
         if len(x) >= MANY:
             return self._compiled_answers(x, quantity, times, nodes)
-        what, later = Followed.of(self.base, quantity, nodes), times > 0
-        mean, sd = (np.zeros((len(x), len(times), what.curves.forms.shape[2])) for _ in range(2))
+        what, later = self._rows(quantity, nodes), times > 0
+        mean, sd = (np.zeros((len(x), len(times), what[0].curves.forms.shape[2])) for _ in range(2))
         if later.any():  # at the start nothing has grown
             mean[:, later], sd[:, later], _ = self._along(x, times[later], what)
         return self._shaped(mean, quantity), self._shaped(sd, quantity)
@@ -197,14 +232,14 @@ class Driven:
         )
         return self._shaped(mean, quantity), self._shaped(sd, quantity)
 
-    def _compiled(self, times: Array, what: Followed, degree: int) -> Response:
+    def _compiled(self, times: Array, what: Rows, degree: int) -> Response:
         """Rows in the order of (time, row)."""
         low, high = np.array([(i.low, i.high) for i in self.inputs]).T
         z, factor = fitting(len(low), degree)
         mean, sd, ceeq = self._along(low + 0.5 * (z + 1.0) * (high - low), times, what)
         # time by time: rows are the same to the last bit whatever else is asked for with them
         parts = [
-            self._fitted(mean[:, t], sd[:, t], ceeq[:, t, None], what.per_ceeq, factor, degree)
+            self._fitted(mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq, factor, degree)
             for t in range(len(times))
         ]
         return Response.stack(parts)
@@ -230,7 +265,7 @@ class Driven:
         degree: int = 5,
     ) -> Response:
         """`predict` compiled to polynomials; rows in C order of (time, node, xyz)."""
-        what = Followed.of(self.base, quantity, nodes)
+        what = self._rows(quantity, nodes)
         return self._compiled(np.atleast_1d(np.asarray(times, float)), what, degree)
 
     def deformation_modes(self, nodes: Sequence[int]) -> Array:
@@ -244,4 +279,6 @@ class Driven:
         width = self.base.parts[DEFORMATION].factors.space.shape[1]
         if mixing.ndim != 2 or mixing.shape[1] != width:
             raise InputError("T", mixing.shape, "does not fit the modes", f"give (Q, {width})")
-        return self._compiled(np.array([time_h]), Followed.mixed(self.base, mixing), degree)
+        fine = None if self.anchor is None else self.anchor.mixed(self.base, mixing)
+        what = (Followed.mixed(self.base, mixing), fine)
+        return self._compiled(np.array([time_h]), what, degree)

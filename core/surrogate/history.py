@@ -34,7 +34,8 @@ Array = NDArray[np.float64]
 FOLLOWED = 0.004
 BEYOND = 3.0
 EARLIEST_H = 1e-6
-HALVINGS = 48
+STEPS = 60
+CLOSE = 1e-12  # of log t
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,19 @@ class Curves:
         """g (n, R) at log times (n, 1) or, a time for each row, (n, R)."""
         at, past = np.clip(log_t, self.first, self.last), np.maximum(log_t - self.last, 0.0)
         modes = self.spline(at) + past[..., None] * self.spline(self.last, 1)
-        if log_t.shape[1] == 1:
-            return np.asarray(np.einsum("na,nar->nr", modes[:, 0], weights))
-        return np.asarray(np.einsum("nra,nar->nr", modes, weights))
+        return _mixed(modes, weights)
+
+    def slope(self, weights: Array, log_t: Array) -> Array:
+        """dg / d log t (n, R); like `__call__`."""
+        modes = self.spline(np.clip(log_t, self.first, self.last), 1)
+        return _mixed(modes * (log_t >= self.first)[..., None], weights)
+
+
+def _mixed(modes: Array, weights: Array) -> Array:
+    """Time modes (n, 1 or R, A) by their weights (n, A, R)."""
+    if modes.shape[1] == 1:
+        return np.asarray(np.einsum("na,nar->nr", modes[:, 0], weights))
+    return np.asarray(np.einsum("nra,nar->nr", modes, weights))
 
 
 @dataclass(frozen=True)
@@ -137,10 +148,15 @@ class Followed:
 
 
 def _clock(curve: Curves, weights: Array, strain: Array) -> Array:
-    """log t* (n, R) at which t exp(g(t)) reaches `strain` (n, R); by bisection, for it grows."""
+    """log t* (n, R) at which t exp(g(t)) reaches `strain` (n, R), for it grows.
+
+    By Newton's steps, halving where one would leave what is known to hold it.
+    """
+    start = np.full(strain.shape, np.log(EARLIEST_H))
+    if not np.any(strain > 0):
+        return start
     wanted = np.log(np.maximum(strain, 1e-300))
-    low = np.full(strain.shape, np.log(EARLIEST_H))
-    high = np.full(strain.shape, curve.last + np.log(BEYOND))
+    low, high = start.copy(), np.full(strain.shape, curve.last + np.log(BEYOND))
     if np.any(high + curve(weights, high) < wanted):
         raise RangeError(
             "creep strain",
@@ -148,11 +164,18 @@ def _clock(curve: Curves, weights: Array, strain: Array) -> Array:
             f"is not reached within {BEYOND:g} times the horizon under the inputs that follow",
             "train on longer runs",
         )
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        below = middle + curve(weights, middle) < wanted
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return np.asarray(np.where(strain > 0, 0.5 * (low + high), np.log(EARLIEST_H)))
+    at = 0.5 * (low + high)
+    for _ in range(STEPS):
+        short = at + curve(weights, at) - wanted
+        low, high = np.where(short < 0, at, low), np.where(short < 0, high, at)
+        slope = 1.0 + curve.slope(weights, at)
+        step = at - short / np.where(slope > 0, slope, 1.0)
+        following = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
+        moved = np.max(np.abs(following - at), where=strain > 0, initial=0.0)
+        at = following
+        if moved < CLOSE:
+            break
+    return np.asarray(np.where(strain > 0, at, start))
 
 
 @dataclass(frozen=True)
@@ -173,6 +196,8 @@ def follow(
     at_marks: Array,
     what: Followed,
     rule: float = FOLLOWED,
+    *,
+    doubt: bool = True,
 ) -> tuple[Array, Array, Array]:
     """Mean and sd of rows at hours `marks`, (n, M, R), and mean CEEQ there (n, M).
 
@@ -181,6 +206,7 @@ def follow(
     at_marks  (n, M, d), held from the last edge before each mark to the mark; what is found at one
               mark depends on no other
     rule      the rule's own error, relative to what has grown; 0 where inputs are constant
+    doubt     False: the surrogate's own error is left out of the sd, which saves most of the time
 
     Raises RangeError for inputs outside the surrogate's box, and for a memory that they reach only
     long after the horizon.
@@ -191,7 +217,9 @@ def follow(
     part, one = surrogate.parts[MEAN_CEEQ], np.zeros(1, dtype=np.int64)
     time = part.factors.time_h
     k_memory = Scales(np.log(time), part.scale(time, one, surrogate.v_typical))
-    walk = _Walk(surrogate, Curves.of(part, part.factors.space.astype(float)), k_memory, what)
+    walk = _Walk(
+        surrogate, Curves.of(part, part.factors.space.astype(float)), k_memory, what, doubt
+    )
     n, many = len(inputs), what.curves.forms.shape[2]
     now = _Memory(np.zeros((n, 1)), *(np.zeros((n, many)) for _ in range(3)))
     mean, sd, path = (np.empty((n, len(marks), width)) for width in (many, many, 1))
@@ -213,14 +241,17 @@ class _Walk:
     memory: Curves
     k_memory: Scales
     what: Followed
+    doubt: bool
 
     def on(self, now: _Memory, x: Array, hours: float) -> _Memory:
         """After some hours under inputs x (n, d)."""
         what, own, memory = self.what, self.what.curves, self.memory
         z = self.surrogate.scaled(x)
-        (c_memory, c_own), v = self.surrogate.process.mean_and_variance(
-            z, [memory.columns, own.columns]
-        )
+        process, columns = self.surrogate.process, [memory.columns, own.columns]
+        if self.doubt:
+            (c_memory, c_own), v = process.mean_and_variance(z, columns)
+        else:
+            (c_memory, c_own), v = process.mean(z, columns), np.zeros(len(z))
         e, y = memory.weights(c_memory), own.weights(c_own)
         begun, before = now.mean_ceeq, _clock(memory, e, now.mean_ceeq)
         after = np.log(np.exp(before) + hours)

@@ -115,6 +115,11 @@ class SharedGP:
         trend = solve_triangular(factor[0], np.eye(h.shape[1]), lower=True)
         return cls(z, hyper, weights, beta, whiten, trend, h_solve)
 
+    def mean(self, z: Array, columns: Sequence[slice] = (slice(None),)) -> list[Array]:
+        """At z (m, d): coefficients (m, J') of each set of columns."""
+        k, h = correlation(z, self.z, np.array(self.hyper.lengths)), monomials(z, self.hyper.trend)
+        return [k @ self.weights[:, some] + h @ self.beta[:, some] for some in columns]
+
     def mean_and_variance(
         self, z: Array, columns: Sequence[slice] = (slice(None),)
     ) -> tuple[list[Array], Array]:
@@ -126,6 +131,33 @@ class SharedGP:
         u = (h - k @ self.h_solve) @ self.trend.T
         v = 1.0 - np.einsum("ij,ij->i", half, half) + np.einsum("ij,ij->i", u, u)
         return means, np.maximum(v, 0.0) + self.hyper.nugget
+
+    def covariance(self, z: Array, other: Array) -> tuple[Array, Array, Array]:
+        """v(z), v(z'), (m,), and the posterior covariance of the errors at each pair (z, z').
+
+        The nugget, what the kernel cannot follow, is taken for alike where inputs are nearly so.
+        """
+        seen = []
+        for at in (z, other):
+            k, h = (
+                correlation(at, self.z, np.array(self.hyper.lengths)),
+                monomials(at, self.hyper.trend),
+            )
+            half, u = k @ self.whiten.T, (h - k @ self.h_solve) @ self.trend.T
+            seen.append((half, u))
+        (half, u), (half1, u1) = seen
+        apart = (z - other) / np.array(self.hyper.lengths)
+        prior = 1.0 / (1.0 + 0.5 * np.sum(apart**2, axis=1))
+
+        def between(a: Array, b: Array) -> Array:
+            return np.asarray(np.einsum("ij,ij->i", a, b))
+
+        own = [
+            np.maximum(1.0 - between(a, a) + between(b, b), 0.0) + self.hyper.nugget
+            for a, b in seen
+        ]
+        alike = (1.0 + self.hyper.nugget) * prior
+        return own[0], own[1], alike - between(half, half1) + between(u, u1)
 
     def left_out(self) -> tuple[Array, Array]:
         """Leave-one-out residuals e (n, J) and their relative variances v (n,)."""

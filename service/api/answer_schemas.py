@@ -459,6 +459,15 @@ DRAWS = having(
     health=HEALTH,
     rests_on=RESTS_ON,
 )
+ROTOR_DRAWS = having(
+    rotor=TEXT,
+    shared=having(names=each(TEXT), values=each(each(NUMBER))),
+    local=having(names=each(TEXT), values=each(each(each(NUMBER)))),
+    blades=each(TEXT),
+    of=WHOLE,
+    health=HEALTH,
+    rests_on=RESTS_ON,
+)
 FIELD = having(
     rotor=TEXT,
     blade=TEXT,
@@ -554,6 +563,7 @@ ANSWERS: dict[str, Json] = {
     "GET /v1/audit": paged(AUDIT),
     "GET /v1/models/{m}/surface": SURFACE,
     f"GET {ROTOR}/blades": BLADES,
+    f"GET {ROTOR}/draws": ROTOR_DRAWS,
     f"GET {ROTOR}/blades/{{b}}/draws": DRAWS,
     f"GET {ROTOR}/blades/{{b}}/field": FIELD,
     f"GET {ROTOR}/versions": paged(having(**POSTERIOR_OF_ROTOR["properties"], health=HEALTH)),

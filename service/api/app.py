@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 
 from fastapi import FastAPI
 
@@ -34,6 +33,7 @@ from service.api.routers import (
 from service.api.services import Services
 from service.handlers.events import newest_notes
 from service.pages.routes import router as pages
+from service.release import release
 
 PROBLEM = {
     "description": "A problem (RFC 9457)",
@@ -60,14 +60,6 @@ PROBLEM = {
         }
     },
 }
-
-
-def release() -> str:
-    """The installed version."""
-    try:
-        return version("bladetwin")
-    except PackageNotFoundError:
-        return "0+unknown"
 
 
 def create_app(services: Services, revisions: Callable[[], tuple[str | None, str]]) -> FastAPI:

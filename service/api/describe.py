@@ -8,6 +8,7 @@ from typing import Any
 from fastapi import FastAPI
 
 from service.api.answer_schemas import ANSWERS
+from service.api.files import contents
 from service.api.scopes import RULES, STATE_CHANGING
 
 Json = dict[str, Any]
@@ -64,7 +65,7 @@ def _complete(name: str, operation: Json, keys: bool) -> None:
     operation["responses"].pop("422", None)
     for status in ("200", "201", "202"):
         if status in operation["responses"] and name in ANSWERS:
-            told = {"application/json": {"schema": ANSWERS[name]}}
+            told = {"application/json": {"schema": ANSWERS[name]}} | contents(name)
             operation["responses"][status]["content"] = told
     if scope == "open":
         return

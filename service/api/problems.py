@@ -27,6 +27,7 @@ from service.errors import (
     FaultsError,
     GoneError,
     NotFoundError,
+    NotInstalledError,
     NotYetError,
     PreconditionError,
     StoreAwayError,
@@ -97,6 +98,16 @@ def problem(
     return JSONResponse(
         body, status, media_type="application/problem+json", headers=dict(headers or {})
     )
+
+
+def invalid(faults: Sequence[Fault]) -> RequestError:
+    """422 with every fault; the sentence is the first one's."""
+    first = faults[0]
+    text = (
+        f"{first['field']} = {first['value']!r}: {first['problem']}. To mend it: {first['remedy']}"
+    )
+    more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
+    return RequestError(422, "invalid-input", text + more, faults)
 
 
 def fault_of(error: InputError) -> Fault:
@@ -216,6 +227,12 @@ async def _unfit(request: Request, error: Any) -> JSONResponse:
     return problem(request, 503, "model-unfit", str(error))
 
 
+async def _not_installed(request: Request, error: Any) -> JSONResponse:
+    given = request.query_params.get("format", "")
+    faults = [fault("format", given, f"needs {error.package}", error.remedy)]
+    return problem(request, 501, "not-installed", str(error), faults)
+
+
 async def _routed(request: Request, error: Any) -> JSONResponse:
     kinds = {400: "invalid-json", 404: "not-found", 405: "method-not-allowed"}
     kind = kinds.get(error.status_code, "refused")
@@ -247,6 +264,7 @@ HANDLERS = {
     WebhooksOffError: _hooks_off,
     DamagedError: _damaged,
     ModelError: _unfit,
+    NotInstalledError: _not_installed,
     HTTPException: _routed,
     StoreAwayError: _away,
 }

@@ -5,9 +5,6 @@ JSON's ``NaN`` and ``Infinity``, which some writers emit, are read and then refu
 
 from __future__ import annotations
 
-import csv
-import io
-import re
 from datetime import datetime
 from typing import Annotated, Any, Self
 
@@ -28,15 +25,14 @@ from pydantic.config import JsonValue
 from pydantic_core import from_json
 
 from core.observation import Inspection
-from service.api.problems import Fault, RequestError, fault, faults_of_validation
+from service.api.csv_rows import csv_rows
+from service.api.problems import Fault, RequestError, fault, faults_of_validation, invalid
 from service.handlers.inspections import Item
 from service.hooks import Kind
 from service.names import ID_PATTERN, TEXT_PATTERN
 
 Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=TEXT_PATTERN)]
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-WHOLE = re.compile(r"\d{1,9}")
 
 
 def _moment(text: str) -> str:
@@ -85,7 +81,6 @@ READINGS: list[JsonValue] = [
         "sigma": 0.02,
     },
 ]
-CSV_EXAMPLE = "id,blade,quantity,time_h,value,unit\ni3,B01,elongation,16000,0.21,mm\n"
 
 
 class InspectionIn(Body):
@@ -166,7 +161,7 @@ def read_inspections(body: bytes, content_type: str) -> list[Item]:
     """The readings of a request: one, many or CSV. RequestError lists every fault."""
     kind = content_type.split(";")[0].strip().lower()
     if kind == "text/csv":
-        rows = _csv_rows(body)
+        rows = csv_rows(body)
     elif kind in ("", "application/json"):
         rows = _json_rows(body)
     else:
@@ -187,15 +182,6 @@ def read_inspections(body: bytes, content_type: str) -> list[Item]:
     return items
 
 
-def invalid(faults: list[Fault]) -> RequestError:
-    first = faults[0]
-    text = (
-        f"{first['field']} = {first['value']!r}: {first['problem']}. To mend it: {first['remedy']}"
-    )
-    more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
-    return RequestError(422, "invalid-input", text + more, faults)
-
-
 def _json_rows(body: bytes) -> list[tuple[str, Any]]:
     try:
         data = from_json(body, allow_inf_nan=True)
@@ -213,53 +199,3 @@ def _json_rows(body: bytes) -> list[tuple[str, Any]]:
             [fault("inspections", rows, "is not a list of readings", "give at least one")]
         )
     return [(f"inspections[{i}].", row) for i, row in enumerate(rows)]
-
-
-COLUMNS = (
-    *("id", "blade", "quantity", "time_h", "value", "node", "unit", "sigma", "instrument"),
-    *("campaign", "observed_at", "replaces"),
-)
-
-
-def _csv_rows(body: bytes) -> list[tuple[str, Any]]:
-    try:
-        reader = csv.DictReader(io.StringIO(body.decode("utf-8-sig"), newline=""), strict=True)
-        header = list(reader.fieldnames or [])
-        lines = [(reader.line_num, row) for row in reader]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RequestError(400, "invalid-csv", f"the body is not CSV in UTF-8: {error}") from None
-    known = f"the columns are {', '.join(COLUMNS)}"
-    faults = [fault(name, name, "is no column", known) for name in header if name not in COLUMNS]
-    faults += [
-        fault(name, None, "is missing", known)
-        for name in ("id", "blade", "quantity", "time_h", "value")
-        if name not in header
-    ]
-    if len(set(header)) < len(header):
-        faults.append(fault("header", ", ".join(header), "names a column twice", known))
-    if not lines and not faults:
-        faults.append(fault("body", "", "holds no row", "give at least one reading"))
-    rows = []
-    for number, row in lines:
-        if None in row or None in row.values():
-            problem, remedy = "has another number of cells than the header", "give every cell"
-            faults.append(fault(f"line {number}", shown_row(row), problem, remedy))
-        rows.append((f"line {number}.", {k: _cell(k, v) for k, v in row.items() if v}))
-    if faults:
-        raise invalid(faults)
-    for _, row in rows:
-        if "node" in row:
-            row["nodes"] = [row.pop("node")]
-    return rows
-
-
-def shown_row(row: dict[Any, Any]) -> str:
-    return ",".join(str(value) for value in row.values())
-
-
-def _cell(column: str, text: Any) -> Any:
-    if column in ("time_h", "value", "sigma") and NUMBER.fullmatch(text):
-        return float(text)
-    if column == "node" and WHOLE.fullmatch(text):
-        return int(text)
-    return text

@@ -18,6 +18,7 @@ REVALIDATE = "private, no-cache"
 NOT_COMPRESSED = (
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
     *("application/octet-stream", "application/x-npy", "application/x-netcdf"),
+    "application/vnd.apache.parquet",
 )
 LARGE_BYTES = 4096
 PASSING = frozenset({"/healthz", "/readyz"})  # true for a moment: nothing to come back for

@@ -19,8 +19,8 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a rotor, its blades, network and whole log into one file."""
-    from service.api.app import release
     from service.handlers.transfer import export_rotor
+    from service.release import release
 
     if file.exists() and not force:
         raise InputError("FILE", str(file), "is there already", "choose another, or add --force")

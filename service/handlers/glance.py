@@ -92,7 +92,10 @@ def readings_out(readings: BladeReadings) -> Json:
 
 
 def draws(store: Store, science: Science, found: Basis, count: int) -> Json:
-    """Equally weighted draws of a blade's parameters, by systematic resampling (fixed stream)."""
+    """Equally weighted draws of a blade's parameters, in random order.
+
+    By systematic resampling, from a fixed stream: the same version gives the same draws.
+    """
     if not 1 <= count <= MOST_DRAWS:
         remedy = f"ask for 1 … {MOST_DRAWS} draws"
         raise RangeError("count", count, "is not a number of draws", remedy)
@@ -101,8 +104,9 @@ def draws(store: Store, science: Science, found: Basis, count: int) -> Json:
         get = tx.states.reader(found.state)
         all_draws = science.blade_draws(found.state.meta, get, found.blade.id)
     w = np.exp(all_draws.log_w - all_draws.log_w.max())
-    places = (np.arange(count) + np.random.default_rng(0).random()) / count
-    index = np.searchsorted(np.cumsum(w / w.sum()), places)
+    rng = np.random.default_rng(0)
+    places = (np.arange(count) + rng.random()) / count
+    index = rng.permutation(np.searchsorted(np.cumsum(w / w.sum()), places))
     values = all_draws.values[np.minimum(index, len(w) - 1)]
     return {
         "names": list(all_draws.names),

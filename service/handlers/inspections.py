@@ -8,7 +8,7 @@ keep other writers waiting; blades are only ever added, so a check that passed s
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from core.errors import InputError
@@ -40,6 +40,19 @@ class Listed:
     status: str
     body: Json
     posted_by: str | None
+
+
+Pages = Iterator[list[Listed]]
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A rotor's log up to one entry."""
+
+    rotor: str
+    model: str
+    head_seq: int
+    created_at: float
 
 
 def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list[Appended]:
@@ -134,6 +147,33 @@ def list_inspections(
         events = tx.log.page(rotor_id, "inspection", after, limit, blade, newest)
         overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
     return _listed(events, overruling)
+
+
+PAGE = 100
+
+
+def all_inspections(store: Store, rotor_id: str, blade: str | None) -> tuple[Log, Pages]:
+    """Every reading as the log stands now, in the order of arrival, and where that is.
+
+    Entries that come while the pages are read are left out, so that status and readings fit.
+    """
+    with store.read() as tx:
+        rotor = tx.records.rotor(rotor_id)
+    log = Log(rotor.id, rotor.model_id, rotor.head_seq, rotor.created_at)
+
+    def pages() -> Iterator[list[Listed]]:
+        after: int | None = None
+        while True:
+            with store.read() as tx:
+                events = tx.log.page(rotor_id, "inspection", after, PAGE, blade)
+                overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
+            here = [event for event in events if event.seq <= log.head_seq]
+            yield _listed(here, [event for event in overruling if event.seq <= log.head_seq])
+            if len(here) < PAGE:
+                return
+            after = here[-1].seq
+
+    return log, pages()
 
 
 def _listed(events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed]:

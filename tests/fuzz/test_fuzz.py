@@ -20,7 +20,7 @@ import pytest
 
 from core.errors import BladetwinError
 from core.observation import Inspection
-from service.api.schemas import CSV_EXAMPLE
+from service.api.csv_rows import CSV_EXAMPLE
 from service.fake import FakeScience
 from service.handlers.transfer import export_rotor, import_rotor
 from service.store.unit_of_work import SqlStore

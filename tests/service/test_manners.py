@@ -177,6 +177,7 @@ READS = {
     "/v1/rotors/r1/blades/B1/posterior": "reading",
     "/v1/rotors/r1/blades/B1/prediction": "reading",
     "/v1/rotors/r1/blades": "reading",
+    "/v1/rotors/r1/draws": "reading",
     "/v1/rotors/r1/blades/B1/draws": "reading",
     "/v1/rotors/r1/blades/B1/field": "reading",
     "/v1/rotors/r1/versions": "reading",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 from pydantic import FiniteFloat
 
+from service.api.files import NETCDF, VTU, file
 from service.api.rotor_answers import blade_out, rotor_out
 from service.api.routers.diagnoses import diagnosis_out
 from service.api.services import (
@@ -26,6 +27,7 @@ from service.api.services import (
     unchanged,
 )
 from service.api.which import Asked
+from service.handlers import exports
 from service.handlers import glance as use
 from service.handlers.reads import basis, health, question
 from service.ports import StateRecord
@@ -33,6 +35,7 @@ from service.ports import StateRecord
 router = APIRouter(prefix="/v1", tags=["glance"])
 ROTOR, BLADE = "/rotors/{r}", "/rotors/{r}/blades/{b}"
 Quantity = Annotated[str | None, Query(max_length=100, description="default: the model's first")]
+Count = Annotated[int, Query(ge=1, le=use.MOST_DRAWS)]
 Hour = Annotated[FiniteFloat | None, Query(description="default: the model's last hour")]
 
 
@@ -85,15 +88,46 @@ def get_draws(
     request: Request,
     services: Wired,
     which: Asked,
-    count: Annotated[int, Query(ge=1, le=use.MOST_DRAWS)] = 1000,
+    count: Count = 1000,
+    format: Annotated[
+        Literal["json", "netcdf"], Query(description="netcdf: in ArviZ's schema")
+    ] = "json",
 ) -> Response:
     found = basis(services.store, services.science, r, which, b)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:
         return same
-    body = {"rotor": r, "blade": b}
-    body |= use.draws(services.store, services.science, found, count)
-    return tagged(body | {"rests_on": found.to_json()}, tag)
+    drawn = use.draws(services.store, services.science, found, count)
+    if format == "netcdf":
+        assert found.blade is not None
+        joint = exports.of_one_blade(drawn, found, services.science, services.store)
+        body = exports.draws_netcdf(joint, [found.blade], found)
+        return file(body, NETCDF, (r, b, "draws", f"v{found.state.version}"), "nc", tag, found)
+    told = {"rotor": r, "blade": b} | drawn
+    return tagged(told | {"rests_on": found.to_json()}, tag)
+
+
+@router.get(ROTOR + "/draws", summary="Joint, equally weighted draws of all blades' parameters")
+def get_rotor_draws(
+    r: Name,
+    request: Request,
+    services: Wired,
+    which: Asked,
+    count: Count = 1000,
+    format: Annotated[
+        Literal["json", "netcdf"], Query(description="netcdf: in ArviZ's schema")
+    ] = "json",
+) -> Response:
+    found = basis(services.store, services.science, r, which)
+    tag = tag_of_basis(request, found)
+    if (same := unchanged(request, tag)) is not None:
+        return same
+    drawn, blades = exports.rotor_draws(services.store, services.science, found, count, format)
+    if format == "netcdf":
+        body = exports.draws_netcdf(drawn, blades, found)
+        return file(body, NETCDF, (r, "draws", f"v{found.state.version}"), "nc", tag, found)
+    told = {"rotor": r} | exports.told(drawn, found)
+    return tagged(told | {"rests_on": found.to_json()}, tag)
 
 
 @router.get(BLADE + "/field", summary="A field of a blade at one hour: mean and sd at every node")
@@ -105,6 +139,9 @@ def get_field(
     which: Asked,
     quantity: Quantity = None,
     time_h: Hour = None,
+    format: Annotated[
+        Literal["json", "vtu"], Query(description="vtu: on the mesh, for ParaView and the like")
+    ] = "json",
 ) -> Response:
     found = basis(services.store, services.science, r, which, b)
     name, hour = use.field_question(found.card, quantity, time_h)
@@ -112,6 +149,10 @@ def get_field(
     if (same := unchanged(request, tag)) is not None:
         return same
     body = {"rotor": r} | use.field(services.store, services.science, found, name, hour)
+    if format == "vtu":
+        written = exports.field_vtu(services.store, services.science, found, body)
+        saved = (r, b, name, f"{hour:g}h", f"v{found.state.version}")
+        return file(written, VTU, saved, "vtu", tag, found)
     return tagged(body | {"rests_on": found.to_json()}, tag)
 
 

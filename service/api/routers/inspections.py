@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from itertools import chain
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 
-from service.api.schemas import (
-    COLUMNS,
-    CSV_EXAMPLE,
-    READINGS,
-    InspectionIn,
-    Nothing,
-    read_inspections,
-)
+from service.api.csv_rows import CSV_EXAMPLE
+from service.api.files import CSV, PARQUET, file
+from service.api.problems import fault, invalid
+from service.api.schemas import READINGS, InspectionIn, Nothing, read_inspections
 from service.api.services import (
     Cursor,
     Limit,
     Name,
+    Services,
     Wired,
     accepted,
     moment,
     page,
     page_size,
     seq_of,
+    tag_of,
+    unchanged,
 )
+from service.export.readings import COLUMNS, Parquet, csv_header, csv_text
 from service.handlers import inspections as use
 from service.names import ID_PATTERN
 
@@ -91,9 +92,12 @@ def post_inspections(
     return accepted(use.post_inspections(services.store, r, items))
 
 
-@router.get("", summary="Readings in the order of arrival, and whether each counts")
+@router.get(
+    "", summary="Readings in the order of arrival, and whether each counts", response_model=None
+)
 def get_inspections(
     r: Name,
+    request: Request,
     services: Wired,
     limit: Limit = None,
     cursor: Cursor = None,
@@ -101,11 +105,43 @@ def get_inspections(
         str | None, Query(max_length=100, pattern=ID_PATTERN, description="of this blade alone")
     ] = None,
     newest: Annotated[bool, Query(description="the newest first")] = False,
-) -> dict[str, Any]:
+    format: Annotated[
+        Literal["json", "csv", "parquet"],
+        Query(description="whole files: csv, those that count; parquet, all with their status"),
+    ] = "json",
+) -> dict[str, Any] | Response:
+    if format != "json":
+        paging = {"limit": limit, "cursor": cursor, "newest": newest or None}
+        remedy = "leave it out, or take format=json"
+        faults = [
+            fault(name, value, "belongs to pages; a file holds everything", remedy)
+            for name, value in paging.items()
+            if value is not None
+        ]
+        if faults:
+            raise invalid(faults)
+        return _file(request, services, r, blade, format)
     size = page_size(services, limit)
     after = seq_of(cursor)
     items = use.list_inspections(services.store, r, after, size + 1, blade, newest)
     return page([listed_out(item, full=False) for item in items], size, "seq")
+
+
+def _file(request: Request, services: Services, r: str, blade: str | None, form: str) -> Response:
+    """The readings of a rotor, or of one blade, as the log stands now."""
+    log, pages = use.all_inspections(services.store, r, blade)
+    tag = tag_of(request, log.rotor, log.created_at, log.head_seq)
+    if (same := unchanged(request, tag)) is not None:
+        return same
+    saved = (r, *([] if blade is None else [blade]), "readings", log.head_seq)
+    if form == "csv":
+        counting = ([one.body for one in some if one.status == "counts"] for some in pages)
+        texts = chain([csv_header()], map(csv_text, counting))
+        return file(texts, CSV, saved, "csv", tag)
+    written = Parquet({"rotor": r, "model": log.model, "head_seq": str(log.head_seq)})
+    for some in pages:
+        written.add((o.body, o.seq, o.status, o.received_at, o.posted_by) for o in some)
+    return file(written.end(), PARQUET, saved, "parquet", tag)
 
 
 @router.get("/{i}", summary="One reading with all its values")

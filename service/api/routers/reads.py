@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
+from service.api.files import CSV, file
 from service.api.problems import RequestError, fault
 from service.api.services import Name, Wired, tag_of_basis, tagged, unchanged
 from service.api.which import Asked
+from service.export.tables import prediction_csv
 from service.handlers import reads as use
 from service.ports import Which
 
@@ -61,14 +63,21 @@ def get_prediction(
             description="whose noise a reading has, where noises are by it",
         ),
     ] = None,
+    format: Annotated[Literal["json", "csv"], Query(description="csv: a row for each hour")] = (
+        "json"
+    ),
 ) -> Response:
     found = use.basis(services.store, services.science, r, which, b)
     asked = use.question(found.card, quantity, read_times(times), node, probability, instrument)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:
         return same
-    body = {"rotor": r} | use.predict(services.store, services.science, found, asked)
-    return tagged(body | {"rests_on": found.to_json()}, tag)
+    told = use.predict(services.store, services.science, found, asked)
+    body = {"rotor": r} | told | {"rests_on": found.to_json()}
+    if format == "csv":
+        saved = (r, b, asked.quantity, f"v{found.state.version}")
+        return file(prediction_csv(body), CSV, saved, "csv", tag, found)
+    return tagged(body, tag)
 
 
 def read_times(text: str | None) -> list[float] | None:

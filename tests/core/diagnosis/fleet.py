@@ -68,8 +68,9 @@ def rotor(seed: int, add: Any = None, noise: str = "normal") -> tuple[Scores, di
         slope,
         np.array([0.25]),
         np.array([r.y[:3] for r in rows]) - SIGMA**2 * q,
-        np.array([np.diag(SIGMA**2 * own) - 1.0 for own in q_b]),
-        tuple({"s": s, "l0": -1.0, "l1": 0.0} for _ in facts),
+        SIGMA**2 * q_b - np.eye(len(TIMES)),
+        tuple({} for _ in facts),
+        np.zeros((BLADES, 1, len(TIMES))),
     )
     return seen, facts
 

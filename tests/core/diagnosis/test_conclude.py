@@ -72,6 +72,23 @@ def test_every_turn_has_to_settle() -> None:
     assert doubtful.reasons == ("2 names share the evidence beside wear",)
 
 
+def test_an_open_one_that_chance_explains_leaves_the_others_their_names_and_is_told() -> None:
+    first, second = turn("wear", wear=0.99, gain=0.01), turn("offset", offset=0.55, gain=0.45)
+    found = conclude(ALARM, ("wear",), 0.3, [first, second], 20.0, (), {}, {"offset": 5.1})
+    assert (found.word, found.names) == ("effect", ("wear",))
+    assert found.reasons[1] == (
+        "offset would gain 5.1 nat more; what is left without has p = 0.3 and no name of its own"
+    )
+
+
+def test_of_a_pair_the_one_that_is_sure_keeps_its_name_when_the_other_has_left() -> None:
+    pair = Hypothesis((0, 1), ("wear", "offset"), 9.0, 0.6)
+    other = Hypothesis((0, 2), ("wear", "gain"), 9.0, 0.4)
+    both = Turn((pair, other), ("wear", "offset"), {})
+    assert said(("wear", "offset"), both).word == "not separable"
+    assert said(("wear",), both).names == ("wear",)
+
+
 def test_an_effect_that_left_again_is_not_claimed() -> None:
     first, second = turn("gain", gain=0.95, wear=0.05), turn("wear", wear=0.99, offset=0.01)
     found = said(("wear",), first, second)

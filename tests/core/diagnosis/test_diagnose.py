@@ -17,8 +17,11 @@ from core.calibration.state import shared_posterior
 from core.diagnosis import Case, Diagnosis, Facts, diagnose, to_json
 from core.diagnosis import diagnose as module_function
 from core.diagnosis.adopt import amplitude, frees, with_effects
+from core.diagnosis.conclude import Turn
+from core.diagnosis.diagnose import _Search
 from core.diagnosis.grammar import FAMILIES, Cell, families_for
 from core.diagnosis.pictures import pictures
+from core.diagnosis.verdict import LEFT, Hypothesis
 from core.errors import InputError
 from core.family import Family
 from core.model import Model
@@ -157,6 +160,36 @@ def test_the_verdict_follows_the_instruments_label_and_not_the_order_or_the_ids(
         assert named <= set(one.verdict.names)
     again = found(tuple(sorted(off("gauge 1"), key=lambda r: r.values[0])))
     assert to_json(again, Case(SPEC, data, {})) == to_json(one, Case(SPEC, data, {}))
+
+
+@pytest.mark.parametrize(("shift", "leaves"), [(0.0, True), (0.3, False)])
+def test_what_could_not_be_told_apart_leaves_where_chance_explains_the_rest(
+    shift: float, leaves: bool
+) -> None:
+    """An offset of either gauge, beside a bend that is sure; with 0.3 it is really there."""
+    data = tuple(
+        replace(r, values=r.values + shift * (r.instrument == "gauge 1"))
+        for r in readings(lambda b, t: 0.25 * t**2)
+    )
+    work = Workspace()
+    case = Case(SPEC, data, {b: Facts() for b in SPEC.blades}, dealt=199)
+    search = _Search(MODEL, update(MODEL, SPEC, data, workspace=work), case, work, lambda *a: None)
+    bend = Cell(BEND, "constant", "all")
+    offsets = [Cell(OFFSET, "constant", "instrument", f"gauge {k}") for k in (0, 1)]
+    taken = search.calibrated((bend, offsets[0]))
+    assert taken is not None
+    sure = Turn((Hypothesis((0,), (bend.name,), 9.0, 1.0),), (bend.name,), {}, (bend,))
+    names = [c.name for c in offsets]
+    either = tuple(Hypothesis((i,), (n,), 9.0, 0.5) for i, n in enumerate(names))
+    open_ = Turn(either, (names[0],), {}, tuple(offsets), (bend,))
+    fewer = search.without_open(taken, [sure, open_])
+    assert (fewer is not None) is leaves
+    if fewer is not None:
+        assert fewer[0].effects == (bend,)
+        assert fewer[1] > LEFT
+    told = replace(either[0], weight=0.95), replace(either[1], weight=0.05)
+    assert search.without_open(taken, [sure, replace(open_, hypotheses=told)]) is None
+    assert search.without_open(taken, [open_]) is None  # nothing is sure: it stays, and is said
 
 
 def test_a_networks_own_families_stand_in_for_the_built_in_ones_of_the_same_input() -> None:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from core.calibration.online import update
-from core.calibration.state import RotorSpec
+from core.calibration.state import RotorSpec, blade_posterior
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
-from core.diagnosis.scores import Scores, scores
+from core.diagnosis.scores import Scores, _bounded, scores
+from core.diagnosis.signature import Signatures
 from core.errors import InputError
 from core.family import Family
 from tests.core.calibration.test_exact import SLOPES, conjugate, readings
@@ -78,7 +79,9 @@ def test_contributions_of_the_blades_add_up_to_the_score_but_for_the_shared_prio
 def test_the_gain_of_two_cells_is_their_exact_log_bayes_factor() -> None:
     seen, spread, miss = case()
     g = signature(11, 2)
-    scan = Scan.of([Cell(ANY, "constant", "all"), Cell(ANY, "constant", "all")], seen, g)
+    scan = Scan.of(
+        [Cell(ANY, "constant", "all"), Cell(ANY, "constant", "all")], seen, Signatures(g, 0 * g)
+    )
     flat = g.reshape(-1, 2)
     a = np.eye(2) + flat.T @ np.linalg.solve(spread, flat)
     u = flat.T @ np.linalg.solve(spread, miss)
@@ -89,7 +92,7 @@ def test_the_gain_of_two_cells_is_their_exact_log_bayes_factor() -> None:
 def test_with_an_effect_included_the_scores_are_those_of_the_larger_model() -> None:
     seen, spread, miss = case()
     g, h = signature(13), signature(14)
-    scan = Scan.of([Cell(ANY, "constant", "all")], seen, g)
+    scan = Scan.of([Cell(ANY, "constant", "all")], seen, Signatures(g, 0 * g))
     left = seen.including(g, scan.amplitudes(0)[0])
     flat, other = g[:, :, 0].ravel(), h[:, :, 0].ravel()
     larger = spread + np.outer(flat, flat)
@@ -97,6 +100,42 @@ def test_with_an_effect_included_the_scores_are_those_of_the_larger_model() -> N
     assert left.cross(h)[0, 0] == pytest.approx(information, rel=0.02)
     u = float(np.einsum("bic,bi->c", h, left.q)[0])
     assert abs(u - other @ np.linalg.solve(larger, miss)) < 0.06 * np.sqrt(information)
+
+
+def test_a_change_that_goes_with_the_parameters_leans_as_over_all_particles() -> None:
+    """g = f³ at every row: from `POINTS` particles, as from all; a gain's lean is a third of it."""
+    model, data = conjugate(2), readings(BLADES, TIMES, 3, SIGMA)
+    spec = RotorSpec("r", tuple(f"b{b}" for b in range(BLADES)), 20_000, 5)
+    state = update(model, spec, data)
+    seen = scores(model, state, data)
+    mean, h = seen.over(seen.answers**3)
+    exact, gains = [], []
+    for b, blade in enumerate(seen.blades):
+        posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
+        w, rows = posterior.particles.w, seen.rows[b]
+        x = np.stack([posterior.column(n) for n in rows.response.names], axis=1)
+        f, _ = (a[:, : len(TIMES)] for a in rows.response.evaluate(x))
+        r = (rows.y[: len(TIMES)] - f) / SIGMA**2
+        off = r - w @ r
+        exact.append(w @ ((f**3 - w @ f**3) * off))
+        gains.append((w @ f**3) / (w @ f) * (w @ ((f - w @ f) * off)))
+    assert mean.sum() == pytest.approx(np.sum(seen.answer**3), rel=0.02)
+    assert h.sum() == pytest.approx(np.sum(exact), rel=0.02)
+    assert np.sum(gains) == pytest.approx(np.sum(exact) / 3, rel=0.05)
+    half = seen.in_proportion(np.full(seen.place.shape, 0.5))
+    again = seen.over(0.5 * seen.answers)
+    assert again[1].sum() == pytest.approx(half[1].sum(), rel=1e-6)
+
+
+def test_where_a_bound_forbids_to_imitate_there_is_information() -> None:
+    faint = np.diag([1e-4, 1.0, 2.0])
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    q = turn @ np.array([0.07, 0.9, -1.5])  # 7 sds of a direction that is all but imitated
+    found = np.linalg.eigvalsh(_bounded(turn @ faint @ turn.T, q))
+    assert found == pytest.approx([(0.07 / 3.0) ** 2, 1.0, 2.0], rel=1e-9)
+    within = turn @ np.array([0.02, 9.0, -1.5])  # 2 sds there; 9 in a direction that is seen well
+    same = np.linalg.eigvalsh(_bounded(turn @ faint @ turn.T, within))
+    assert same == pytest.approx([1e-4, 1.0, 2.0], rel=1e-9)
 
 
 def test_a_state_of_other_readings_is_refused() -> None:

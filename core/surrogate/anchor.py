@@ -1,0 +1,148 @@
+"""A coarse surrogate of wide runs, anchored at a fine one where nothing is out of the ordinary.
+
+Runs that leave room for effects (coatings worn through, foul gas, inputs that sleep otherwise) fill
+a box of many more dimensions, and where a sound blade lives there are few of them. Another
+surrogate of the same physics may know just that place well. With D the wide one under the inputs
+as they run, 0 the wide one under those of the start and with what sleeps asleep, and f the fine one
+there, the answers are put together as
+
+    E = E_D E_f / E_0,    A = A_D + A_f − A_0            y = E A (elongation, deformation)
+    y = y_D y_f / y_0                                    CEEQ, damage
+
+so that without an effect the answer is the fine one's, and an effect changes it as the wide one
+says. What the wide one gets wrong cancels as far as its errors are the same at both places: with
+the posterior covariance c of its Gaussian process between the mean inputs m of the history and
+those of the start, its variance counts by
+
+    (v(m) + v(0) − 2 c(m, 0)) / v(m)
+
+beside the fine one's own. After the fine one's horizon what it corrects is held. (Additive and
+multiplicative bridges between models of two fidelities: Han, Görtz & Zimmermann, Aerospace Science
+and Technology 25, 2013.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import InputError
+from core.surrogate.history import Followed, follow
+from core.surrogate.model import Surrogate
+from core.surrogate.targets import DEFORMATION
+
+Array = NDArray[np.float64]
+Answer = tuple[Array, Array, Array]
+FROM_START = np.zeros(1)
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """The fine surrogate, and the values of the wide one's other inputs where it is at home.
+
+    Raises InputError (from `fits`) where the two are no surrogates of the same mesh and inputs.
+    """
+
+    fine: Surrogate
+    asleep: Mapping[str, float]
+    _mixed: dict[int, Array] = field(default_factory=dict, repr=False, compare=False)
+
+    @cached_property
+    def digest(self) -> str:
+        return f"{self.fine.digest} {sorted(self.asleep.items())}"
+
+    def fits(self, wide: Surrogate, ranges: Mapping[str, tuple[float, float]]) -> None:
+        """Refuse a wide surrogate of another mesh, or of inputs that begin outside the fine one."""
+        if self.fine.points.shape != wide.points.shape or not np.allclose(
+            self.fine.points, wide.points
+        ):
+            raise InputError(
+                "anchor",
+                (self.fine.node_count, wide.node_count),
+                "is of another mesh",
+                "train both surrogates on one mesh",
+            )
+        known, own = {i.name: i for i in self.fine.inputs}, {i.name for i in wide.inputs}
+        if known.keys() | self.asleep.keys() != own or known.keys() & self.asleep.keys():
+            raise InputError(
+                "anchor",
+                sorted(known.keys() | self.asleep.keys()),
+                f"does not cover the inputs {sorted(own)}",
+                "say for each input that the fine surrogate lacks where it sleeps",
+            )
+        for name, one in known.items():
+            low, high = ranges.get(name, (one.low, one.high))
+            slack = 1e-9 * (one.high - one.low)
+            if low < one.low - slack or high > one.high + slack:
+                raise InputError(
+                    f"range of {name}",
+                    (low, high),
+                    f"leaves the fine surrogate's runs, {one.low:g} … {one.high:g}",
+                    "narrow the prior, or use the wide surrogate without its anchor",
+                )
+
+    def followed(self, quantity: str, nodes: list[int] | None) -> Followed:
+        """What is followed of the fine one, by quantity and nodes."""
+        return Followed.of(self.fine, quantity, nodes)
+
+    def mixed(self, wide: Surrogate, mixing: Array) -> Followed:
+        """Of mixtures T (Q, B) of the wide one's modes: T M, its modes nearest to the fine one's.
+
+        Phi_fine ~ Phi_wide M by least squares over all nodes.
+        """
+        if id(wide) not in self._mixed:
+            modes, own = (
+                one.parts[DEFORMATION].factors.space.astype(float) for one in (wide, self.fine)
+            )
+            self._mixed[id(wide)] = np.linalg.lstsq(modes, own, rcond=None)[0]
+        return Followed.mixed(self.fine, mixing @ self._mixed[id(wide)])
+
+    def corrected(
+        self,
+        wide: Surrogate,
+        start: Array,
+        middle: Array,
+        times: Array,
+        driven: Answer,
+        what: tuple[Followed, Followed],
+    ) -> Answer:
+        """Mean and sd (n, T, R) and mean CEEQ (n, T) from those of the driven wide one.
+
+        start   inputs of the wide one before anything runs, asleep what sleeps, (n, d)
+        middle  their means from the start to each time, (n, T, d)
+        what    the rows followed: of the wide one, of the fine one
+        """
+        y, sd, ceeq = driven
+        held = np.minimum(times, self.fine.horizon_h)
+        names = [i.name for i in wide.inputs]
+        own = start[:, [names.index(i.name) for i in self.fine.inputs]]
+        y0, _, e0 = _constant(wide, start, held, what[0])
+        yf, sdf, ef = _constant(self.fine, own, held, what[1])
+        share = self._share(wide, start, middle)[:, :, None]
+        if what[0].per_ceeq:
+            grown = (ef / e0)[:, :, None]
+            e, e0, ef = ((ceeq)[:, :, None], e0[:, :, None], ef[:, :, None])
+            mean = e * grown * (y / e + yf / ef - y0 / e0)
+            return mean, np.hypot(sd * grown * share, sdf * e * grown / ef), ceeq * grown[:, :, 0]
+        grown = yf / y0
+        mean = y * grown
+        return mean, np.hypot(sd * grown * share, sdf * mean / yf), ceeq * ef / e0
+
+    def _share(self, wide: Surrogate, start: Array, middle: Array) -> Array:
+        """Root of the share of the wide one's variance that does not cancel, (n, T)."""
+        n, t, d = middle.shape
+        here = np.repeat(wide.scaled(start), t, axis=0)
+        there = wide.scaled(middle.reshape(n * t, d))
+        v, v0, c = wide.process.covariance(there, here)
+        left = np.clip((v + v0 - 2.0 * c) / v, 0.0, 1.0)
+        return np.asarray(np.sqrt(left).reshape(n, t))
+
+
+def _constant(surrogate: Surrogate, x: Array, times: Array, what: Followed) -> Answer:
+    """Under inputs x (n, d) that do not change."""
+    at = np.repeat(x[:, None, :], len(times), axis=1)
+    return follow(surrogate, FROM_START, at[:, :0], times, at, what, 0.0)

@@ -1,0 +1,108 @@
+"""Readings as CSV: the rows of a body, each as the fields that JSON would have.
+
+A scalar, or a field at one node, is a row with a `value`. A scan is a row for each node with `x`,
+`y` and `z`, all rows of one `id`; what else they say has to be the same in each. It is what
+``GET …/inspections?format=csv`` writes (`service.export.readings`).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from typing import Any
+
+from service.api.problems import Fault, RequestError, fault, invalid
+from service.export.readings import COLUMNS
+
+CSV_EXAMPLE = "id,blade,quantity,time_h,value,unit\ni3,B01,elongation,16000,0.21,mm\n"
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+WHOLE = re.compile(r"\d{1,9}")
+NEEDED = ("id", "blade", "quantity", "time_h")
+AXES = ("x", "y", "z")
+NUMBERS = ("time_h", "value", "sigma", *AXES)
+KNOWN = f"the columns are {', '.join(COLUMNS)}"
+Row = dict[str, Any]
+
+
+def csv_rows(body: bytes) -> list[tuple[str, Row]]:
+    """The readings and the line of each, e.g. ``line 2.``. RequestError lists every fault."""
+    try:
+        reader = csv.DictReader(io.StringIO(body.decode("utf-8-sig"), newline=""), strict=True)
+        header = list(reader.fieldnames or [])
+        lines = [(reader.line_num, row) for row in reader]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RequestError(400, "invalid-csv", f"the body is not CSV in UTF-8: {error}") from None
+    faults = _header_faults(header)
+    if not lines and not faults:
+        faults.append(fault("body", "", "holds no row", "give at least one reading"))
+    rows = []
+    for number, row in lines:
+        if None in row or None in row.values():
+            problem, remedy = "has another number of cells than the header", "give every cell"
+            told = ",".join(str(value) for value in row.values())
+            faults.append(fault(f"line {number}", told, problem, remedy))
+        rows.append((number, {k: _cell(k, v) for k, v in row.items() if v}))
+    if faults:
+        raise invalid(faults)
+    return _readings(rows)
+
+
+def _header_faults(header: list[str]) -> list[Fault]:
+    faults = [fault(name, name, "is no column", KNOWN) for name in header if name not in COLUMNS]
+    needed = NEEDED if set(AXES) & set(header) else (*NEEDED, "value")
+    faults += [fault(name, None, "is missing", KNOWN) for name in needed if name not in header]
+    if len(set(header)) < len(header):
+        faults.append(fault("header", ", ".join(header), "names a column twice", KNOWN))
+    return faults
+
+
+def _cell(column: str, text: Any) -> Any:
+    if column in NUMBERS and NUMBER.fullmatch(text):
+        return float(text)
+    if column == "node" and WHOLE.fullmatch(text):
+        return int(text)
+    return text
+
+
+def _readings(rows: list[tuple[int, Row]]) -> list[tuple[str, Row]]:
+    """One reading for each row, but one for all rows of a scan."""
+    found: list[tuple[str, Row]] = []
+    scans: dict[Any, tuple[int, Row, Row]] = {}
+    faults: list[Fault] = []
+    for number, row in rows:
+        given = [row.pop(axis) for axis in AXES if axis in row]
+        node = row.pop("node", None)
+        if not given:
+            found.append((f"line {number}.", row | ({} if node is None else {"nodes": [node]})))
+            continue
+        if (odd := _scan_fault(number, row, given, node)) is not None:
+            faults.append(odd)
+            continue
+        first, head, whole = scans.setdefault(row.get("id"), (number, row, {}))
+        if head != row:
+            name = next(n for n in COLUMNS if head.get(n) != row.get(n))
+            problem = f"is another than in line {first} of the same scan"
+            remedy = "give all rows of a scan the same, or another id"
+            faults.append(fault(f"line {number}.{name}", row.get(name), problem, remedy))
+            continue
+        if not whole:
+            whole |= head | {"nodes": [], "values": []}
+            found.append((f"line {number}.", whole))
+        whole["nodes"].append(node)
+        whole["values"].append(given)
+    if faults:
+        raise invalid(faults)
+    return found
+
+
+def _scan_fault(number: int, row: Row, given: list[Any], node: Any) -> Fault | None:
+    where = f"line {number}"
+    if len(given) < len(AXES):
+        return fault(where, given, "has not all of x, y, z", "give all three, or a `value` alone")
+    if "value" in row:
+        remedy = "give x, y, z for a scan, `value` for a scalar"
+        return fault(f"{where}.value", row["value"], "stands beside x, y, z", remedy)
+    if node is None:
+        return fault(f"{where}.node", None, "is missing", "name the node of each x, y, z triple")
+    return None

@@ -1,0 +1,180 @@
+"""What the twin believes: posterior, draws, predictions, fields, and what would narrow them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from service.client.errors import MissingError
+from service.client.steps import Json, Steps, ask, fetch, path, told
+
+
+def _of(rotor: str, blade: str | None, what: str) -> str:
+    parts = ("rotors", rotor) + (() if blade is None else ("blades", blade))
+    return path(*parts, what)
+
+
+def posterior(
+    rotor: str, blade: str | None = None, *, version: int | None = None, at: str | None = None
+) -> Steps[Json]:
+    """The shared parameters' posterior, or one blade's; of a version, or as of a moment."""
+    return ask("GET", _of(rotor, blade, "posterior"), params=told(version=version, at=at))
+
+
+def prediction(
+    rotor: str,
+    blade: str,
+    quantity: str | None = None,
+    *,
+    times: Sequence[float] | None = None,
+    node: int | str | None = None,
+    probability: float = 0.95,
+    instrument: str | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[Json]:
+    """Bands of a quantity by source; with an instrument, of a reading by it.
+
+    quantity   default: the model's first one
+
+    ``answer["health"]["trusted"]`` is False where the state behind it says why it is not.
+    """
+    params = _asked(quantity, times, node, probability, instrument, version, at)
+    return ask("GET", _of(rotor, blade, "prediction"), params=params)
+
+
+def prediction_csv(
+    rotor: str,
+    blade: str,
+    quantity: str | None = None,
+    *,
+    times: Sequence[float] | None = None,
+    node: int | str | None = None,
+    probability: float = 0.95,
+    instrument: str | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[bytes]:
+    """The same bands as CSV in UTF-8, a row for each hour (and x, y, z)."""
+    params = _asked(quantity, times, node, probability, instrument, version, at)
+    return fetch(_of(rotor, blade, "prediction"), params | {"format": "csv"})
+
+
+def _asked(
+    quantity: str | None,
+    times: Sequence[float] | None,
+    node: int | str | None,
+    probability: float,
+    instrument: str | None,
+    version: int | None,
+    at: str | None,
+) -> dict[str, str]:
+    hours = None if times is None else ",".join(repr(float(t)) for t in times)
+    return told(
+        quantity=quantity,
+        times=hours,
+        node=node,
+        probability=probability,
+        instrument=instrument,
+        version=version,
+        at=at,
+    )
+
+
+def draws(
+    rotor: str,
+    blade: str | None = None,
+    *,
+    count: int | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[Json]:
+    """Equally weighted draws: of a blade's parameters, or jointly of all blades'."""
+    params = told(count=count, version=version, at=at)
+    return ask("GET", _of(rotor, blade, "draws"), params=params)
+
+
+def draws_netcdf(
+    rotor: str,
+    blade: str | None = None,
+    *,
+    count: int | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[bytes]:
+    """Joint draws as netCDF in ArviZ's schema: dimensions chain, draw and blade, with units."""
+    params = told(count=count, version=version, at=at, format="netcdf")
+    return fetch(_of(rotor, blade, "draws"), params)
+
+
+def draws_arviz(
+    rotor: str,
+    blade: str | None = None,
+    *,
+    count: int | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[Any]:
+    """Joint draws as ArviZ has them in memory (InferenceData; from ArviZ 1.0 on a DataTree).
+
+    Raises MissingError where ArviZ is not installed (extra `notebook`).
+    """
+    try:
+        import arviz
+    except ModuleNotFoundError:
+        raise MissingError("arviz", "notebook") from None
+    body = yield from draws_netcdf(rotor, blade, count=count, version=version, at=at)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "draws.nc")
+        file.write_bytes(body)
+        opened = arviz.from_netcdf(str(file))
+        found = opened.load()
+        opened.close()
+    return found
+
+
+def field(
+    rotor: str,
+    blade: str,
+    quantity: str | None = None,
+    *,
+    time_h: float | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[Json]:
+    """Mean and sd of a field at every node at one hour, without a reading's noise."""
+    params = told(quantity=quantity, time_h=time_h, version=version, at=at)
+    return ask("GET", _of(rotor, blade, "field"), params=params)
+
+
+def field_vtu(
+    rotor: str,
+    blade: str,
+    quantity: str | None = None,
+    *,
+    time_h: float | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[bytes]:
+    """The same field on the model's mesh, as a VTU file (ParaView, PyVista, meshio)."""
+    params = told(quantity=quantity, time_h=time_h, version=version, at=at, format="vtu")
+    return fetch(_of(rotor, blade, "field"), params)
+
+
+def plan(
+    rotor: str,
+    *,
+    blade: str | None = None,
+    quantity: str | None = None,
+    time_h: float | None = None,
+    parameter: str | None = None,
+    count: int = 3,
+) -> Steps[Json]:
+    """Inspections by how much they would narrow a blade's prediction, or a parameter.
+
+    time_h   hour of the prediction [h]; None: the model's last
+    """
+    params = told(blade=blade, quantity=quantity, time_h=time_h, parameter=parameter, count=count)
+    return ask("GET", path("rotors", rotor, "plan"), params=params)

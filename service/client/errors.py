@@ -1,0 +1,44 @@
+"""What a call ends with when it does not end well."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+
+from core.errors import BladetwinError
+
+Json = dict[str, Any]
+
+
+class ProblemError(BladetwinError):
+    """The service refused: `status`, `problem` (RFC 9457) and its `faults` say why."""
+
+    def __init__(self, response: httpx.Response) -> None:
+        self.status = response.status_code
+        try:
+            self.problem: Json = response.json()
+        except ValueError:
+            self.problem = {"detail": response.text[:500]}
+        self.faults: list[Json] = self.problem.get("faults", [])
+        detail = self.problem.get("detail", "")
+        request = response.request
+        super().__init__(f"{request.method} {request.url.path}: {self.status}: {detail}")
+
+
+class BlockedError(BladetwinError):
+    """The rotor is blocked; `rotor` is its answer with the error and the event named."""
+
+    def __init__(self, rotor: Json) -> None:
+        self.rotor = rotor
+        super().__init__(f"rotor {rotor['id']} is blocked: {rotor['last_error']}")
+
+
+class MissingError(BladetwinError):
+    """A package that a helper needs is not installed here; `package` names it."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        self.package = package
+        super().__init__(
+            f"{package} is not installed here. To mend it: pip install 'bladetwin[{extra}]'."
+        )

@@ -1,0 +1,53 @@
+"""Readings: posted, retracted, listed, as files; and how well they were foreseen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from service.client.steps import Call, Json, Steps, ask, fetch, head_seq, path, told
+
+CSV = {"content-type": "text/csv; charset=utf-8"}
+
+
+def post_inspections(rotor: str, inspections: Sequence[Mapping[str, Any]]) -> Steps[int]:
+    """Post readings, all or nothing; the sequence number to wait for."""
+    body = {"inspections": [dict(one) for one in inspections]}
+    return head_seq(ask("POST", path("rotors", rotor, "inspections"), json=body))
+
+
+def post_csv(rotor: str, text: str | bytes) -> Steps[int]:
+    """Post the readings of a CSV, all or nothing; the sequence number to wait for."""
+    content = text.encode() if isinstance(text, str) else text
+    where = path("rotors", rotor, "inspections")
+    return head_seq(ask("POST", where, content=content, headers=CSV))
+
+
+def retract(rotor: str, inspection: str) -> Steps[int]:
+    """As if the reading had never come; the sequence number to wait for."""
+    return head_seq(ask("POST", path("rotors", rotor, "inspections", inspection, "retraction")))
+
+
+def inspections(rotor: str, *, blade: str | None = None, newest: bool | None = None) -> Call:
+    """Readings in the order of their arrival, or the newest first, page by page."""
+    return Call("GET", path("rotors", rotor, "inspections"), told(blade=blade, newest=newest))
+
+
+def inspection(rotor: str, inspection: str) -> Steps[Json]:
+    """One reading with all its values."""
+    return ask("GET", path("rotors", rotor, "inspections", inspection))
+
+
+def readings_csv(rotor: str, *, blade: str | None = None) -> Steps[bytes]:
+    """The readings that count, as CSV in UTF-8: posted to a rotor without any it gives the same."""
+    return fetch(path("rotors", rotor, "inspections"), told(format="csv", blade=blade))
+
+
+def readings_parquet(rotor: str, *, blade: str | None = None) -> Steps[bytes]:
+    """Every reading with its status, as a Parquet file."""
+    return fetch(path("rotors", rotor, "inspections"), told(format="parquet", blade=blade))
+
+
+def residuals(rotor: str, **filters: str) -> Steps[Json]:
+    """The first page of residuals, with tests; `filters`: blade, quantity, campaign, cursor."""
+    return ask("GET", path("rotors", rotor, "residuals"), params=filters)

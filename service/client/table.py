@@ -1,0 +1,62 @@
+"""Every call by its name: what `Client` and `AsyncClient` have in common."""
+
+from __future__ import annotations
+
+from service.client import beliefs as _beliefs
+from service.client import diagnoses as _diagnoses
+from service.client import models as _models
+from service.client import readings as _readings
+from service.client import rotors as _rotors
+from service.client import webhooks as _webhooks
+from service.client.steps import call, pages, stream
+
+
+class Calls:
+    """The methods of both clients; each is written once, as steps, in the module of its noun."""
+
+    ready = call(_rotors.ready)
+    models = call(_models.models)
+    model = call(_models.model)
+    surface = call(_models.surface)
+    register = call(_models.register)
+    create_rotor = call(_rotors.create_rotor)
+    rotors = pages(_rotors.rotors)
+    rotor = call(_rotors.rotor)
+    versions = pages(_rotors.versions)
+    blades = pages(_rotors.blades)
+    add_blade = call(_rotors.add_blade)
+    retire_blade = call(_rotors.retire_blade)
+    retry = call(_rotors.retry)
+    wait_for = call(_rotors.wait_for)
+    wait_sealed = call(_rotors.wait_sealed)
+    events = stream(_rotors.events)
+    post_inspections = call(_readings.post_inspections)
+    post_csv = call(_readings.post_csv)
+    retract = call(_readings.retract)
+    inspections = pages(_readings.inspections)
+    inspection = call(_readings.inspection)
+    readings_csv = call(_readings.readings_csv)
+    readings_parquet = call(_readings.readings_parquet)
+    residuals = call(_readings.residuals)
+    posterior = call(_beliefs.posterior)
+    prediction = call(_beliefs.prediction)
+    prediction_csv = call(_beliefs.prediction_csv)
+    draws = call(_beliefs.draws)
+    draws_netcdf = call(_beliefs.draws_netcdf)
+    draws_arviz = call(_beliefs.draws_arviz)
+    field = call(_beliefs.field)
+    field_vtu = call(_beliefs.field_vtu)
+    plan = call(_beliefs.plan)
+    diagnose = call(_diagnoses.diagnose)
+    diagnoses = pages(_diagnoses.diagnoses)
+    diagnosis = call(_diagnoses.diagnosis)
+    cancel_diagnosis = call(_diagnoses.cancel_diagnosis)
+    report = call(_diagnoses.report)
+    adopt = call(_diagnoses.adopt)
+    back_out = call(_diagnoses.back_out)
+    adoptions = pages(_diagnoses.adoptions)
+    create_webhook = call(_webhooks.create_webhook)
+    webhook = call(_webhooks.webhook)
+    delete_webhook = call(_webhooks.delete_webhook)
+    deliveries = pages(_webhooks.deliveries)
+    retry_delivery = call(_webhooks.retry_delivery)

@@ -1,0 +1,8 @@
+"""Answers as files that other tools read; pure functions of what the use cases give.
+
+netcdf.py    draws, in ArviZ's schema
+vtu.py       a field on the model's mesh, for ParaView, PyVista, meshio
+tables.py    predictions as CSV
+readings.py  readings as CSV rows, which can be posted again, and as Parquet
+units.py     units of parameters by their names
+"""

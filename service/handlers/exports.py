@@ -1,0 +1,114 @@
+"""Draws of a rotor, and draws and fields as other tools read them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from core.errors import RangeError
+from service.errors import NotFoundError
+from service.export.netcdf import inference_data
+from service.export.units import unit_of
+from service.export.vtu import vtu
+from service.handlers.glance import MOST_DRAWS
+from service.handlers.reads import Basis, health
+from service.handlers.rotors import blades_at
+from service.moments import moment
+from service.ports import BladeRecord, JointDraws, Json, Science, Store
+from service.release import release
+
+MOST_VALUES = {"json": 400_000, "netcdf": 8_000_000}
+
+
+def rotor_draws(
+    store: Store, science: Science, found: Basis, count: int, form: str
+) -> tuple[JointDraws, list[BladeRecord]]:
+    """Joint draws of all blades of a version, those that have left included.
+
+    Raises RangeError where they would be more than an answer of this form should hold.
+    """
+    state = found.state
+    with store.read() as tx:
+        blades = blades_at(tx.records.blades(state.rotor_id), state.through_seq)
+        blades = sorted(blades, key=lambda blade: blade.id)
+        each = len(blades) * len(found.card.network.of_level("local"))
+        most = min(MOST_DRAWS, MOST_VALUES[form] // max(each, 1))
+        if not 1 <= count <= most:
+            problem = f"is not a number of draws of {len(blades)} blades"
+            other = ", or take format=netcdf" if form == "json" else ""
+            raise RangeError("count", count, problem, f"ask for 1 … {most}{other}")
+        get = tx.states.reader(state)
+        drawn = science.joint_draws(state.meta, get, [blade.id for blade in blades], count)
+    return drawn, blades
+
+
+def told(drawn: JointDraws, found: Basis) -> Json:
+    """Joint draws as plain lists."""
+    return {
+        "shared": {"names": list(drawn.shared_names), "values": drawn.shared.tolist()},
+        "local": {"names": list(drawn.local_names), "values": drawn.local.tolist()},
+        "blades": list(drawn.blades),
+        "of": drawn.of,
+        "health": health(found.state),
+    }
+
+
+def of_one_blade(drawn: Json, found: Basis, science: Science, store: Store) -> JointDraws:
+    """Draws of one blade (`service.handlers.glance.draws`) told apart by their level."""
+    assert found.blade is not None
+    with store.read() as tx:
+        reader = tx.states.reader(found.state)
+        shared = science.shared_draws(found.state.meta, reader).names
+    names, values = list(drawn["names"]), np.array(drawn["values"])
+    local = tuple(name for name in names if name not in shared)
+    return JointDraws(
+        shared,
+        values[:, [names.index(name) for name in shared]],
+        local,
+        (found.blade.id,),
+        values[:, None, [names.index(name) for name in local]],
+        drawn["of"],
+    )
+
+
+def facts_of(found: Basis) -> dict[str, str | int]:
+    """What an answer rests on, flat, as attributes of a file can hold it."""
+    rests = {
+        k: str(v).lower() if v is True or v is False else v for k, v in found.to_json().items()
+    }
+    return {
+        "created_at": moment(found.state.created_at),
+        "inference_library": "bladetwin",
+        "inference_library_version": release(),
+        "health": json.dumps(health(found.state)),
+        **rests,
+    }
+
+
+def draws_netcdf(drawn: JointDraws, blades: list[BladeRecord], found: Basis) -> bytes:
+    """Joint draws as netCDF in ArviZ's schema."""
+    network = found.card.network
+    known = {
+        parameter.name: [(blade.known or {}).get(parameter.name, np.nan) for blade in blades]
+        for parameter in network.of_level("known")
+    }
+    names = (*drawn.shared_names, *drawn.local_names, *known)
+    units = {name: unit_of(network, name) for name in names}
+    weights = "equal: drawn by systematic resampling from weighted particles, in random order"
+    facts = facts_of(found) | {"weights": weights, "particles": drawn.of}
+    return inference_data(drawn, units, known, facts)
+
+
+def field_vtu(store: Store, science: Science, found: Basis, told: Mapping[str, Any]) -> bytes:
+    """The answer of ``GET …/field`` on the model's mesh. NotFoundError: the model has none."""
+    mesh = science.mesh(found.card)
+    if mesh is None:
+        remedy = "its field is not on a mesh that is known here: use format=json"
+        raise NotFoundError("mesh of model", found.card.id, remedy)
+    name, unit = told["quantity"], told["unit"]
+    data = {f"{name} {what} [{unit}]": np.array(told[what]) for what in ("mean", "sd")}
+    facts = {"blade": told["blade"], "quantity": name, "time_h": told["time_h"]} | facts_of(found)
+    return vtu(mesh, data, float(told["time_h"]), facts)
