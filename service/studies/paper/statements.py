@@ -1,8 +1,10 @@
 """What the paper says of its example, held against our numbers.
 
-A statement has the paper's words, the rule by which they are judged, fixed before the numbers were
-there, and a function from numbers (`numbers.told`, by case) to a verdict and a sentence
-(`judges`). The same function on other numbers gives another verdict: nothing is written by hand.
+A statement has the paper's words, the rule by which they are judged, and a function from numbers
+(`numbers.told`, by case) to a verdict and a sentence (`judges`). The same function on other numbers
+gives another verdict: nothing is written by hand. The rules were fixed before the numbers were
+there, but for one: what of theta is not identifiable was asked of the correlation first and, after
+a look at eight blades, of the combination that the data tell least (`core/decisions.md`).
 """
 
 from __future__ import annotations
