@@ -14,7 +14,7 @@ blocks: the mean errs by 0.04 sd at most, the sd by 3 %.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,9 +81,11 @@ def field_of(
     quantity: str,
     time_h: float,
     known: Mapping[str, float] | None,
+    nodes: Sequence[int] | None = None,
 ) -> Field:
-    """The field of a blade at an hour inside the model's horizon."""
+    """The field of a blade at an hour inside the model's horizon; at `nodes` (default: at all)."""
     declared, surrogate = model.network.quantity(quantity), model.part(quantity)
+    places = range(surrogate.node_count) if nodes is None else nodes
     thin = posterior
     if len(posterior.particles.log_w) > ENOUGH:
         drawn = posterior.particles.resampled(ENOUGH, np.random.default_rng(0))
@@ -100,8 +102,8 @@ def field_of(
     sums: list[Array] = []
     for start in range(0, len(w), BLOCK):
         block = slice(start, start + BLOCK)
-        mean, sd = surrogate.predict(x[block], quantity, time, range(surrogate.node_count))
-        shape = (len(mean), surrogate.node_count, len(parts))
+        mean, sd = surrogate.predict(x[block], quantity, time, places)
+        shape = (len(mean), len(places), len(parts))
         mean, sd = mean.reshape(shape), sd.reshape(shape)
         g = gain[block, None]
         own = (g * np.hypot(sd, declared.numerical * mean)) ** 2 + (left * g * mean) ** 2

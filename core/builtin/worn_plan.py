@@ -17,9 +17,7 @@ lot, the elongation at 50,000 h. `make` writes the small file that ships:
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.blade import BOUNDS, simulate, simulate_history
+from core.blade.kept import kept_runs
 from core.builtin import inspection_plan
 from core.builtin.inspection_plan import Plan, blades, times
 from core.builtin.rotor_blade import WIDER
@@ -70,21 +69,8 @@ def simulate_all(
     folder: str | Path, workers: int = 2, progress: Callable[[int, int], None] | None = None
 ) -> dict[int, Array]:
     """The worn blades' runs in small files of `folder`; a cut campaign goes on where it was."""
-    own = Path(folder)
-    own.mkdir(parents=True, exist_ok=True)
-    done = {int(f.stem): np.load(f) for f in own.glob("[0-9]*.npy")}
-    todo = [n for n in WORN if n not in done]
-    with ProcessPoolExecutor(workers) as pool:
-        waiting = {pool.submit(run, n): n for n in todo}
-        for finished in as_completed(waiting):
-            number = waiting[finished]
-            done[number] = finished.result()
-            part = own / f".{number}.{os.getpid()}.npy"
-            np.save(part, done[number])
-            os.replace(part, own / f"{number}.npy")
-            if progress is not None:
-                progress(len(done), len(WORN))
-    return {n: done[n] for n in WORN}
+    done = kept_runs(folder, {str(n): (n,) for n in WORN}, run, workers, progress)
+    return {int(name): share for name, share in done.items()}
 
 
 def make(runs: dict[int, Array], out: str | Path = SHIPPED) -> Plan:

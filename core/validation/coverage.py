@@ -7,21 +7,15 @@ lines into tables. No rotor is dropped: one that cannot be calibrated fails the 
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import cache
+from collections.abc import Callable
 from hashlib import sha256
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-import core
 from core.calibration.online import update
 from core.calibration.state import Posterior, RotorSpec, blade_posterior, shared_posterior
 from core.errors import BladetwinError, InputError
@@ -29,12 +23,12 @@ from core.model import Model
 from core.prediction import corrected, inputs_of, noise_of, predict
 from core.prior import Prior
 from core.rng import stream
+from core.validation.records import Record, code_digest, records
 from core.validation.sbc import published_cdf, randomised_pit, wrong_pits
 from core.validation.simulate import Held, simulate
 from core.validation.variants import COATING, Variant, model_of
 
 Array = NDArray[np.float64]
-Record = dict[str, Any]
 PARTICLES = 4000
 EDGE, HELD_BY_EDGE = 0.1, 0.5
 AT_BOUND = f"{COATING}, posterior at a bound"
@@ -139,16 +133,6 @@ def _mixture_cdf(model: Model, posterior: Posterior, held: Held) -> float:
     return float(w @ ndtr((held.reading - gain * mean - offset) / total))
 
 
-@cache
-def code_digest() -> str:
-    """SHA-256 of the core's source files and data, by name."""
-    root = Path(core.__path__[0])
-    total = sha256()
-    for file in sorted([*root.rglob("*.py"), *root.rglob("*.npz")]):
-        total.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0")
-    return total.hexdigest()
-
-
 def run(
     variant: Variant,
     *,
@@ -167,56 +151,25 @@ def run(
     """
     if rotors < 2:
         raise InputError("rotors", rotors, "are too few for a study", "give two or more")
-    done: dict[int, Record] = {}
     file = None
     if folder is not None:
         text = repr((variant, seed, particles, commit, code_digest(), model_of(variant).digest))
         file = Path(folder) / f"{variant.name}-{sha256(text.encode()).hexdigest()[:12]}.jsonl"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        done = {r["rotor"]: r for r in _lines(file) if r["rotor"] < rotors}
-    todo = [r for r in range(rotors) if r not in done]
-
-    def keep(record: Record) -> None:
-        done[record["rotor"]] = record
-        if file is not None:
-            with open(file, "a") as out:
-                out.write(json.dumps(record) + "\n")
-        if progress is not None:
-            progress(len(done), rotors)
-
-    if processes == 1:
-        model = model_of(variant)
-        for r in todo:
-            keep(calibrated(model, variant, r, seed, particles))
-    elif todo:
-        context = get_context("spawn")
-        with ProcessPoolExecutor(processes, mp_context=context) as pool:
-            calls = [pool.submit(_spawned, variant, r, seed, particles) for r in todo]
-            try:
-                for call in as_completed(calls):
-                    keep(call.result())
-            except BaseException:
-                pool.shutdown(wait=True, cancel_futures=True)
-                raise
-    return [done[r] for r in range(rotors)]
-
-
-def _lines(file: Path) -> Iterable[Record]:
-    """The records of a file; a last line that was cut is left out, and the file mended."""
-    if not file.exists():
-        return []
-    text = file.read_text()
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        file.write_text(whole)
-    return [json.loads(line) for line in whole.splitlines()]
+    return records(
+        {r: (variant, r, seed, particles) for r in range(rotors)},
+        _spawned,
+        lambda record: int(record["rotor"]),
+        file=file,
+        processes=processes,
+        progress=progress,
+    )
 
 
 _models: dict[Variant, Model] = {}
 
 
 def _spawned(variant: Variant, rotor: int, seed: int, particles: int) -> Record:
-    """A rotor in a process of its own, which keeps the model and its compiled rows."""
+    """A rotor; the process keeps the model and its compiled rows."""
     if variant not in _models:
         _models[variant] = model_of(variant)
     return calibrated(_models[variant], variant, rotor, seed, particles)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.validation.coverage import Record
+from core.validation.records import Record
 from core.validation.sbc import (
     CONTROLS,
     PROBABILITIES,

@@ -1,0 +1,111 @@
+"""`bladetwin study effects` and `truths`: how often a diagnosis names rightly, wrongly, or not."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from service.progress import bar
+from service.studies import app
+from service.studies.result import commit, write
+
+OUTCOMES = ("right", "in the set", "silent", "wrong")
+COLOURS = ("#1b7837", "#a6dba0", "#bbbbbb", "#b2182b")
+WORDS = {
+    "right": "right",
+    "in the set": "not separable, truth in the set",
+    "silent": "no name given",
+    "wrong": "wrong name",
+}
+
+
+@app.command()
+def effects(
+    clean: Annotated[int, typer.Option(help="Sets of each kind without an effect.")] = 40,
+    planted: Annotated[int, typer.Option(help="Sets of each planted effect.")] = 16,
+    particles: Annotated[int, typer.Option(help="Particles per blade.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Seed of noise, labels and calibrations.")] = 7,
+    processes: Annotated[int, typer.Option(help="Processes that share out the sets.")] = 1,
+    work: Annotated[
+        Path, typer.Option(help="Folder of the finished sets; a cut study goes on there.")
+    ] = Path("bladetwin-data/studies"),
+    out: Annotated[Path | None, typer.Option(help="Folder of the result and its plot.")] = None,
+) -> None:
+    """Verdicts on finite-element rotors with and without undeclared effects, all sets counted."""
+    from core.validation import effects_study as study
+
+    start, made_by = time.monotonic(), commit()
+    sets = dict.fromkeys(study.CLEAN, clean)
+    sets |= dict.fromkeys((*study.NAMED, *study.OUTSIDE), planted)
+    with bar("sets", sum(sets.values())) as step:
+        found = study.run(
+            sets,
+            seed=seed,
+            particles=particles,
+            processes=processes,
+            folder=work,
+            commit=made_by,
+            progress=lambda done, total: step(done),
+        )
+    table = study.table(found)
+    facts = {
+        "model": study.model_digest(),
+        "seed": seed,
+        "particles": particles,
+        "seconds": round(time.monotonic() - start, 1),
+        "table": table,
+        "marks": study.marks(table),
+        "sets": found,
+    }
+    write(facts, made_by, out)
+    if out is not None:
+        outcome_plot(table, out / "outcomes.png")
+
+
+@app.command()
+def truths(
+    work: Annotated[Path, typer.Option(help="Folder of the runs; a cut campaign goes on.")] = Path(
+        "bladetwin-data/truths"
+    ),
+    out: Annotated[Path, typer.Option(help="File of the shares.")] = Path(
+        "bladetwin-data/effect_truths.npz"
+    ),
+    processes: Annotated[int, typer.Option(help="Processes that compute runs.")] = 1,
+) -> None:
+    """Finite-element runs with effects of physics, the truths of `effects`; about half an hour."""
+    from core.validation import effect_truths
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    total = sum(len(effect_truths.concerned(e)) for e in effect_truths.EFFECTS)
+    with bar("runs", total * len(effect_truths.ROTORS)) as step:
+        effect_truths.make(work, out, processes, lambda done, _: step(done))
+    typer.echo(f"shares of {len(effect_truths.ROTORS)} rotors in {out}")
+
+
+def outcome_plot(table: Mapping[str, Mapping[str, float]], file: Path) -> None:
+    """Each condition's outcomes as one bar."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    names = list(table)
+    figure, axes = plt.subplots(figsize=(8.5, 0.42 * len(names) + 1.7), layout="constrained")
+    left, at = np.zeros(len(names)), np.arange(len(names))
+    for what, colour in zip(OUTCOMES, COLOURS, strict=True):
+        share = np.array([100.0 * table[n][what] for n in names])
+        axes.barh(at, share, left=left, color=colour, label=WORDS[what], height=0.72)
+        left += share
+    labels = [f"{n} ({table[n]['sets']:.0f} sets)" for n in names]
+    axes.set_yticks(at, labels)
+    axes.invert_yaxis()
+    axes.set_xlim(0, 100)
+    axes.set_xlabel("share of the sets [%]")
+    figure.legend(loc="outside upper center", ncols=4, frameon=False, fontsize=9)
+    figure.savefig(file, dpi=110)
+    plt.close(figure)

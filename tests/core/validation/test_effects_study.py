@@ -1,0 +1,145 @@
+"""The study of diagnoses: what is planted, how verdicts are counted, and two of its sets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.diagnosis.verdict import Verdict
+from core.errors import InputError
+from core.validation import effects_study as study
+from core.validation import fe_rotors
+from core.validation.effect_truths import (
+    EFFECTS,
+    JOINED,
+    ROTORS,
+    VISITS_H,
+    WORN,
+    concerned,
+    course,
+    share,
+)
+
+NOTHING = Verdict("adequate", 0.4, None, (), None, (), {}, {}, (), ())
+
+
+def said(word: str, *names: str) -> Verdict:
+    return replace(NOTHING, word=word, names=names)  # type: ignore[arg-type]
+
+
+def curves(condition: str, number: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    """Readings without noise, by blade, hour and instrument, from a fixed draw."""
+    with monkeypatch.context() as patch:
+        patch.setattr(study, "NOISE", 0.0)
+        made = study.made(condition, number, 5, 100)
+    return {
+        f"{r.blade} {r.time_h:.0f} {r.instrument}": float(r.values[0]) for r in made.case.readings
+    }
+
+
+def test_shares_are_those_of_the_blades_that_have_the_effect() -> None:
+    for rotor in ROTORS:
+        for effect in EFFECTS:
+            own, with_it = share(rotor, effect), list(concerned(effect))
+            without = [b for b in range(fe_rotors.BLADES) if b not in with_it]
+            assert np.all(own[without] == 1.0)
+            assert np.all(own[with_it][:, -1] > 1.0)
+        assert set(concerned("wear")) == set(WORN)
+        late = list(JOINED)
+        assert np.all(share(rotor, "pulse")[late, 0] > share(rotor, "step")[late, 0])
+
+
+def test_a_pulse_ends_and_a_step_stays() -> None:
+    inputs = {"t1t_rate": 0.9, "tbc_thickness": 1.0}
+    assert course("pulse", inputs, 0)["t1t_rate"] == [
+        (0.0, 0.9), (8e3, 0.9), (8e3, 0.93), (15e3, 0.93), (15e3, 0.9)
+    ]  # fmt: skip
+    assert course("pulse", inputs, 15)["t1t_rate"] == [(0.0, 0.93), (1e3, 0.93), (1e3, 0.9)]
+    assert course("wear", inputs, 0)["tbc_thickness"][-1] == (5e4, 0.6)
+    assert course("tertiary", inputs, 0)["tertiary"] == 3.0
+
+
+def test_what_is_planted_is_on_the_readings_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = study.made("clean", 3, 5, 100)
+    assert made.truth == frozenset()
+    assert len(made.case.readings) == 14 * 6 + 6 * 4
+    assert len({r.instrument for r in made.case.readings}) == 3
+    truth = fe_rotors.load()
+    clean = np.sort(list(curves("clean", 3, monkeypatch).values()))
+    exact = np.stack([truth.at("elongation", 3, h) for h in VISITS_H[:6]], axis=1)
+    expected = np.r_[exact[:14].ravel(), exact[14:, :4].ravel()]
+    assert clean == pytest.approx(np.sort(expected), abs=6e-6)
+    campaign = study.made("campaign", 3, 5, 100)
+    (name,) = campaign.truth
+    with monkeypatch.context() as patch:
+        patch.setattr(study, "NOISE", 0.0)
+        patch.setattr(study, "OFFSET", 1000.0)
+        moved = study.made("campaign", 3, 5, 100).case.readings
+    visit = name.split()[-1].rstrip(")")
+    assert {r.campaign for r in moved if r.values[0] > 500} == {visit}
+    assert all((r.values[0] > 500) == (r.campaign == visit) for r in moved)
+
+
+def test_labels_ids_and_order_give_nothing_away() -> None:
+    one, other = (study.made("wear", n, 5, 100) for n in (0, 4))  # the same rotor and effect
+    assert one.truth != other.truth
+    for made in (one, other):
+        ids = [r.id for r in made.case.readings]
+        assert ids != sorted(ids)
+        assert [r.time_h for r in made.case.readings] != sorted(
+            r.time_h for r in made.case.readings
+        )
+    again = study.made("wear", 0, 5, 100)
+    assert [r.id for r in again.case.readings] == [r.id for r in one.case.readings]
+
+
+@pytest.mark.parametrize(
+    ("condition", "verdict", "outcome"),
+    [
+        ("clean", said("adequate"), "right"),
+        ("clean", said("unattributed"), "silent"),
+        ("clean", said("effect", "a"), "wrong"),
+        ("pulse", said("unattributed"), "right"),
+        ("pulse", said("not separable", "a", "b"), "wrong"),
+        ("gain", said("effect", "a"), "right"),
+        ("gain", said("effect", "b"), "wrong"),
+        ("gain", said("effect", "a", "b"), "wrong"),
+        ("gain", said("not separable", "a", "b"), "in the set"),
+        ("gain", said("not separable", "b", "c"), "wrong"),
+        ("gain", said("adequate"), "silent"),
+    ],
+)
+def test_outcomes_are_counted_as_said(condition: str, verdict: Verdict, outcome: str) -> None:
+    assert study.judged(condition, frozenset({"a"}), verdict) == outcome
+
+
+def test_tables_and_marks_count_every_set() -> None:
+    records = [
+        {"condition": "gain", "number": 0, "outcome": "right", "alarm": True},
+        {"condition": "gain", "number": 1, "outcome": "wrong", "error": "no"},
+        {"condition": "wear", "number": 0, "outcome": "in the set", "alarm": True},
+        {"condition": "clean", "number": 0, "outcome": "right", "alarm": False},
+    ]
+    table = study.table(records)
+    assert table["gain"] == {
+        "sets": 2, "alarms": 0.5, "right": 0.5, "in the set": 0.0, "silent": 0.0, "wrong": 0.5
+    }  # fmt: skip
+    marks = study.marks(table)
+    assert marks["named, right"] == pytest.approx(1 / 3)
+    assert marks["named, right or in the set"] == pytest.approx(2 / 3)
+    assert marks["clean, alarms"] == 0.0
+    assert np.isnan(marks["outside, no name"])
+
+
+def test_a_sound_rotor_is_adequate_and_a_campaign_set_to_zero_anew_is_named() -> None:
+    sound, moved = study.run({"clean": 1, "campaign": 1}, seed=12, particles=1000)
+    assert (sound["condition"], sound["outcome"]) == ("clean", "right")
+    assert (moved["condition"], moved["outcome"]) == ("campaign", "right")
+    (mean, sd) = next(iter(moved["effects"].values()))
+    assert abs(mean - study.OFFSET) < 3 * sd
+    with pytest.raises(InputError, match="unknown"):
+        study.run({"wind": 1}, seed=1, particles=100)
