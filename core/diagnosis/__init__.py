@@ -1,6 +1,7 @@
 """Closing the loop: residual → missing effect → better model.
 
-scores      what the calibrated particles say of a shift in the readings
+scores      what the calibrated particles say of a shift in the readings; scoring: from a state
+case        a rotor to be diagnosed
 grammar     what a model may lack: families of effects, and the cells that readings can tell of
 clock       the rotor's hours of a reading
 signature   how a cell would move the readings
@@ -19,7 +20,8 @@ separate    which inspections would tell rivals apart; rivals: for a set that is
 tell        as JSON
 """
 
-from core.diagnosis.diagnose import Case, Diagnosis, diagnose
+from core.diagnosis.case import Case
+from core.diagnosis.diagnose import Diagnosis, diagnose
 from core.diagnosis.grammar import FAMILIES, Facts
 from core.diagnosis.report import BeforeAfter, before_after
 from core.diagnosis.tell import to_json

@@ -27,22 +27,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.online import Workspace, update
-from core.calibration.state import RotorSpec, RotorState, shared_posterior
-from core.diagnosis.adopt import amplitude, typical_noise, with_effects
-from core.diagnosis.clock import readers
+from core.calibration.state import RotorState, shared_posterior
+from core.diagnosis.adopt import amplitude, with_effects
+from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, apart, conclude, reweighed
-from core.diagnosis.grammar import Cell, Facts, cells, families_for
-from core.diagnosis.halves import halves
+from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
-from core.diagnosis.scores import scores
-from core.diagnosis.signature import Physics, signatures, unnamed
-from core.diagnosis.verdict import DEALT, LEFT, Held, Verdict, judge
+from core.diagnosis.verdict import LEFT, Verdict, judge
 from core.diagnosis.verdict import weighed as weighed_all
 from core.errors import InputError
-from core.family import Family
-from core.model import Model, Stacked
-from core.observation import Inspection
-from core.surrogate.driven import Driven
+from core.model import Model
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -91,61 +85,6 @@ class Diagnosis:
         stayed = {e.cell.name for e in self.effects}
         turns = (t for t in self.turns if stayed.intersection(t.took))
         return next((t for t in turns if not t.settled), None)
-
-
-@dataclass(frozen=True)
-class Case:
-    """A rotor to be diagnosed; families: beside those of the grammar and of the network."""
-
-    spec: RotorSpec
-    readings: tuple[Inspection, ...]
-    facts: Mapping[str, Facts]
-    families: Sequence[Family] = ()
-    dealt: int = DEALT
-
-    def noise(self, model: Model, state: RotorState) -> dict[str, float]:
-        """Of a reading, by quantity, as the state has it."""
-        shared = shared_posterior(state.meta, state.arrays.__getitem__)
-        means = dict(zip(shared.names, shared.particles.mean.tolist(), strict=True))
-        return typical_noise(model, means)
-
-    def scan(self, model: Model, state: RotorState, taken: Sequence[Cell] = ()) -> Scan:
-        """Of a state; effects that are in the model already are left out."""
-        seen = scores(model, state, self.readings, self.spec.known)
-        answers = model.surrogate
-        if isinstance(answers, Stacked):
-            raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
-        base = answers.base if isinstance(answers, Driven) else answers
-        facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
-        every = cells(
-            families_for(model.network, self.families),
-            [i.name for i in base.inputs],
-            [q.name for q in model.network.quantities],
-            {b: facts[b] for b in seen.blades},
-            readers(self.readings, facts),
-        )
-        gone = {one.name for one in taken}
-        every = [c for c in every if c.name not in gone]
-        found = signatures(model, seen, every, facts, self.noise(model, state), _physics(model))
-        return Scan.of(every, seen, found, unnamed(seen, facts))
-
-    def halves(self, model: Model, taken: Rival) -> tuple[Held, ...]:
-        """Whether the amplitudes of the effects in a model agree between halves."""
-        if not taken.effects:
-            return ()
-        seen = scores(taken.model, taken.state, self.readings, self.spec.known)
-        facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
-        noise = self.noise(model, taken.state)
-        physics = _physics(taken.model)
-        more = signatures(taken.model, seen, taken.effects, facts, noise, physics)
-        return halves(model, taken.state, seen, taken.effects, facts, noise, more)
-
-
-def _physics(model: Model) -> Physics:
-    answers = model.surrogate
-    if isinstance(answers, Stacked):
-        raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
-    return Physics(answers, dict(answers.fixed) if isinstance(answers, Driven) else {})
 
 
 @dataclass

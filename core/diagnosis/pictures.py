@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from core.calibration.state import RotorState, blade_posterior, shared_posterior
 from core.calibration.target import shared_prior
 from core.diagnosis.adopt import amplitude
-from core.diagnosis.diagnose import Case, Diagnosis
+from core.diagnosis.case import Case
+from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.left_out import left_out
-from core.diagnosis.scores import scores
+from core.diagnosis.scoring import scores
 from core.model import Model
 from core.observation import Inspection
 from core.prediction import predict

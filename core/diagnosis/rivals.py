@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from core.calibration.online import Workspace, update
 from core.diagnosis.adopt import with_effects
-from core.diagnosis.diagnose import Case, Diagnosis
+from core.diagnosis.case import Case
+from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.separate import Rival, Separation, separate
 from core.errors import InputError
 from core.planning.ahead import candidates

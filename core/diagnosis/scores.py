@@ -11,7 +11,7 @@ means,
 
     U = Σ_b gᵀ q_b + Σ_i h_bi,      h_bi = Cov[g_i, r_i],   r_i = (y_i − f_i) / V_i
 
-g is known at `POINTS` particles of each blade; its regression on the answers f over these, g ≈ Σ_j
+g is known at some particles of each blade; its regression on the answers f over these, g ≈ Σ_j
 kappa_ij f_j, and the covariances over all particles give h_bi = Σ_j kappa_ij Cov[f_j, r_i]. For a
 gain that is kappa f_i and h < 0,
 without which a gain would be found in every clean rotor, as residuals lean to where priors pull
@@ -36,25 +36,17 @@ Arrays are padded to the blade with most rows: (B, n, …); what is beyond a bla
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.state import Posterior, RotorState, blade_posterior
-from core.calibration.target import BladeRows, assemble, locals_of, nominal, shared_prior
-from core.discrepancy import total
-from core.errors import InputError
-from core.model import Model
-from core.network import Parameter
-from core.observation import Inspection, digest_of
-from core.prior import Prior
+from core.calibration.target import BladeRows
+from core.observation import Inspection
 
 Array = NDArray[np.float64]
-POINTS = 32  # particles of a blade at which effects of physics are computed
-FAINT, CUT = 0.01, 3.0
 DIRECTIONS = 5  # of the answers over these, on which an effect is regressed
 
 
@@ -174,168 +166,3 @@ class Scores:
             slope=np.concatenate([self.slope, g], axis=2),
             prior=np.append(self.prior, np.ones(g.shape[2])),
         )
-
-
-def scores(
-    model: Model,
-    state: RotorState,
-    readings: Sequence[Inspection],
-    known: Mapping[str, Mapping[str, float]] | None = None,
-) -> Scores:
-    """Of the readings that count, under the posterior that they made.
-
-    Raises InputError where there is no reading, or the state rests on others.
-    """
-    by_blade: dict[str, list[Inspection]] = {}
-    for reading in readings:
-        by_blade.setdefault(reading.blade, []).append(reading)
-    if not by_blade:
-        raise InputError("readings", 0, "cannot be diagnosed", "post inspections first")
-    blades = tuple(sorted(by_blade))
-    rows = tuple(r for b in blades if (r := assemble(model, by_blade[b])) is not None)
-    if state.meta["events_digest"] != digest_of(readings):
-        raise InputError(
-            "state", state.meta["events"], "rests on other readings than these", "update it first"
-        )
-    made = [
-        _blade(model, state, b, r, (known or {}).get(b)) for b, r in zip(blades, rows, strict=True)
-    ]
-    shape = (len(made), max(len(one.q) for one in made))
-    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(2)]
-    information, lean = (np.zeros((*shape, shape[1])) for _ in range(2))
-    answers = np.zeros((shape[0], POINTS, shape[1]))
-    priors = shared_priors_of(model, state)
-    slope = np.zeros((*shape, len(priors)))
-    for b, one in enumerate(made):
-        n = len(one.q)
-        place[b, :n] = rows[b].of[:n]
-        own = (one.q, one.answer)
-        for array, value in zip(filled, own, strict=True):
-            array[b, :n] = value
-        information[b, :n, :n] = one.information
-        lean[b, :n, :n] = one.lean
-        answers[b, :, :n] = one.answers
-        slope[b, :n] = one.shared
-    q, answer = filled
-    return Scores(
-        blades,
-        rows,
-        place,
-        q,
-        information,
-        slope,
-        np.array(priors),
-        answer,
-        lean,
-        tuple(one.points for one in made),
-        answers,
-    )
-
-
-def shared_priors_of(model: Model, state: RotorState) -> list[float]:
-    """Prior variances of the shared parameters that are no noise, in the state's order."""
-    names = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
-    return [variance(shared_prior(model, n)) for n in names]
-
-
-def variance(prior: Prior) -> float:
-    """Of a prior, by 2,000 of its quantiles.
-
-    >>> round(variance(Prior("uniform", 0.0, 1.0)), 4)
-    0.0833
-    """
-    return float(np.var(prior.quantile((np.arange(2000) + 0.5) / 2000)))
-
-
-@dataclass(frozen=True)
-class _Blade:
-    """q (n,), Q (n, n), S (n, s), E[f] (n,), Cov[f_j, r_i] (n, n), inputs and answers (K, n)."""
-
-    q: Array
-    information: Array
-    shared: Array
-    answer: Array
-    lean: Array
-    points: Mapping[str, Array]
-    answers: Array
-
-
-def _blade(
-    model: Model,
-    state: RotorState,
-    blade: str,
-    rows: BladeRows,
-    known: Mapping[str, float] | None,
-) -> _Blade:
-    posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
-    w = posterior.particles.w
-    count = sum(1 for o in rows.of if o >= 0)
-    names, fixed = rows.response.names, nominal(model, rows.response.names, known)
-    x = np.stack(
-        [posterior.column(n) if n not in fixed else np.full(len(w), fixed[n]) for n in names],
-        axis=1,
-    )
-    f, sd = (a[:, :count] for a in rows.response.evaluate(x))
-    noise = [posterior.column(s) if isinstance(s, str) else s for s in rows.sigma[:count]]
-    sigma2 = np.stack([np.broadcast_to(np.square(s), len(w)) for s in noise], axis=1)
-    for i, one in enumerate(rows.discrepancy[:count]):
-        if one.gain or one.offset:
-            gain = 1.0 + total(one.gain, posterior.column)
-            f[:, i] = gain * f[:, i] + total(one.offset, posterior.column)
-            sd[:, i] = gain * sd[:, i]
-    v = sigma2 + rows.extra[:count] + (rows.relative[:count] * rows.y[:count]) ** 2
-    v = v * rows.discount[:count] + sd**2  # the surrogate's scale holds the discount already
-    locals_ = [p for p in locals_of(model) if p.name in names]
-    others = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
-    columns = np.stack([posterior.column(n) for n in (*(p.name for p in locals_), *others)], axis=1)
-    mean, answer = w @ columns, w @ f
-    off = columns - mean
-    size = np.sqrt(w @ off**2) + 1e-300
-    weighted = (off / size) * np.sqrt(w)[:, None]
-    slope = np.linalg.lstsq(weighted, (f - answer) * np.sqrt(w)[:, None], rcond=1e-6)[0].T / size
-    own = np.array([_own_variance(p, posterior) for p in locals_])
-    j = slope[:, : len(own)]
-    typical = 1.0 / (w @ (1.0 / v))
-    c = np.diag(typical) + (j * own) @ j.T
-    r = (rows.y[:count] - f) / v
-    some = _evenly(w, f)
-    q = w @ r
-    return _Blade(
-        q,
-        _bounded(np.linalg.inv(c), q),
-        slope[:, len(own) :],
-        answer,
-        (w[:, None] * r).T @ (f - answer),
-        dict(zip(names, x[some].T, strict=True)),
-        f[some],
-    )
-
-
-def _bounded(information: Array, q: Array) -> Array:
-    """Q (n, n), but along a direction in which it is faint, at least what `CUT` sds of q say.
-
-    There the blade's own parameters imitate nearly all, by their priors' variances; one that leans
-    on a bound cannot, and q along it is many sds of what Q says (7 in one blade of a hundred, which
-    looked like an effect of that blade, and made the null of all others wide).
-    """
-    value, vector = np.linalg.eigh(information)
-    along = vector.T @ q
-    faint = value < FAINT * value[-1]
-    value = np.where(faint, np.maximum(value, (along / CUT) ** 2), value)
-    return np.asarray((vector * value) @ vector.T)
-
-
-def _evenly(w: Array, f: Array) -> NDArray[np.int64]:
-    """`POINTS` particles of equal weight, evenly along the sum of the answers f (P, n)."""
-    spread = np.sqrt(w @ (f - w @ f) ** 2) + 1e-300
-    order = np.argsort(np.sum(f / spread, axis=1), kind="stable")
-    levels = (np.arange(POINTS) + 0.5) / POINTS
-    places = np.searchsorted(np.cumsum(w[order]), levels)
-    return np.asarray(order[np.minimum(places, len(w) - 1)])
-
-
-def _own_variance(parameter: Parameter, posterior: Posterior) -> float:
-    """Prior variance of a local parameter; with a population, of the blades about its mean."""
-    if parameter.population is None:
-        return variance(parameter.prior)
-    return float(posterior.particles.w @ posterior.column(f"sd.{parameter.name}") ** 2)

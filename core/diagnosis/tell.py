@@ -10,7 +10,8 @@ import numpy as np
 
 from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude_of
-from core.diagnosis.diagnose import Case, Diagnosis
+from core.diagnosis.case import Case
+from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.grammar import Cell
 from core.diagnosis.report import BeforeAfter, Scored
 from core.diagnosis.verdict import Verdict, describe

@@ -30,8 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.online import RotorSpec, Workspace, update
+from core.diagnosis.case import Case
 from core.diagnosis.clock import with_offsets
-from core.diagnosis.diagnose import Case, diagnose
+from core.diagnosis.diagnose import diagnose
 from core.diagnosis.grammar import Facts
 from core.diagnosis.verdict import Verdict
 from core.errors import BladetwinError, InputError

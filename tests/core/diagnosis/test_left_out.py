@@ -8,7 +8,7 @@ import pytest
 from core.calibration.online import update
 from core.calibration.state import RotorSpec
 from core.diagnosis.left_out import left_out
-from core.diagnosis.scores import scores
+from core.diagnosis.scoring import scores
 from core.observation import Inspection
 from tests.core.calibration.test_exact import SLOPES, conjugate
 from tests.core.diagnosis.fleet import SIGMA, rotor

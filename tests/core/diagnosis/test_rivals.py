@@ -9,7 +9,8 @@ import pytest
 
 from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec
-from core.diagnosis.diagnose import Case, Diagnosis, diagnose
+from core.diagnosis.case import Case
+from core.diagnosis.diagnose import Diagnosis, diagnose
 from core.diagnosis.grammar import Facts
 from core.diagnosis.rivals import rivals_of, splitting
 from core.diagnosis.separate import separation_json

@@ -12,7 +12,8 @@ from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
-from core.diagnosis.scores import Scores, _bounded, scores
+from core.diagnosis.scores import Scores
+from core.diagnosis.scoring import _bounded, scores
 from core.diagnosis.signature import Signatures
 from core.errors import InputError
 from core.family import Family
