@@ -47,8 +47,11 @@ def test_shares_are_those_of_the_blades_that_have_the_effect() -> None:
             assert np.all(own[without] == 1.0)
             assert np.all(own[with_it][:, -1] > 1.0)
         assert set(concerned("wear")) == set(WORN)
-        late = list(JOINED)
-        assert np.all(share(rotor, "pulse")[late, 0] > share(rotor, "step")[late, 0])
+        early, late = list(range(JOINED[0])), list(JOINED)
+        pulse, step = share(rotor, "pulse"), share(rotor, "step")
+        assert np.all(step[early][:, :2] == 1.0)  # 7,000 and 14,000 h are before it
+        assert np.all(pulse[early, 1] > pulse[early, -1])  # a pulse is made up for with time
+        assert np.all(step[late, 0] > 1.0)  # they are 7,000 h old at 21,000 h of the rotor
 
 
 def test_a_pulse_ends_and_a_step_stays() -> None:
