@@ -35,6 +35,7 @@ def closed(
         "diagnosis": told,
         "adopted": False,
         "before": summary(before),
+        "held_out": {"before": before.held_out},
         "after": None,
         "seconds": {"diagnosis": time.monotonic() - begun},
     }
@@ -45,6 +46,7 @@ def closed(
     rotor = client.wait_sealed(name, patience_s)
     after = collect(client, plan, rotor, name, quiet=quiet)
     loop |= {"adopted": True, "after": summary(after)}
+    loop["held_out"]["after"] = after.held_out
     loop["seconds"]["adoption"] = time.monotonic() - asked
     return replace(after, loop=loop, seconds=before.seconds)
 

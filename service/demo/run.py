@@ -159,6 +159,7 @@ def run(
              alone then, as with the noises of three quantities and two effects each calibration of
              a diagnosis has seven shared parameters and takes minutes
     """
+    from service.demo.loop_picture import draw_loop
     from service.demo.picture import draw, print_table
 
     out.mkdir(parents=True, exist_ok=True)
@@ -198,6 +199,8 @@ def run(
             )
             (out / "result.json").write_text(json.dumps(result.to_json(), indent=1))
             draw(result, plan, out / "demo.png")
+            if result.loop is not None and result.loop["adopted"]:
+                draw_loop(result.loop, out / "loop.png")
             if as_json:
                 print(json.dumps(result.to_json()))
             else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from core.builtin import inspection_plan
 from core.builtin.worn_plan import coating_lot
 from service.demo import loop
+from service.demo.loop_picture import draw_loop
 from service.demo.result import Result
 
 Json = dict[str, Any]
@@ -86,6 +88,25 @@ def test_what_is_claimed_is_adopted_and_both_forecasts_are_told(
     text = "\n".join(loop.lines(made.loop))
     assert "0.38 ± 0.05" in text
     assert "planted: 0.4 of the coating by 50,000 h" in text
+
+
+def test_the_picture_shows_both_forecasts_by_lot_and_the_amplitude(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    _, made = closed(monkeypatch, "effect")
+    assert made.loop is not None
+    figure = draw_loop(made.loop, tmp_path / "loop.png")
+    assert (tmp_path / "loop.png").read_bytes().startswith(b"\x89PNG")
+    before, after, sizes = figure.axes
+
+    def bias_of_lots(axis: Any) -> list[float]:
+        return [round(float(c.get_segments()[0][0][1]), 6) for c in axis.collections[1::2]]
+
+    assert bias_of_lots(before) == [0.0, -0.3, 0.0]
+    assert bias_of_lots(after) == [0.0, 0.01, 0.0]
+    assert "worn lot -300 µm" in before.get_xlabel()
+    assert "planted: 0.4" in sizes.texts[0].get_text()
+    assert float(sizes.lines[0].get_xdata()[0]) == pytest.approx(0.38 / 0.4)
 
 
 @pytest.mark.parametrize("verdict", ["adequate", "not separable", "unattributed"])
