@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Any, Literal, Protocol
@@ -103,17 +103,30 @@ class Covers(Protocol):
 
 
 def check(reading: Inspection, network: Network, model: Covers, where: str = "") -> None:
-    """Refuse a reading that the model cannot use; `where` prefixes the field's name.
+    """Refuse a reading that the model cannot use: raises the first of its `faults`."""
+    for fault in faults(reading, network, model, where):
+        raise fault
 
-    Raises InputError, UnitError or RangeError naming the field, its value and the remedy.
+
+def faults(
+    reading: Inspection, network: Network, model: Covers, where: str = ""
+) -> Iterator[InputError]:
+    """All that keeps the model from using a reading; `where` prefixes the field's name.
+
+    InputError, UnitError or RangeError, each with the field, its value and the remedy. Of a
+    quantity that the network lacks, or values of another shape, nothing more is asked.
     """
 
     def name(fieldname: str) -> str:
         return f"{where}{fieldname}"
 
-    quantity = network.quantity(reading.quantity)
+    try:
+        quantity = network.quantity(reading.quantity)
+    except InputError as unknown:
+        yield unknown
+        return
     if reading.unit is not None and reading.unit != quantity.unit:
-        raise UnitError(
+        yield UnitError(
             name("unit"),
             reading.unit,
             f"is not the unit of {quantity.name}",
@@ -121,7 +134,7 @@ def check(reading: Inspection, network: Network, model: Covers, where: str = "")
         )
     time = reading.time_h
     if not (math.isfinite(time) and 0 <= time <= model.horizon_h):
-        raise RangeError(
+        yield RangeError(
             name("time_h"),
             time,
             f"lies outside 0 … {model.horizon_h:g} h, which the model covers",
@@ -129,26 +142,29 @@ def check(reading: Inspection, network: Network, model: Covers, where: str = "")
         )
     values = reading.values
     bad = np.argwhere(~np.isfinite(values))
+    outside = np.argwhere((values < quantity.low) | (values > quantity.high))
     if bad.size:
-        raise InputError(
+        yield InputError(
             name("values"),
             float(values[tuple(bad[0])]),
             f"at {bad[0].tolist()} is not a number",
             "leave readings that failed out",
         )
-    outside = np.argwhere((values < quantity.low) | (values > quantity.high))
-    if outside.size:
-        raise RangeError(
+    elif outside.size:
+        yield RangeError(
             name("values"),
             float(values[tuple(outside[0])]),
             f"lies outside the plausible {quantity.low:g} … {quantity.high:g} {quantity.unit}",
             f"check the unit: {quantity.unit!r} is expected",
         )
     if reading.sigma is not None and not (math.isfinite(reading.sigma) and reading.sigma > 0):
-        raise RangeError(
+        yield RangeError(
             name("sigma"), reading.sigma, "is not a positive number", "give the noise's sd"
         )
-    _check_shape(reading, quantity.kind, model.node_count, name("values"), name("nodes"))
+    try:
+        _check_shape(reading, quantity.kind, model.node_count, name("values"), name("nodes"))
+    except InputError as shape:
+        yield shape
 
 
 def _check_shape(

@@ -171,6 +171,14 @@ class CoreScience:
     def _card(self, name: str, model: Model, more: Json | None = None) -> ModelCard:
         """What is told of a model under a name; `more` goes into its summary."""
         surrogate: Any = model.surrogate
+        told: Json = {}
+        if (anchor := getattr(surrogate, "anchor", None)) is not None:
+            told["anchor"] = {
+                "digest": anchor.fine.digest,
+                "errors": anchor.fine.manifest.get("errors", {}),
+                "means": "without an effect the answers and errors are those of this surrogate; "
+                "the other errors are those of the wide runs by themselves",
+            }
         surrogate = getattr(surrogate, "base", surrogate)
         manifest = getattr(surrogate, "manifest", {})
         instants = getattr(surrogate, "time_h", np.linspace(0.0, surrogate.horizon_h, INSTANTS))
@@ -185,6 +193,7 @@ class CoreScience:
             time_h=tuple(np.asarray(instants).tolist()),
             outputs={q.name: Output(q.unit, q.kind) for q in model.network.quantities},
             summary={k: v for k, v in manifest.items() if k not in ("structure", "schema")}
+            | told
             | (more or {}),
         )
 

@@ -42,6 +42,7 @@ RULES: dict[str, Rule] = {
     "GET /rotors/{r}/readings": Rule("open"),
     "GET /rotors/{r}/blades/{b}": Rule("open"),
     "GET /rotors/{r}/blades/{b}/3d": Rule("open"),
+    "GET /rotors/{r}/residuals": Rule("open"),
     "GET /rotors/{r}/diagnoses": Rule("open"),
     "GET /rotors/{r}/diagnoses/{d}": Rule("open"),
     "GET /metrics": Rule("read"),

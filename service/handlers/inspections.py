@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from core.errors import InputError
-from core.observation import Inspection, check
+from core.observation import Inspection, faults
 from service.errors import FaultsError, NotFoundError
 from service.handlers.rotors import digest_of_json
 from service.ports import Appended, Event, Json, NewEvent, Store
@@ -61,12 +61,12 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         blades = {blade.id for blade in tx.records.blades(rotor_id)}
-    faults: list[InputError] = []
+    found: list[InputError] = []
     for item in items:
         where, reading = item.where, item.reading
         if reading.blade not in blades:
             known = ", ".join(sorted(blades)[:SHOWN]) + ("…" if len(blades) > SHOWN else "")
-            faults.append(
+            found.append(
                 InputError(
                     f"{where}blade",
                     reading.blade,
@@ -75,16 +75,14 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
                 )
             )
         if reading.replaces == reading.id:
-            faults.append(
+            found.append(
                 InputError(f"{where}replaces", reading.id, "is the reading itself", "give a new id")
             )
-        try:
-            check(reading, card.network, card, where)
-        except InputError as error:
+        for error in faults(reading, card.network, card, where):
             prefixed = error.what if error.what.startswith(where) else f"{where}{error.what}"
-            faults.append(type(error)(prefixed, error.value, error.problem, error.remedy))
-    if faults:
-        raise FaultsError(faults)
+            found.append(type(error)(prefixed, error.value, error.problem, error.remedy))
+    if found:
+        raise FaultsError(found)
     events = [_event(item.reading) for item in items]
     with store.write() as tx:
         return tx.log.append(rotor_id, events)

@@ -33,6 +33,7 @@ PAGES = {
     "/rotors/{r}/readings": ("Readings", "readings"),
     "/rotors/{r}/blades/{b}": ("Blade", "blade"),
     "/rotors/{r}/blades/{b}/3d": ("Blade in 3-D", "space"),
+    "/rotors/{r}/residuals": ("Residuals", "residuals"),
     "/rotors/{r}/diagnoses": ("Diagnoses", "diagnoses"),
     "/rotors/{r}/diagnoses/{d}": ("Diagnosis", "diagnosis"),
     "/models": ("Models", "models"),

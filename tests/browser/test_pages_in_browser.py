@@ -18,6 +18,7 @@ PATHS = (
     "/rotors/r1/readings",
     "/rotors/r1/blades/B1?limit=0.4",
     "/rotors/r1/blades/B2/3d",
+    "/rotors/r1/residuals",
     "/rotors/r1/diagnoses",
     "/rotors/r1/diagnoses/{d}",
     "/models",
@@ -133,6 +134,24 @@ def test_the_band_on_the_page_is_the_service_s(watched: Watched, service: Runnin
     assert shown[1] == pytest.approx(mean, rel=1e-3)
     assert shown[3] == pytest.approx(sd, rel=1e-3)
     assert shown[2] < shown[3], "the blade itself is known better than its next reading"
+
+
+def test_each_residual_is_a_point_and_each_test_a_row(watched: Watched, service: Running) -> None:
+    end = time.monotonic() + 60
+    while (told := service.client.get("/v1/rotors/r1/residuals").json())["pending"]:
+        assert time.monotonic() < end, "no residuals"
+        time.sleep(0.2)
+    page = watched.open("/rotors/r1/residuals?by=quantity")
+    expect(page.locator("svg.bars circle")).to_have_count(len(told["items"]))
+    expect(page.get_by_role("region", name="Tests").locator("tbody tr")).to_have_count(
+        len(told["tests"])
+    )
+    groups = {item["quantity"] for item in told["items"]}
+    expect(page.locator("ul.legend li")).to_have_count(len(groups))
+    first = max(told["items"], key=lambda item: abs(item["z"]))
+    page.get_by_text("largest").click()
+    row = page.get_by_role("region", name="Largest residuals").locator("tbody tr").first
+    expect(row.locator("td").first).to_have_text(first["blade"])
 
 
 def test_the_blade_in_space_has_colours_and_turns_by_key(watched: Watched) -> None:

@@ -233,11 +233,15 @@ def test_a_body_that_is_no_reading_is_refused(created: httpx.Client) -> None:
 
 
 def test_every_fault_of_a_batch_is_listed_by_its_index(created: httpx.Client) -> None:
-    batch = {"inspections": [one("a", blade="B9", unit="m"), one("b"), one("c", time_h=-2.0)]}
+    bad = one("a", blade="B9", unit="m", time_h=-1.0, value=1e6)
+    batch = {"inspections": [bad, one("b"), one("c", time_h=-2.0)]}
     body = refuse(created.post("/v1/rotors/r1/inspections", json=batch), 422)
     named = [fault["field"] for fault in body["faults"]]
-    assert named == ["inspections[0].blade", "inspections[0].unit", "inspections[2].time_h"]
-    assert body["faults"][2]["value"] == -2.0
+    assert named == [
+        *(f"inspections[0].{field}" for field in ("blade", "unit", "time_h", "values")),
+        "inspections[2].time_h",
+    ]
+    assert body["faults"][4]["value"] == -2.0
 
 
 def test_csv_is_read_row_by_row(created: httpx.Client, worker: Worker) -> None:

@@ -100,6 +100,9 @@ def test_a_model_that_effects_drive_keeps_its_mesh() -> None:
     assert mesh is not None
     assert mesh.cells.shape == (960, 20)
     assert science.surface(card) is not None
+    fine = science.builtin("rotor-blade").summary["errors"]
+    assert card.summary["anchor"]["errors"] == fine
+    assert card.summary["errors"] != fine
 
 
 def test_names_and_numbers_of_a_vtu_are_those_given(tmp_path: Path) -> None:
