@@ -136,22 +136,42 @@ def test_the_band_on_the_page_is_the_service_s(watched: Watched, service: Runnin
     assert shown[2] < shown[3], "the blade itself is known better than its next reading"
 
 
-def test_each_residual_is_a_point_and_each_test_a_row(watched: Watched, service: Running) -> None:
-    end = time.monotonic() + 60
-    while (told := service.client.get("/v1/rotors/r1/residuals").json())["pending"]:
-        assert time.monotonic() < end, "no residuals"
-        time.sleep(0.2)
-    page = watched.open("/rotors/r1/residuals?by=quantity")
-    expect(page.locator("svg.bars circle")).to_have_count(len(told["items"]))
-    expect(page.get_by_role("region", name="Tests").locator("tbody tr")).to_have_count(
-        len(told["tests"])
-    )
-    groups = {item["quantity"] for item in told["items"]}
-    expect(page.locator("ul.legend li")).to_have_count(len(groups))
-    first = max(told["items"], key=lambda item: abs(item["z"]))
-    page.get_by_text("largest").click()
-    row = page.get_by_role("region", name="Largest residuals").locator("tbody tr").first
-    expect(row.locator("td").first).to_have_text(first["blade"])
+def residual(k: int) -> dict[str, Any]:
+    return {
+        "inspection": f"i{k}", "blade": f"B{k % 3 + 1}", "quantity": "elongation",
+        "campaign": HOSTILE if k % 2 else "c2", "instrument": None, "time_h": 8e3 * (k % 3 + 1),
+        "rotor_h": 8e3 * (k % 3 + 1), "visit": k % 3 + 1, "part": 0, "y": 0.3, "mean": 0.29,
+        "sd": 0.01, "z": 4.2 if k == 7 else 0.1 * k, "pit": 0.5,
+    }  # fmt: skip
+
+
+def test_each_residual_is_a_point_and_each_test_a_row(watched: Watched) -> None:
+    """Two pages of residuals, as a process of the role diagnose would have left them."""
+    test = {"grouping": "campaign", "value": "c2", "statistic": "mean", "count": 6, "score": 3.8}
+    tests = [test | {"p": p, "p_family": min(1.0, 20 * p), "alarm": p < 0.002} for p in (0.4, 1e-3)]
+    facts = {
+        "rotor": "r1", "as_of": {"version": 2, "computed_at": "2031-05-04T10:00:00Z"},
+        "pending": False, "error": None, "visits": [{}, {}, {}], "tests": tests, "alarms": 1,
+        "family_wise_error": 0.05, "draws": 999, "freedom": 6.0,
+    }  # fmt: skip
+
+    def answer(route: Route) -> None:
+        first = "cursor" not in route.request.url
+        items = [residual(k) for k in (range(8) if first else range(8, 12))]
+        route.fulfill(json=facts | {"items": items, "next": "8" if first else None})
+
+    watched.page.route("**/v1/rotors/r1/residuals*", answer)
+    page = watched.open("/rotors/r1/residuals?by=campaign")
+    expect(page.locator("svg.wide circle")).to_have_count(12)
+    rows = page.get_by_role("region", name="Tests").locator("tbody tr")
+    expect(rows).to_have_count(2)
+    expect(rows.first).to_contain_text("alarm")  # the smallest p first
+    expect(page.locator("ul.legend li")).to_have_text([HOSTILE, "c2"])
+    page.get_by_text("The 12 largest").click()
+    largest = page.get_by_role("region", name="Largest residuals").locator("tbody tr").first
+    expect(largest.locator("td").last).to_have_text("4.20")
+    assert serious(page) == []
+    assert watched.errors == watched.outside == []
 
 
 def test_the_blade_in_space_has_colours_and_turns_by_key(watched: Watched) -> None:
