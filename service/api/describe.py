@@ -7,7 +7,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from service.api.answer_schemas import ANSWERS
+from service.api.answers import ANSWERS
 from service.api.files import contents
 from service.api.scopes import RULES, STATE_CHANGING
 

@@ -1,0 +1,224 @@
+"""Diagnoses, their pictures, adoptions, and residuals."""
+
+from __future__ import annotations
+
+from service.api.answers.words import (
+    ANY,
+    NUMBER,
+    TEXT,
+    WHOLE,
+    YES,
+    Json,
+    each,
+    having,
+    maybe,
+    named,
+)
+
+TWICE = having(mean=NUMBER, sd=NUMBER, z=NUMBER)
+COURSE = having(
+    mean=each(each(NUMBER)),
+    sd=each(each(NUMBER)),
+    low=each(each(NUMBER)),
+    median=each(each(NUMBER)),
+    high=each(each(NUMBER)),
+)
+PLACED = having(mean=NUMBER, sd=NUMBER, spread=NUMBER, of=WHOLE, at_low=WHOLE, at_high=WHOLE)
+PICTURES = having(
+    schema=WHOLE,
+    readings=each(
+        having(
+            id=TEXT,
+            blade=TEXT,
+            quantity=TEXT,
+            unit=TEXT,
+            time_h=NUMBER,
+            rotor_h=NUMBER,
+            instrument=maybe(TEXT),
+            campaign=maybe(TEXT),
+            value=NUMBER,
+            before=TWICE,
+            after=TWICE,
+        )
+    ),
+    readings_not_shown=WHOLE,
+    courses=maybe(
+        having(
+            quantity=TEXT,
+            unit=TEXT,
+            time_h=each(NUMBER),
+            blades=each(TEXT),
+            before=COURSE,
+            after=COURSE,
+        )
+    ),
+    amplitudes=each(
+        having(
+            name=TEXT,
+            unit=TEXT,
+            prior=having(low=NUMBER, high=NUMBER, mean=NUMBER, sd=NUMBER),
+            quantiles=each(NUMBER),
+            at_bound=maybe(TEXT),
+            x=each(NUMBER),
+            prior_density=each(NUMBER),
+            density=each(NUMBER),
+        )
+    ),
+    parameters=each(
+        having(
+            name=TEXT,
+            level={"enum": ["shared", "local"]},
+            unit=TEXT,
+            low=NUMBER,
+            high=NUMBER,
+            effect=YES,
+            before=maybe(PLACED),
+            after=maybe(PLACED),
+        )
+    ),
+)
+READABLE = {
+    "blade": TEXT,
+    "quantity": TEXT,
+    "time_h": NUMBER,
+    "ahead_h": NUMBER,
+    "instrument": maybe(TEXT),
+    "sigma": maybe(NUMBER),
+}
+PLANNED = having(**READABLE, sd_after=NUMBER, narrower=NUMBER)
+CANDIDATE = READABLE | {"gain_nat": NUMBER, "share": NUMBER, "settled": NUMBER}
+SEPARATING = having(
+    rivals=each(having(names=each(TEXT), weight=NUMBER)),
+    entropy_nat=NUMBER,
+    single=each(
+        having(
+            **CANDIDATE,
+            unit=TEXT,
+            blades_alike=WHOLE,
+            expected=each(having(mean=NUMBER, sd=NUMBER)),
+        )
+    ),
+    set=each(having(**CANDIDATE)),
+)
+VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]}
+ADOPTION = having(
+    rotor=TEXT,
+    diagnosis=TEXT,
+    what={"enum": ["adoption", "back-out"]},
+    seq=WHOLE,
+    effects=each(ANY),
+    models=having(before=TEXT, after=TEXT),
+    networks=having(before=maybe(ANY), after=maybe(ANY)),
+    readings_since=maybe(WHOLE),
+    unasked=YES,
+    posted_by=maybe(TEXT),
+    at=TEXT,
+)
+FOUND = having(
+    ("adds", "conditions", "not_adopted", "pictures", "separating"),
+    verdict=VERDICT,
+    names=each(TEXT),
+    reasons=each(TEXT),
+    p=maybe(NUMBER),
+    p_after=maybe(NUMBER),
+    effects=each(ANY),
+    claimed=YES,
+    gained_nat=maybe(NUMBER),
+    evidence=named(maybe(NUMBER)),
+    calibrated=each(having(names=each(TEXT), gained_nat=maybe(NUMBER))),
+    no_room=each(having(names=each(TEXT), why=TEXT)),
+    tried=each(having(what=TEXT, log_bf=maybe(NUMBER))),
+    holds=each(ANY),
+    parameters=having(before=ANY, after=ANY),
+    readings=having(delivered=WHOLE, used=WHOLE),
+    models=having(before=TEXT, after=TEXT),
+    before_after=maybe(ANY),
+    adds=maybe(having(parameters=each(ANY), drifts=each(ANY), biases=each(ANY))),
+    conditions=each(
+        having(
+            input=TEXT,
+            value=NUMBER,
+            holds=YES,
+            blades=each(TEXT),
+            before=ANY,
+            after=ANY,
+        )
+    ),
+    not_adopted=TEXT,
+    pictures=maybe(PICTURES),
+    separating=maybe(SEPARATING),
+    rests_on=having(
+        rotor=TEXT,
+        through_seq=WHOLE,
+        events_digest=TEXT,
+        model=TEXT,
+        model_version=TEXT,
+        model_digest=TEXT,
+        particles=WHOLE,
+        seed=WHOLE,
+    ),
+)
+DIAGNOSIS_LISTED = {
+    "id": TEXT,
+    "rotor": TEXT,
+    "status": {"enum": ["queued", "running", "done", "failed", "cancelled"]},
+    "request": having(families=each(ANY), compare=YES, horizon_h=NUMBER, through_seq=WHOLE),
+    "progress": maybe(having(what=TEXT, done=WHOLE, total=WHOLE, seconds_left=maybe(NUMBER))),
+    "error": maybe(TEXT),
+    "attempts": WHOLE,
+    "created_at": TEXT,
+    "finished_at": maybe(TEXT),
+}
+DIAGNOSIS = having(**DIAGNOSIS_LISTED, result=maybe(FOUND), adoption=maybe(ADOPTION))
+RESIDUAL = having(
+    inspection=TEXT,
+    blade=TEXT,
+    quantity=TEXT,
+    campaign=maybe(TEXT),
+    instrument=maybe(TEXT),
+    time_h=NUMBER,
+    rotor_h=NUMBER,
+    visit=WHOLE,
+    part=WHOLE,
+    y=NUMBER,
+    mean=NUMBER,
+    sd=NUMBER,
+    z=NUMBER,
+    pit=NUMBER,
+)
+TEST = having(
+    grouping=TEXT,
+    value=maybe(TEXT),
+    statistic={"enum": ["mean", "variance", "autocorrelation"]},
+    count=WHOLE,
+    score=NUMBER,
+    p=NUMBER,
+    p_family=NUMBER,
+    alarm=YES,
+)
+VISIT = having(
+    visit=WHOLE, readings=WHOLE, from_h=NUMBER, to_h=NUMBER, health=maybe(TEXT), reasons=each(TEXT)
+)
+RESIDUALS = having(
+    items=each(RESIDUAL),
+    next=maybe(TEXT),
+    rotor=TEXT,
+    as_of=maybe(
+        having(
+            version=WHOLE,
+            through_seq=WHOLE,
+            events_digest=TEXT,
+            model_digest=TEXT,
+            particles=WHOLE,
+            computed_at=TEXT,
+        )
+    ),
+    pending=YES,
+    error=maybe(TEXT),
+    visits=each(VISIT),
+    tests=each(TEST),
+    alarms=WHOLE,
+    family_wise_error=NUMBER,
+    draws=WHOLE,
+    freedom=maybe(NUMBER),
+)
