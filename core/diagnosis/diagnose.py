@@ -115,10 +115,10 @@ class _Search:
             noise = self.case.noise(self.model, self.state)
             try:
                 bigger = with_effects(self.model, effects, self.case.facts, noise)
-            except InputError as error:
+                made = update(bigger, self.case.spec, self.case.readings, workspace=self.work)
+            except InputError as error:  # together they may leave the runs, in one blade alone
                 self.refused[names] = str(error)
                 return None
-            made = update(bigger, self.case.spec, self.case.readings, workspace=self.work)
             gained = made.meta["log_evidence"] - self.state.meta["log_evidence"]
             self.known[key] = Rival(effects, bigger, made, gained)
         return self.known[key]

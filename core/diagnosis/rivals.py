@@ -36,9 +36,9 @@ def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) 
         try:
             more = (*turn.before, *(turn.cells[i] for i in one.cells))
             bigger = with_effects(model, more, case.facts, noise)
+            made = update(bigger, case.spec, case.readings, workspace=workspace)
         except InputError:
             continue
-        made = update(bigger, case.spec, case.readings, workspace=workspace)
         rivals.append(Rival(one.names, bigger, made, one.weight))
     return rivals
 
