@@ -142,6 +142,7 @@ entry = Table(
     Index("ix_event_rotor_id_replaces", "rotor_id", "replaces"),
     Index("ix_event_received", "rotor_id", "received_at", "seq"),
     Index("ix_event_rotor_id_kind_seq", "rotor_id", "kind", "seq"),
+    Index("ix_event_rotor_id_blade_kind_seq", "rotor_id", "blade", "kind", "seq"),
 )
 
 cursor = Table(

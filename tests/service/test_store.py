@@ -197,3 +197,20 @@ def test_a_database_that_is_away_is_told_as_such(tmp_path: Path) -> None:
         with pytest.raises(StoreAwayError), transaction(engine, write=False):
             pass
         engine.dispose()
+
+
+def test_the_readings_of_one_blade_are_found_by_an_index(store: SqlStore) -> None:
+    """The database says how it would go; without the index it would walk the whole rotor."""
+    query = (
+        "SELECT * FROM event WHERE rotor_id = 'r' AND blade = 'b' "
+        "AND kind = 'inspection' AND seq < 9 ORDER BY seq DESC LIMIT 5"
+    )
+    with store.engine.connect() as connection:
+        lite = connection.dialect.name == "sqlite"
+        if not lite:  # few rows are read faster as they come
+            connection.execute(text("SET LOCAL enable_seqscan = off"))
+        explain = "EXPLAIN QUERY PLAN " if lite else "EXPLAIN "
+        plan = " ".join(str(row) for row in connection.execute(text(explain + query)))
+    assert "ix_event_rotor_id_blade_kind_seq" in plan
+    assert "TEMP B-TREE" not in plan
+    assert "Sort" not in plan, "in order as they come"
