@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -130,6 +131,20 @@ def test_hardening_by_time_is_far_worse(monkeypatch: pytest.MonkeyPatch) -> None
         mean, _ = followed(run, "elongation", None)
         wrong.append(abs(mean[-1, 0] / run["elongation"][-1] - 1))
     assert np.median(wrong) > 5 * np.median(right)
+
+
+def test_a_node_remembers_itself_and_not_the_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutant: the mean CEEQ as the memory of a node's. Largest and rms error of CEEQ grow."""
+    right = errors("ceeq", [CRITICAL], 1)[0]
+    whole = Followed.of
+
+    def by_the_mean(*asked: Any) -> Followed:
+        return replace(whole(*asked), own_clock=False)
+
+    monkeypatch.setattr(Followed, "of", staticmethod(by_the_mean))
+    wrong = errors("ceeq", [CRITICAL], 1)[0]
+    assert np.abs(wrong).max() > 1.4 * np.abs(right).max()
+    assert np.sqrt(np.mean(wrong**2)) > 1.2 * np.sqrt(np.mean(right**2))
 
 
 def test_what_cannot_be_followed_is_refused() -> None:
