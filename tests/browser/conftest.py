@@ -1,4 +1,4 @@
-"""A real service with a real rotor, made once, and a headless Chromium that looks at its pages.
+"""A real service with a real rotor, made once for the module, and a headless Chromium that looks at its pages.
 
 Where no Chromium is found the tests are skipped and say so; `.ci/run` installs one.
 """
@@ -112,7 +112,7 @@ def sealed(client: httpx.Client, seq: int) -> None:
     raise TimeoutError(f"the rotor is not sealed through {seq}: {now['status']}")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("service")
     port, database = free_port(), f"sqlite:///{folder / 'pages.db'}"
@@ -141,7 +141,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         server.wait(30)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def diagnosis(service: Running) -> str:
     """A diagnosis that ended with an effect; its result is written as a worker would."""
     path = "/v1/rotors/r1/diagnoses"
@@ -194,7 +194,7 @@ def diagnosis(service: Running) -> str:
     return str(made)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     path = find_chromium()
     if path is None:
