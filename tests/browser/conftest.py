@@ -1,4 +1,4 @@
-"""A real service with a real rotor, made once for the module, and a headless Chromium that looks at its pages.
+"""A real service with a real rotor, made once for the module, and a headless Chromium on its pages.
 
 Where no Chromium is found the tests are skipped and say so; `.ci/run` installs one.
 """
