@@ -14,7 +14,7 @@ Imported when it is first needed, with the compiled kernels of the calibration.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec
@@ -28,9 +28,9 @@ from core.diagnosis import (
     diagnose,
     to_json,
 )
-from core.diagnosis.clock import readers, with_offsets
+from core.diagnosis.clock import with_offsets
 from core.diagnosis.diagnose import STEPS
-from core.diagnosis.grammar import cells, families_for
+from core.diagnosis.grammar import families_for
 from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
 from core.diagnosis.rivals import splitting
@@ -87,31 +87,6 @@ def compared(readings: Sequence[Inspection]) -> str:
     return max(sorted(count), key=count.__getitem__, default="")
 
 
-def _something_to_look_for(
-    model: Model,
-    more: Sequence[Family],
-    readings: Sequence[Inspection],
-    facts: Mapping[str, Facts],
-) -> None:
-    """Refuse a diagnosis in which no effect that is known could concern model and readings."""
-    surrogate = model.surrogate
-    inputs = [
-        i.name for i in (surrogate.base if isinstance(surrogate, Driven) else surrogate).inputs
-    ]
-    quantities = [q.name for q in model.network.quantities]
-    seen = {r.blade: facts.get(r.blade, Facts()) for r in readings}
-    if not cells(
-        families_for(model.network, more), inputs, quantities, seen, readers(readings, facts)
-    ):
-        raise InputError(
-            "families",
-            len(more),
-            f"and the built-in ones concern neither {', '.join(inputs)} nor readings of "
-            f"{', '.join(quantities)} as they are: there is nothing to look for",
-            "give families of this physics, here or in the model's network",
-        )
-
-
 def diagnosed(
     model: Model,
     spec: RotorSpec,
@@ -128,8 +103,8 @@ def diagnosed(
     total = STEPS + 4 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
-    _something_to_look_for(model, families_of(model, families), readings, facts)
     case = Case(spec, tuple(readings), facts, families_of(model, families))
+    case.cells(model)  # refuses at once where there is nothing to look for
     work = Workspace()
     progress("calibration", 0, total)
     state = update(model, spec, case.readings, workspace=work)

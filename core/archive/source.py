@@ -23,13 +23,13 @@ dimensions             is                          attributes
 The file's attributes: ``named_nodes``, JSON of name → node number; ``title`` or ``source``, free
 text. A run that failed may be left out of the labels or hold NaN throughout; it is named and left
 out. `core.archive.write` makes such files; a packed archive of ours (`Archive.to_netcdf`) and a
-folder of runs (`Archive`) are read as well.
+folder of runs (`Archive`) are read as well. With xarray:
 
-    >>> ds = xr.Dataset(                                                        # doctest: +SKIP
-    ...     {"roughness": ("run", r, {"units": "um", "low": 1.0, "high": 9.0}),
-    ...      "drop": (("run", "time"), y, {"units": "kPa"})},
-    ...     coords={"time": ("time", t, {"units": "h"})})
-    >>> ds.to_netcdf("runs.nc", engine="h5netcdf")                              # doctest: +SKIP
+    ds = xr.Dataset(
+        {"roughness": ("run", r, {"units": "um", "low": 1.0, "high": 9.0}),
+         "drop": (("run", "time"), y, {"units": "kPa"})},
+        coords={"time": ("time", t, {"units": "h"})})
+    ds.to_netcdf("runs.nc", engine="h5netcdf")
 """
 
 from __future__ import annotations

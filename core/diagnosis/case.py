@@ -17,7 +17,7 @@ from core.diagnosis.signature import Physics, signatures, unnamed
 from core.diagnosis.verdict import DEALT, Held
 from core.errors import InputError
 from core.family import Family
-from core.model import Model, Stacked
+from core.model import Answers, Model, Stacked
 from core.observation import Inspection
 from core.surrogate.driven import Driven
 
@@ -38,25 +38,37 @@ class Case:
         means = dict(zip(shared.names, shared.particles.mean.tolist(), strict=True))
         return typical_noise(model, means)
 
-    def scan(self, model: Model, state: RotorState, taken: Sequence[Cell] = ()) -> Scan:
-        """Of a state; effects that are in the model already are left out."""
-        seen = scores(model, state, self.readings, self.spec.known)
-        answers = model.surrogate
-        if isinstance(answers, Stacked):
-            raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
-        base = answers.base if isinstance(answers, Driven) else answers
+    def cells(self, model: Model) -> list[Cell]:
+        """Every cell that these readings could tell of; InputError where there is none at all."""
+        inputs = [i.name for i in _base(model).inputs]
+        quantities = [q.name for q in model.network.quantities]
         facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
+        read = sorted({r.blade for r in self.readings})
         every = cells(
             families_for(model.network, self.families),
-            [i.name for i in base.inputs],
-            [q.name for q in model.network.quantities],
-            {b: facts[b] for b in seen.blades},
+            inputs,
+            quantities,
+            {b: facts[b] for b in read},
             readers(self.readings, facts),
         )
+        if not every:
+            raise InputError(
+                "families",
+                len(self.families),
+                f"and the built-in ones concern neither {', '.join(inputs)} nor readings of "
+                f"{', '.join(quantities)} as they are: there is nothing to look for",
+                "give families of this physics, here or in the model's network",
+            )
+        return every
+
+    def scan(self, model: Model, state: RotorState, taken: Sequence[Cell] = ()) -> Scan:
+        """Of a state; effects that are in the model already are left out, and may be all."""
+        seen = scores(model, state, self.readings, self.spec.known)
+        facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
         gone = {one.name for one in taken}
-        every = [c for c in every if c.name not in gone]
-        found = signatures(model, seen, every, facts, self.noise(model, state), _physics(model))
-        return Scan.of(every, seen, found, unnamed(seen, facts))
+        left = [c for c in self.cells(model) if c.name not in gone]
+        found = signatures(model, seen, left, facts, self.noise(model, state), _physics(model))
+        return Scan.of(left, seen, found, unnamed(seen, facts))
 
     def halves(self, model: Model, taken: Rival) -> tuple[Held, ...]:
         """Whether the amplitudes of the effects in a model agree between halves."""
@@ -70,8 +82,16 @@ class Case:
         return halves(model, taken.state, seen, taken.effects, facts, noise, more)
 
 
-def _physics(model: Model) -> Physics:
+def _base(model: Model) -> Answers:
+    """What answers for the physics, without what drives it."""
     answers = model.surrogate
     if isinstance(answers, Stacked):
         raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
-    return Physics(answers, dict(answers.fixed) if isinstance(answers, Driven) else {})
+    return answers.base if isinstance(answers, Driven) else answers
+
+
+def _physics(model: Model) -> Physics:
+    answers = model.surrogate
+    if isinstance(answers, Driven):
+        return Physics(answers, dict(answers.fixed))
+    return Physics(_base(model), {})

@@ -93,7 +93,9 @@ class Signatures:
 
     @staticmethod
     def of(parts: Sequence[tuple[Array, Array]], mask: Array) -> Signatures:
-        """From g and h (B, n) of each column; mask (B, n, C)."""
+        """From g and h (B, n) of each column; mask (B, n, C), of none where all are taken."""
+        if not parts:
+            return Signatures(mask, mask)
         g, h = (np.stack(both, axis=2) for both in zip(*parts, strict=True))
         return Signatures(g * mask, h * mask)
 

@@ -95,6 +95,10 @@ class Verdict:
 def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Verdict:
     """The verdict on a scan; a function of the readings and the seed."""
     tried = scan.found
+    if not tried:
+        return Verdict(
+            "adequate", 1.0, None, (), None, (), {}, {}, (), ("nothing is left to look for",)
+        )
     null = scan.null(dealt, seed)
     top = max(tried.values())
     p = float((1 + np.sum(null >= top)) / (1 + dealt))
@@ -102,6 +106,9 @@ def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Ve
         why = f"so large a gain comes by chance in {p:.0%} of {dealt} dealt sets"
         return Verdict("adequate", p, None, (), None, (), {}, tried, (), (why,))
     hypotheses = weighed(scan)
+    if not hypotheses:
+        why = f"a misfit without a name gains {top:.1f} nat, and no family is left to look for"
+        return Verdict("unattributed", p, None, (), None, (), {}, tried, (), (why,))
     evidence = evidence_of(hypotheses)
     named = tuple(sorted(n for n, w in evidence.items() if w >= NAMED))
     best = _best(hypotheses, named)
@@ -171,6 +178,8 @@ def weighed(scan: Scan, least: float = LEAST) -> list[Hypothesis]:
             gain = scan.gain(i, j)
             if gain > max(scan.gains[i], scan.gains[j]):
                 found.append(((i, j), gain, share[i] + share[j] + np.log(2 * PAIRS)))
+    if not found:
+        return []
     log_w = np.array([gain + prior for _, gain, prior in found])
     weight = np.exp(log_w - log_sum_exp(log_w))
     order = np.argsort(-weight, kind="stable")

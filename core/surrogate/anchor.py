@@ -49,7 +49,7 @@ class Anchor:
 
     fine: Surrogate
     asleep: Mapping[str, float]
-    _mixed: dict[int, Array] = field(default_factory=dict, repr=False, compare=False)
+    _mixed: dict[str, Array] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def digest(self) -> str:
@@ -85,21 +85,17 @@ class Anchor:
                     "narrow the prior, or use the wide surrogate without its anchor",
                 )
 
-    def followed(self, quantity: str, nodes: list[int] | None) -> Followed:
-        """What is followed of the fine one, by quantity and nodes."""
-        return Followed.of(self.fine, quantity, nodes)
-
     def mixed(self, wide: Surrogate, mixing: Array) -> Followed:
         """Of mixtures T (Q, B) of the wide one's modes: T M, its modes nearest to the fine one's.
 
         Phi_fine ~ Phi_wide M by least squares over all nodes.
         """
-        if id(wide) not in self._mixed:
+        if wide.digest not in self._mixed:
             modes, own = (
                 one.parts[DEFORMATION].factors.space.astype(float) for one in (wide, self.fine)
             )
-            self._mixed[id(wide)] = np.linalg.lstsq(modes, own, rcond=None)[0]
-        return Followed.mixed(self.fine, mixing @ self._mixed[id(wide)])
+            self._mixed[wide.digest] = np.linalg.lstsq(modes, own, rcond=None)[0]
+        return Followed.mixed(self.fine, mixing @ self._mixed[wide.digest])
 
     def corrected(
         self,
@@ -125,7 +121,7 @@ class Anchor:
         share = self._share(wide, start, middle)[:, :, None]
         if what[0].per_ceeq:
             grown = (ef / e0)[:, :, None]
-            e, e0, ef = ((ceeq)[:, :, None], e0[:, :, None], ef[:, :, None])
+            e, e0, ef = (one[:, :, None] for one in (ceeq, e0, ef))
             mean = e * grown * (y / e + yf / ef - y0 / e0)
             return mean, np.hypot(sd * grown * share, sdf * e * grown / ef), ceeq * grown[:, :, 0]
         grown = yf / y0

@@ -192,6 +192,21 @@ def test_what_could_not_be_told_apart_leaves_where_chance_explains_the_rest(
     assert search.without_open(taken, [open_]) is None  # nothing is sure: it stays, and is said
 
 
+@pytest.mark.parametrize(("more", "word"), [(0.0, "effect"), (0.3, "unattributed")])
+def test_where_the_only_family_is_taken_what_is_left_is_asked_without_names(
+    more: float, word: str
+) -> None:
+    """With `more`, all readings of the third visit are off by it, which no family could name."""
+    alone = Model(replace(MODEL.network, families=(BEND,)), MODEL.surrogate)
+    one = found(readings(lambda b, t: 0.5 * t**2 + more * (t == TIMES[2])), alone)
+    assert [e.cell.name for e in one.effects] == ["bend"]
+    assert one.verdict.word == word
+    assert (one.verdict.after is not None and one.verdict.after <= LEFT) is (more > 0)
+    nothing = Model(replace(MODEL.network, families=()), MODEL.surrogate)
+    with pytest.raises(InputError, match="nothing to look for"):
+        found(readings(lambda b, t: 0.0), nothing)
+
+
 def test_a_networks_own_families_stand_in_for_the_built_in_ones_of_the_same_input() -> None:
     network = MODEL.network
     assert families_for(network)[-2:] == (BEND, OFFSET)
