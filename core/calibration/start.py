@@ -30,6 +30,7 @@ from core.smc.placement import Proposal, moments, rounded
 
 Array = NDArray[np.float64]
 LEAST = 1e-6  # of the box: no spread is smaller
+TAIL = 8.0  # sds
 FAR = 4.0  # sds from a bound that is not felt
 
 
@@ -123,8 +124,21 @@ def cut(mean: Array, covariance: Array) -> tuple[Array, Array]:
         ends = (0.0 - mean[j]) / sd, (1.0 - mean[j]) / sd
         if ends[0] < -FAR and ends[1] > FAR:
             continue
-        middle, variance = truncnorm.stats(*ends, moments="mv")
+        middle, variance = _inside(*ends)
         gain = covariance[:, j] / sd**2
-        mean = mean + gain * float(middle) * sd
-        covariance = covariance - np.outer(gain, gain) * sd**2 * (1.0 - float(variance))
+        mean = mean + gain * middle * sd
+        covariance = covariance - np.outer(gain, gain) * sd**2 * (1.0 - variance)
     return mean, covariance
+
+
+def _inside(low: float, high: float) -> tuple[float, float]:
+    """Mean and variance of a standard normal cut to (low, high); beyond `TAIL`, as an exponential.
+
+    >>> [round(v, 6) for v in _inside(9.0, 1e3)], [round(v, 3) for v in _inside(-1e3, -7.999)]
+    ([9.111111, 0.012346], [-8.12, 0.014])
+    """
+    for near, sign in ((low, 1.0), (-high, -1.0)):
+        if near > TAIL:
+            return sign * (near + 1.0 / near), 1.0 / near**2
+    mean, variance = truncnorm.stats(low, high, moments="mv")
+    return float(mean), float(variance)

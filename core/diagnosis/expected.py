@@ -39,20 +39,41 @@ def joined(
 
     before  the model without any effect; noise: by quantity, as `adopt.with_effects` has it
     """
-    start, cells = Start.of(model, state), [scan.cells[i] for i in which]
+    cells, columns = [scan.cells[i] for i in which], list(which)
     names, origins = zip(*(amplitude(c, before.network) for c in cells), strict=True)
-    sizes = np.array([_size(c, before, noise) for c in cells])
-    g, seen = scan.g[:, :, list(which)], scan.seen
-    information, u = scan.information[np.ix_(which, which)], scan.u[list(which)]
-    alone = np.asarray(np.linalg.solve(information + np.eye(len(which)), u), float)
+    g, h = scan.g[:, :, columns], scan.h[:, :, columns]
+    given = with_columns(
+        model, state, scan.seen, g, h, names, np.array([_size(c, before, noise) for c in cells])
+    )
+    given.mean[-len(which) :] += origins  # those of an input that wakes
+    return given
+
+
+def with_columns(
+    model: Model,
+    state: RotorState,
+    seen: Scores,
+    g: Array,
+    h: Array,
+    names: Sequence[str],
+    sizes: Array | None = None,
+) -> Start:
+    """With effects of signatures g and h (B, n, C) (`core.diagnosis.scores`), as parameters.
+
+    sizes  (C,) of the parameters for one of a signature; none: one
+    """
+    start, one = Start.of(model, state), np.eye(len(names))
+    size = np.ones(len(names)) if sizes is None else sizes
+    information = seen.cross(g)
+    u = np.einsum("bic,bi->c", g, seen.q) + h.sum(axis=(0, 1))
+    alone = np.asarray(np.linalg.solve(information + one, u), float)
     _, quiet = _quieter(seen, g, alone)
-    covariance = np.asarray(np.linalg.inv(information / quiet + np.eye(len(which))), float)
+    covariance = np.asarray(np.linalg.inv(information / quiet + one), float)
     mean = covariance @ u / quiet
-    turn = np.zeros((len(start.names), len(which)))
+    turn = np.zeros((len(start.names), len(names)))
     others = [j for j, n in enumerate(start.names) if not n.startswith("sigma_obs.")]
-    turn[others] = seen.imitating(g) / sizes
-    given = start.joined(names, turn, mean * sizes, covariance * np.outer(sizes, sizes))
-    given.mean[len(start.names) :] += origins  # those of an input that wakes
+    turn[others] = seen.imitating(g) / size
+    given = start.joined(names, turn, mean * size, covariance * np.outer(size, size))
     for name, ratio in _quieter(seen, g, mean)[0].items():
         if name in start.names and shared_prior(model, name).log_scale:
             given.mean[start.names.index(name)] += 0.5 * np.log(ratio)
