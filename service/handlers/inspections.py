@@ -155,23 +155,29 @@ def all_inspections(store: Store, rotor_id: str, blade: str | None) -> tuple[Log
 
     Entries that come while the pages are read are left out, so that status and readings fit.
     """
+    log = log_now(store, rotor_id)
+    return log, pages_of(store, log, blade)
+
+
+def log_now(store: Store, rotor_id: str) -> Log:
+    """The rotor's log as it stands."""
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
-    log = Log(rotor.id, rotor.model_id, rotor.head_seq, rotor.created_at)
+    return Log(rotor.id, rotor.model_id, rotor.head_seq, rotor.created_at)
 
-    def pages() -> Iterator[list[Listed]]:
-        after: int | None = None
-        while True:
-            with store.read() as tx:
-                events = tx.log.page(rotor_id, "inspection", after, PAGE, blade)
-                overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
-            here = [event for event in events if event.seq <= log.head_seq]
-            yield _listed(here, [event for event in overruling if event.seq <= log.head_seq])
-            if len(here) < PAGE:
-                return
-            after = here[-1].seq
 
-    return log, pages()
+def pages_of(store: Store, log: Log, blade: str | None) -> Pages:
+    """The readings of a log, or of one blade in it, up to its head."""
+    after: int | None = None
+    while True:
+        with store.read() as tx:
+            events = tx.log.page(log.rotor, "inspection", after, PAGE, blade)
+            overruling = tx.log.overruled(log.rotor, [event.event_id for event in events])
+        here = [event for event in events if event.seq <= log.head_seq]
+        yield _listed(here, [event for event in overruling if event.seq <= log.head_seq])
+        if len(here) < PAGE:
+            return
+        after = here[-1].seq
 
 
 def _listed(events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed]:

@@ -9,9 +9,10 @@ from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import JSONResponse, Response
 
 from service.api.csv_rows import CSV_EXAMPLE
-from service.api.files import CSV, PARQUET, file
+from service.api.files import CSV, PARQUET, SENSORTHINGS, file
 from service.api.problems import fault, invalid
 from service.api.schemas import READINGS, InspectionIn, Nothing, read_inspections
+from service.api.sensorthings import ARRAY_EXAMPLE, EXAMPLE
 from service.api.services import (
     Cursor,
     Limit,
@@ -27,6 +28,7 @@ from service.api.services import (
     unchanged,
 )
 from service.export.readings import COLUMNS, Parquet, csv_header, csv_text
+from service.handlers import exports
 from service.handlers import inspections as use
 from service.names import ID_PATTERN
 
@@ -55,6 +57,16 @@ BODY = {
                 "schema": {"type": "string", "description": f"columns: {', '.join(COLUMNS)}"},
                 "example": CSV_EXAMPLE,
             },
+            SENSORTHINGS: {
+                "schema": {
+                    "oneOf": [{"type": "object"}, {"type": "array", "items": {"type": "object"}}],
+                    "description": "an Observation, data arrays, or Datastreams with Observations",
+                },
+                "examples": {
+                    "observation": {"value": EXAMPLE},
+                    "data array": {"value": ARRAY_EXAMPLE},
+                },
+            },
         },
     }
 }
@@ -82,7 +94,7 @@ def listed_out(item: use.Listed, *, full: bool) -> dict[str, Any]:
 @router.post(
     "",
     status_code=202,
-    summary="Post one reading, many, or CSV: all or nothing",
+    summary="Post one reading, many, CSV or SensorThings: all or nothing",
     openapi_extra=BODY,
 )
 def post_inspections(
@@ -106,8 +118,11 @@ def get_inspections(
     ] = None,
     newest: Annotated[bool, Query(description="the newest first")] = False,
     format: Annotated[
-        Literal["json", "csv", "parquet"],
-        Query(description="whole files: csv, those that count; parquet, all with their status"),
+        Literal["json", "csv", "parquet", "sensorthings"],
+        Query(
+            description="whole files: csv and sensorthings, those that count; parquet, all with "
+            "their status"
+        ),
     ] = "json",
 ) -> dict[str, Any] | Response:
     if format != "json":
@@ -138,6 +153,10 @@ def _file(request: Request, services: Services, r: str, blade: str | None, form:
         counting = ([one.body for one in some if one.status == "counts"] for some in pages)
         texts = chain([csv_header()], map(csv_text, counting))
         return file(texts, CSV, saved, "csv", tag)
+    if form == "sensorthings":
+        return file(
+            exports.sensorthings(services.store, log, blade), SENSORTHINGS, saved, "json", tag
+        )
     written = Parquet({"rotor": r, "model": log.model, "head_seq": str(log.head_seq)})
     for some in pages:
         written.add((o.body, o.seq, o.status, o.received_at, o.posted_by) for o in some)
