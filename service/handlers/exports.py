@@ -13,6 +13,7 @@ from core.observation import Inspection
 from service.errors import NotFoundError
 from service.export import sensorthings as entities
 from service.export.netcdf import Replicated, inference_data
+from service.export.readings import Parquet, csv_header, csv_text
 from service.export.units import unit_of
 from service.export.vtu import vtu
 from service.handlers.glance import MOST_DRAWS
@@ -162,6 +163,21 @@ def field_vtu(store: Store, science: Science, found: Basis, told: Mapping[str, A
     data = {f"{name} {what} [{unit}]": np.array(told[what]) for what in ("mean", "sd")}
     facts = {"blade": told["blade"], "quantity": name, "time_h": told["time_h"]} | facts_of(found)
     return vtu(mesh, data, float(told["time_h"]), facts)
+
+
+def readings_csv(store: Store, log: Log, blade: str | None) -> Iterable[str]:
+    """The readings that count, as CSV in pieces."""
+    yield csv_header()
+    for some in pages_of(store, log, blade):
+        yield csv_text([one.body for one in some if one.status == "counts"])
+
+
+def readings_parquet(store: Store, log: Log, blade: str | None) -> bytes:
+    """Every reading with its status. Raises NotInstalledError where pyarrow is not there."""
+    table = Parquet({"rotor": log.rotor, "model": log.model, "head_seq": str(log.head_seq)})
+    for some in pages_of(store, log, blade):
+        table.add((o.body, o.seq, o.status, o.received_at, o.posted_by) for o in some)
+    return table.end()
 
 
 def sensorthings(store: Store, log: Log, blade: str | None) -> Iterable[str]:

@@ -122,7 +122,7 @@ def look(url: str) -> None:
             turns = [page.evaluate(TURNED, button) for _ in range(10)]
             middle, high = np.percentile(frames, [50, 95])
             print(
-                f"{name:12s} a frame {middle:.1f} ms, 95 %: {high:.1f}, longest {frames.max():.0f}; "
+                f"{name:12s} frame {middle:.1f} ms, 95 %: {high:.1f}, longest {frames.max():.0f}; "
                 f"the next page {median(turns):.0f} ms, longest {max(turns):.0f}",
                 flush=True,
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
@@ -27,7 +26,7 @@ from service.api.services import (
     tag_of,
     unchanged,
 )
-from service.export.readings import COLUMNS, Parquet, csv_header, csv_text
+from service.export.readings import COLUMNS
 from service.handlers import exports
 from service.handlers import inspections as use
 from service.names import ID_PATTERN
@@ -144,23 +143,19 @@ def get_inspections(
 
 def _file(request: Request, services: Services, r: str, blade: str | None, form: str) -> Response:
     """The readings of a rotor, or of one blade, as the log stands now."""
-    log, pages = use.all_inspections(services.store, r, blade)
+    log = use.log_now(services.store, r)
     tag = tag_of(request, log.rotor, log.created_at, log.head_seq)
     if (same := unchanged(request, tag)) is not None:
         return same
     saved = (r, *([] if blade is None else [blade]), "readings", log.head_seq)
     if form == "csv":
-        counting = ([one.body for one in some if one.status == "counts"] for some in pages)
-        texts = chain([csv_header()], map(csv_text, counting))
-        return file(texts, CSV, saved, "csv", tag)
+        return file(exports.readings_csv(services.store, log, blade), CSV, saved, "csv", tag)
     if form == "sensorthings":
         return file(
             exports.sensorthings(services.store, log, blade), SENSORTHINGS, saved, "json", tag
         )
-    written = Parquet({"rotor": r, "model": log.model, "head_seq": str(log.head_seq)})
-    for some in pages:
-        written.add((o.body, o.seq, o.status, o.received_at, o.posted_by) for o in some)
-    return file(written.end(), PARQUET, saved, "parquet", tag)
+    table = exports.readings_parquet(services.store, log, blade)
+    return file(table, PARQUET, saved, "parquet", tag)
 
 
 @router.get("/{i}", summary="One reading with all its values")
