@@ -10,6 +10,8 @@ import httpx
 import pytest
 
 from service.api.sensorthings import ARRAY_EXAMPLE, EXAMPLE, sensorthings_rows
+from service.client import Client, ProblemError
+from service.client.steps import checked
 from service.export.sensorthings import MEDIA
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
@@ -244,6 +246,20 @@ def test_other_types_and_broken_bodies_are_told_apart(api: httpx.Client, rotor: 
     assert MEDIA in other.json()["detail"]
     plain = api.post(URL, json=EXAMPLE)
     assert plain.status_code == 422, "a type of its own: application/json is a reading"
+
+
+def test_the_client_moves_readings_between_rotors(posted: httpx.Client, store: SqlStore) -> None:
+    create_rotor(store, "r2", "rotor-blade", [BladeRecord(b) for b in ("B1", "B2", "B3")], 64, 7)
+    twin = Client(http=posted)
+    body = twin.readings_sensorthings("r1")
+    assert twin.post_sensorthings("r2", body) == 4
+    assert twin.post_sensorthings("r2", json.dumps(EXAMPLE | {"Datastream": {"@iot.id": "B1/ceeq"}
+                                                              , "result": 0.002})) == 5  # fmt: skip
+    with pytest.raises(ProblemError, match="415"):
+        posted_as = {"content-type": "application/sensorthings"}
+        checked(posted.post("/v1/rotors/r2/inspections", content=body, headers=posted_as))
+    assert b"prediction" in twin.prediction_sensorthings("r1", "B1", times=[8000.0])
+    assert [one["id"] for one in twin.inspections("r2")] == ["c", "b", "scan", "e", "i4"]
 
 
 def test_rows_keep_the_order_of_the_body() -> None:

@@ -91,9 +91,7 @@ function drawFigures(found, mean, sd, bladeSd, limit) {
   show(figures, parts);
 }
 
-async function drawHistory(found) {
-  const kept = await get(`${url}/versions`, { limit: 8 });
-  const came = await get(`${url}/inspections`, { newest: true, limit: 200 });
+async function drawHistory(found, kept, came) {
   const last = found.time_h.at(-1);
   const told = await Promise.all(kept.items.map((v) =>
     get(`${own}/prediction`, { version: v.version, quantity: found.quantity, times: last, node: found.node }).catch(() => null)));
@@ -129,6 +127,10 @@ async function drawHistory(found) {
 }
 
 async function draw() {
+  const rest = Promise.all([
+    get(`${own}/prediction`, { quantity: chosen.quantity }), pages(`${url}/inspections`, { blade }, 2000),
+    get(`${own}/draws`, { count: 1000 }), get(`${url}/versions`, { limit: 8 }), get(`${url}/inspections`, { newest: true, limit: 200 })]);
+  rest.catch(() => {}); // what went wrong is told where it is waited for
   const now = await get(url);
   drawn.version = now.version;
   const me = now.blades.find((b) => b.id === blade);
@@ -137,18 +139,16 @@ async function draw() {
   if (me) states.push(h("span", { class: "soft" }, [me.slot && `slot ${me.slot}`, me.lot && `lot ${me.lot}`, me.coating_lot && `coating ${me.coating_lot}`].filter(Boolean).join(" · ")));
   show($("states"), states);
   model ??= await get(path`/v1/models/${now.model}`);
-  const found = await get(`${own}/prediction`, { quantity: chosen.quantity });
-  const all = await pages(`${url}/inspections`, { blade }, 2000);
+  const [found, all, draws, kept, came] = await rest;
   const readings = kindsOf(all.items);
   notices([...warningsOf(now), readings.length === 0 && ["wait", "No reading of this blade yet: what is shown is what the rotor tells of it."],
     all.more && ["wait", "Only the first 2 000 readings of this blade are drawn."]]);
   drawControls(found);
   drawBands(found, readings);
   show(list, readings.length ? readingsTable(rotor, readings, { blade: false }) : h("p", { class: "soft" }, "None yet."));
-  const draws = await get(`${own}/draws`, { count: 1000 });
   marginals(prior, draws, model.network);
   corner(pairs, draws);
-  await drawHistory(found);
+  await drawHistory(found, kept, came);
 }
 
 show($("page"),
