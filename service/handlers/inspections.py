@@ -8,11 +8,12 @@ keep other writers waiting; blades are only ever added, so a check that passed s
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 from core.errors import InputError
-from core.observation import Inspection, faults
+from core.network import Network
+from core.observation import Covers, Inspection, faults
 from service.errors import FaultsError, NotFoundError
 from service.handlers.rotors import digest_of_json
 from service.ports import Appended, Event, Json, NewEvent, Store
@@ -61,6 +62,18 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         blades = {blade.id for blade in tx.records.blades(rotor_id)}
+    found = faults_of(items, card.network, card, blades, rotor_id)
+    if found:
+        raise FaultsError(found)
+    events = [_event(item.reading) for item in items]
+    with store.write() as tx:
+        return tx.log.append(rotor_id, events)
+
+
+def faults_of(
+    items: Sequence[Item], network: Network, model: Covers, blades: Collection[str], rotor_id: str
+) -> list[InputError]:
+    """Everything that keeps readings out of a rotor with these blades, each by its place."""
     found: list[InputError] = []
     for item in items:
         where, reading = item.where, item.reading
@@ -78,14 +91,10 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
             found.append(
                 InputError(f"{where}replaces", reading.id, "is the reading itself", "give a new id")
             )
-        for error in faults(reading, card.network, card, where):
+        for error in faults(reading, network, model, where):
             prefixed = error.what if error.what.startswith(where) else f"{where}{error.what}"
             found.append(type(error)(prefixed, error.value, error.problem, error.remedy))
-    if found:
-        raise FaultsError(found)
-    events = [_event(item.reading) for item in items]
-    with store.write() as tx:
-        return tx.log.append(rotor_id, events)
+    return found
 
 
 def _event(reading: Inspection) -> NewEvent:

@@ -16,6 +16,7 @@ const own = path`/v1/rotors/${rotor}/blades/${blade}`;
 const chosen = { quantity: asked("quantity"), limit: asked("limit"), component: Number(asked("component") ?? 2) };
 const SOURCES = [["parameters", "line"], ["surrogate", "dash"], ["discrepancy", "dot"], ["noise", "dash"], ["total", "line"]];
 const AXES = ["x", "y", "z"];
+const ROWS = 200; // of readings in the table; the chart has them all
 const [bands, bandsLegend, bandsTable, sources, sourcesTable, figures, list, history, prior, pairs, controls] =
   Array.from({ length: 11 }, () => h("div"));
 controls.className = "controls";
@@ -145,7 +146,8 @@ async function draw() {
     all.more && ["wait", "Only the first 2 000 readings of this blade are drawn."]]);
   drawControls(found);
   drawBands(found, readings);
-  show(list, readings.length ? readingsTable(rotor, readings, { blade: false }) : h("p", { class: "soft" }, "None yet."));
+  show(list, readings.length ? readingsTable(rotor, readings.slice(-ROWS), { blade: false }) : h("p", { class: "soft" }, "None yet."),
+    readings.length > ROWS ? h("p", { class: "small" }, `The last ${ROWS} to arrive of ${all.more ? "more than " : ""}${fixed(readings.length, 0)}. `, h("a", { href: `${path`/rotors/${rotor}/readings`}?blade=${encodeURIComponent(blade)}` }, "All of them, page by page")) : null);
   marginals(prior, draws, model.network);
   corner(pairs, draws);
   await drawHistory(found, kept, came);
