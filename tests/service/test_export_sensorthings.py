@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import copy
 import json
+from random import Random
 from typing import Any
 
 import httpx
 import pytest
 
+from service.api.problems import RequestError
+from service.api.schemas import read_inspections
 from service.api.sensorthings import ARRAY_EXAMPLE, EXAMPLE, sensorthings_rows
 from service.client import Client, ProblemError
 from service.export.sensorthings import MEDIA
@@ -272,3 +275,46 @@ def test_rows_keep_the_order_of_the_body() -> None:
         ("value[0].Observations[0].", "b"), ("value[0].Observations[1].", "a"),
         ("value[1].Observations[0].", "c"),
     ]  # fmt: skip
+
+
+ODD: list[Any] = [
+    None, True, -1, 1e308, "", "a/b", "a//b", "\ud83d\ude00", [], {}, [[]], {"@iot.id": 1},
+    ["id", "result"], [{"@iot.id": "B1/ceeq"}], {"kind": "prediction"},
+]  # fmt: skip
+
+
+def spoiled(told: Any, rng: Random) -> Any:
+    """The same with something odd put in, taken out, or under another name."""
+    if isinstance(told, dict) and told and rng.random() < 0.8:
+        name = rng.choice(list(told))
+        way = rng.random()
+        if way < 0.15:
+            return {k: v for k, v in told.items() if k != name}
+        if way < 0.3:
+            return told | {rng.choice(["x", "value", "@iot.id", "result"]): rng.choice(ODD)}
+        return told | {name: spoiled(told[name], rng)}
+    if isinstance(told, list) and told and rng.random() < 0.8:
+        at = rng.randrange(len(told))
+        return [*told[:at], spoiled(told[at], rng), *told[at + 1 :]]
+    return rng.choice(ODD)
+
+
+def test_whatever_is_sent_is_read_or_refused_by_place() -> None:
+    stream = {
+        "@iot.id": "B1/ceeq", "Thing": {"name": "B1"}, "unitOfMeasurement": {"symbol": "1"},
+        "properties": {}, "Observations": [{k: v for k, v in EXAMPLE.items() if k != "Datastream"}],
+    }  # fmt: skip
+    document = {"value": [stream]}
+    rng, read, told = Random(20310504), 0, list[RequestError]()
+    for _ in range(3000):
+        body: Any = rng.choice([document, EXAMPLE, ARRAY_EXAMPLE])
+        for _ in range(rng.randrange(1, 4)):
+            body = spoiled(body, rng)
+        try:
+            read += len(read_inspections(json.dumps(body).encode(), MEDIA))
+        except RequestError as error:
+            told.append(error)
+    assert {(error.status, error.kind) for error in told} == {(422, "invalid-input")}
+    assert all(one["field"] and one["remedy"] for error in told for one in error.faults)
+    assert read > 50
+    assert len(told) > 1000
