@@ -56,7 +56,7 @@ def simulate_history(
     time_h: Array | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     tolerance: Tolerance | None = None,
-    solver: Solver | None = None,
+    solver: Solver = "splu",
     dtype: type[np.floating[Any]] = np.float32,
     parts: int = PIECES,
     progress: Callable[[float], None] | None = None,

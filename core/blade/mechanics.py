@@ -9,8 +9,7 @@ use 2×2×2 Gauss points, the element's superconvergent points: stress, creep st
 live at the same points, so that relaxation is a projection and cannot grow.
 
 K depends on the temperature alone: it is factorised once and each later displacement costs one
-forward and backward substitution. Beyond `LARGE` nodes those are nearly the whole run, and the
-factor is that of :mod:`core.blade.dissection`.
+forward and backward substitution.
 """
 
 from __future__ import annotations
@@ -24,17 +23,13 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from core.blade.creep import all_rates
-from core.blade.dissection import Factor, dissect
 from core.blade.element import Array, Index, face_points, gauss, shape
 from core.blade.geometry import BladeMesh
 from core.blade.kernels import creep_load, point_stress
 from core.blade.properties import Properties
 from core.errors import InputError
 
-Solver = Literal["splu", "cholmod", "dissection", "auto"]
-Solve = Callable[[Array], Array]
-LARGE = 20_000
-"""Nodes from which on a structure that names no solver is dissected, not given to SuperLU."""
+Solver = Literal["splu", "cholmod", "auto"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +62,7 @@ class Structure:
         *,
         support: Support | None = None,
         order: int = 2,
-        solver: Solver | None = None,
+        solver: Solver = "splu",
         extra_load: Array | None = None,
         extra_fixed: dict[int, tuple[Index, Array]] | None = None,
     ) -> None:
@@ -102,7 +97,7 @@ class Structure:
         self.fixed, self.free = np.flatnonzero(given), np.flatnonzero(~given)
         self.prescribed = value_at.ravel()[given]
         self._lift = self.stiffness[self.free][:, self.fixed] @ self.prescribed
-        self._solve = self._factorised(solver)
+        self._solve = factorise(self.stiffness[self.free][:, self.free].tocsc(), solver)
 
     @property
     def points(self) -> int:
@@ -144,20 +139,6 @@ class Structure:
         out = np.zeros((len(self.mesh.points), 3))
         np.add.at(out, cells, force)
         return out.ravel()
-
-    def _factorised(self, solver: Solver | None) -> Solve:
-        matrix = self.stiffness[self.free][:, self.free]
-        if solver is None:
-            solver = "splu" if len(self.mesh.points) < LARGE else "dissection"
-        if solver != "dissection":
-            return factorise(matrix.tocsc(), solver)
-        around = 2 * np.array(self.mesh.shape)
-        lattice = np.rint(self.mesh.parametric * around).astype(np.int64)
-        parts = dissect(lattice, int(around[0]) if self.mesh.closed else 0)
-        number = np.full(self.stiffness.shape[0], -1, dtype=np.int64)
-        number[self.free] = np.arange(len(self.free))
-        own = [number.reshape(-1, 3)[part.nodes].ravel() for part in parts]
-        return Factor(matrix, [n[n >= 0] for n in own], [part.below for part in parts]).solve
 
     def _stiffness(self) -> sparse.csr_matrix:
         """K_iajb = ∫ lame N_i,a N_j,b + shear (N_i,b N_j,a + delta_ab N_i,c N_j,c)."""
@@ -207,18 +188,15 @@ class Structure:
         return out.ravel()
 
 
-def factorise(matrix: sparse.csc_matrix, solver: Solver = "splu") -> Solve:
-    """A function that solves with a symmetric positive definite matrix of any origin.
+def factorise(matrix: sparse.csc_matrix, solver: Solver = "splu") -> Callable[[Array], Array]:
+    """A function that solves with a symmetric positive definite matrix.
 
     splu      SuperLU in symmetric mode under minimum degree; always there
     cholmod   CHOLMOD, if scikit-sparse is installed
     auto      CHOLMOD if it is there, else SuperLU
-
-    The fourth, dissection, needs the mesh: it is a :class:`Structure`'s own.
     """
     if solver not in ("splu", "cholmod", "auto"):
-        remedy = "choose splu, cholmod or auto; a structure also knows dissection"
-        raise InputError("solver", solver, "is unknown", remedy)
+        raise InputError("solver", solver, "is unknown", "choose splu, cholmod or auto")
     if solver != "splu":
         try:
             from sksparse.cholmod import cholesky

@@ -112,7 +112,7 @@ def simulate(
     time_h: Array | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     tolerance: Tolerance | None = None,
-    solver: Solver | None = None,
+    solver: Solver = "splu",
     dtype: type[np.float32] | type[np.float64] = np.float32,
     work: Work | None = None,
 ) -> BladeRun:
@@ -124,7 +124,6 @@ def simulate(
     properties  material, geometry, cooling; none: the declared ones
     progress    called with the finished fraction of the instants
     time_h      instants; none: :func:`output_times`
-    solver      of the equations; none: by the mesh's size (:mod:`core.blade.mechanics`)
     dtype       of the stored fields; the computation is float64
     work        filled with the numbers of steps and evaluations
 
