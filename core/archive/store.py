@@ -19,7 +19,7 @@ scalars have no mesh.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -178,6 +178,11 @@ class Archive:
         with opened(self.file(index)) as data:
             inputs = dict(zip(names, map(float, data["inputs"][...]), strict=True))
             return Run(inputs, {q.name: data[q.name][...] for q in self.declaration.quantities})
+
+    def values(self, index: int, quantities: Collection[str]) -> dict[str, Floats]:
+        """Some quantities of one run: the others are not read."""
+        with opened(self.file(index)) as data:
+            return {name: data[name][...] for name in quantities}
 
     def runs(self) -> Iterator[tuple[int, Run]]:
         """All runs in turn; only one is in memory."""
