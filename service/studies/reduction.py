@@ -123,11 +123,11 @@ def told(basis: Basis, seen: Sweep, unseen: Sweep | None) -> dict[str, Any]:
     from core.reduction.sweep import rank_for
 
     ranks = list(seen.ranks)
-    variance = [float(basis.energy[r - 1]) for r in ranks]
+    left = [float(basis.residual()[r - 1] ** 2 / basis.total) for r in ranks]
     facts: dict[str, Any] = {
         "ranks": ranks,
-        "variance": _round(variance, 7),
-        "rank_for_variance": rank_for([1 - v for v in variance], ranks, 1 - VARIANCE),
+        "variance_left": _round(left),
+        "rank_for_variance": rank_for(left, ranks, 1 - VARIANCE),
     }
     for name, one in (("training", seen), ("held_out", unseen)):
         if one is None:
@@ -148,8 +148,8 @@ def told(basis: Basis, seen: Sweep, unseen: Sweep | None) -> dict[str, Any]:
     return facts
 
 
-def _round(values: Sequence[float] | np.ndarray[Any, Any], digits: int = 4) -> list[float]:
-    return [float(f"{float(v):.{digits}g}") for v in values]
+def _round(values: Sequence[float] | np.ndarray[Any, Any]) -> list[float]:
+    return [float(f"{float(v):.4g}") for v in values]
 
 
 def table(facts: dict[str, Any]) -> str:
@@ -159,7 +159,10 @@ def table(facts: dict[str, Any]) -> str:
     own, ranks = joint[errors], joint["ranks"]
     at = max(k for k, r in enumerate(ranks) if r <= PAPER_RANK)
     runs = facts["runs"]
-    share = 100 * own["paper_rmse"][at] / own["paper_magnitude"]
+    seen, unseen = (
+        f"{100 * one['paper_rmse'][at] / one['paper_magnitude']:.2g} %"
+        for one in (joint["training"], own)
+    )
     what = errors.replace("_", " ")
     lines = [
         f"# Reduction of {runs['training']} runs, mesh {facts['mesh']}",
@@ -170,9 +173,11 @@ def table(facts: dict[str, Any]) -> str:
         "",
         f"| {ranks[at]} joint features | here | paper |",
         "|---|---|---|",
-        f"| variance explained | {100 * joint['variance'][at]:.3f} % | 99 % |",
-        f"| RMSE over all numbers, of their mean magnitude | {share:.2g} % | < 1 % (data of its "
-        "basis) |",
+        f"| variance explained | {100 * (1 - joint['variance_left'][at]):.3f} % | 99 % |",
+        f"| RMSE over all numbers, of their mean magnitude, training | {seen} | < 1 % |",
+        f"| the same, {what} | {unseen} | not told |",
+        f"| error of a quantity (root mean square of the six), {what} | "
+        f"{100 * own['overall'][at]:.2g} % | not told |",
         f"| features for 99 % of the variance | {_some(joint['rank_for_variance'])} | 20 |",
         f"| features for 1 % error ({what}) | {_some(own['rank_for_error'])} | not told |",
         "",
@@ -247,4 +252,4 @@ def sweep_plot(facts: dict[str, Any], file: Path) -> None:
 
 
 def _left(one: dict[str, Any]) -> Any:
-    return 100 * np.maximum(1 - np.array(one["variance"]), 1e-9)
+    return 100 * np.array(one["variance_left"])
