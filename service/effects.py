@@ -126,16 +126,22 @@ def diagnosed(
             quantity,
             lambda what: progress(what, next(steps), total),
             work,
+            (found.before[1], found.after[1]),
         )
     progress("pictures and inspections to come", total - 1, total)
     split = splitting(found, case, work)
     apart = None if split is None else separation_json(split)
     told = to_json(found, case, both, pictures(found, case), apart)
     if claimed and compare_h is not None:
-        models = (found.before[0], found.after[0])
         steps = iter(range(STEPS + 3, total - 1))
         held = transferred(
-            models, spec, readings, quantity, lambda what: progress(what, next(steps), total), work
+            (found.before[0], found.after[0]),
+            spec,
+            readings,
+            quantity,
+            lambda what: progress(what, next(steps), total),
+            work,
+            (found.before[1], found.after[1]),
         )
         told["conditions"] = [one.to_json() for one in held]
         told["reasons"] += [

@@ -213,6 +213,7 @@ def test_a_table_is_sorted_by_keyboard(watched: Watched) -> None:
     means = [float(v) for v in table.locator("tbody td:nth-child(4)").all_inner_texts()]
     assert means == sorted(means)
     page.keyboard.press("Enter")
+    expect(head.locator("xpath=..")).to_have_attribute("aria-sort", "descending")
     means = [float(v) for v in table.locator("tbody td:nth-child(4)").all_inner_texts()]
     assert means == sorted(means, reverse=True)
     page.locator(".ring a").first.focus()
