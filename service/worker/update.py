@@ -27,6 +27,7 @@ from core.observation import Entry, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError, LostLeaseError
+from service.kernels import CompiledError
 from service.ports import (
     ModelCard,
     RotorRecord,
@@ -42,10 +43,12 @@ from service.store.log import read_entries
 from service.store.outbox import trim
 from service.store.states import digests, thin, write_state
 from service.store.unit_of_work import SqlStore, SqlTransaction
+from service.tracing import span
 from service.worker import lease as leases
 from service.worker.alarm import alarm
 from service.worker.heartbeat import heartbeats
 from service.worker.lease import Lease
+from service.worker.traced import Told, told
 
 log = logging.getLogger("bladetwin.worker")
 THIN_EVERY = 16
@@ -128,24 +131,40 @@ class Updater:
             leases.fail(self.engine, lease, error, None, 0.0, block=True)
             trim(self.engine, lease.rotor_id, self.settings.keep_events)
             return True
+        with told(self.store, lease) as trace:
+            self._update(lease, trace)
+        return True
+
+    def _update(self, lease: Lease, trace: Told) -> None:
+        """Read, compute, commit; what fails is given back."""
         with self.heartbeats(lease):
             task: Task | None = None
             try:
                 begun = perf_counter()
                 task = self.read(lease)
                 read = perf_counter()
-                state = self.compute(task, quick=not lease.sealing)
-                change = self.change(task, state)
+                trace.begin(task.memory.through, task.through)
+                with span("compute"):
+                    state = self.compute(task, quick=not lease.sealing)
+                    change = self.change(task, state)
                 computed = perf_counter()
+            except CompiledError as error:
+                trace.failed(error)
+                leases.give_back(self.engine, lease)
+                raise
             except Exception as error:
+                trace.failed(error)
                 self.give_back(lease, task, error)
-                return True
+                return
         try:
-            version = self.commit(lease, task, state, change)
+            with span("commit"):
+                version = self.commit(lease, task, state, change)
         except LostLeaseError as error:
+            trace.failed(error)
             self._memory.pop(lease.rotor_id, None)
             log.warning("%s", error)
-            return True
+            return
+        trace.committed(version, sealed=bool(state.meta["sealed"]))
         log.debug(
             "rotor %s: through %d, %d new, sealed %s; read %.1f, update %.1f, commit %.1f ms",
             lease.rotor_id,
@@ -158,7 +177,6 @@ class Updater:
         )
         if state.meta["sealed"]:
             self.thin(lease.rotor_id, version)
-        return True
 
     def read(self, lease: Lease) -> Task:
         """The rotor, its entries up to the head, and the state before them."""
