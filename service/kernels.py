@@ -3,8 +3,9 @@
 A sealed posterior is a function of its readings, bit for bit. The kernels are compiled once and
 their code is kept (`core.compiled`). A process that loads the kept code gets the same bits as every
 other that does; the process that compiled it does not: its results differ in the last digit (seen:
-1e-15, by the study of chaos with the blade physics, whose first workers compiled). So a worker or command that finds that it compiled something drops what it computed, and
-runs again from its beginning (`again`) with the code that it has kept by then.
+1e-15, by the study of chaos with the blade physics, whose first workers compiled). So a worker or
+command that finds that it compiled something drops what it computed, and runs again from its
+beginning (`again`) with the code that it has kept by then.
 
 Where code cannot be kept (a full or read-only cache) that would never end. A process that compiles
 the same function for the fourth time computes with it all the same and says so in the log.

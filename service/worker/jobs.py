@@ -187,6 +187,11 @@ class Jobs:
         except StoppedError:
             span.event("given back")
             self._give_back(lease)
+        except StoreAwayError as error:
+            span.fail(type(error).__name__)
+            with suppress(StoreAwayError):
+                self._give_back(lease)
+            raise
         except Exception as error:
             span.fail(type(error).__name__)
             self._failed(lease, error)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import logging
 from collections import OrderedDict
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -26,7 +26,7 @@ from core.errors import CalibrationError
 from core.observation import Entry, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
-from service.errors import DamagedError, LostLeaseError
+from service.errors import DamagedError, LostLeaseError, StoreAwayError
 from service.kernels import CompiledError
 from service.ports import (
     ModelCard,
@@ -148,9 +148,9 @@ class Updater:
                     state = self.compute(task, quick=not lease.sealing)
                     change = self.change(task, state)
                 computed = perf_counter()
-            except CompiledError as error:
+            except (CompiledError, StoreAwayError) as error:
                 trace.failed(error)
-                leases.give_back(self.engine, lease)
+                self.return_unused(lease)
                 raise
             except Exception as error:
                 trace.failed(error)
@@ -164,6 +164,10 @@ class Updater:
             self._memory.pop(lease.rotor_id, None)
             log.warning("%s", error)
             return
+        except StoreAwayError as error:
+            trace.failed(error)
+            self.return_unused(lease)
+            raise
         trace.committed(version, sealed=bool(state.meta["sealed"]))
         log.debug(
             "rotor %s: through %d, %d new, sealed %s; read %.1f, update %.1f, commit %.1f ms",
@@ -299,6 +303,13 @@ class Updater:
         while len(self._memory) > self.settings.rotors_in_memory:
             self._memory.popitem(last=False)
         return version
+
+    def return_unused(self, lease: Lease) -> None:
+        """A database that is away or full, or code still to be loaded, is not the rotor's fault:
+        it must not be blocked for it. Where even that cannot be written the lease runs out."""
+        self._memory.pop(lease.rotor_id, None)
+        with suppress(StoreAwayError):
+            leases.return_unused(self.engine, lease)
 
     def give_back(self, lease: Lease, task: Task | None, error: Exception) -> None:
         """Pause and try again, or block the rotor and name the entry that stops it."""

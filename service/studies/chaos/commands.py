@@ -144,6 +144,10 @@ def faults(
             for kind in kinds if fault is None else [k for k in kinds if k in fault.on]:
                 if fault is None and kind == "sqlite":
                     continue
+                if name == study.FULL_DISK:
+                    with bar(name[:24], trials) as step:
+                        rows.append(study.tried_on_full_disk(trials, seed, step))
+                    continue
                 with study.database(kind, server) as url, bar(name[:24], trials) as step:
                     if fault is not None:
                         rows.append(study.tried(fault, kind, url, trials, seed, step))

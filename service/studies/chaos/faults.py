@@ -14,7 +14,7 @@ from itertools import count
 from pathlib import Path
 
 from service.ports import Json
-from service.studies.chaos import cuts, damage, deaths, traps
+from service.studies.chaos import cuts, damage, deaths, full_disk, traps
 from service.studies.chaos.bench import Bench, in_turn
 from service.studies.chaos.postgres import Server
 
@@ -60,7 +60,8 @@ ON_SERVER: dict[str, Callable[[Server], str]] = {
     "connections ended by the database, under load": cuts.cut_off,
     "database server killed and restarted, under load": cuts.crash,
 }
-NAMES = (*FAULTS, *ON_SERVER)
+FULL_DISK = "disk of the database server full"
+NAMES = (*FAULTS, *ON_SERVER, FULL_DISK)
 
 
 @contextmanager
@@ -101,6 +102,17 @@ def tried_under_load(name: str, server: Server, url: str, trials: int, seed: int
     disturb = ON_SERVER[name]
     outcomes = cuts.under_load(url, trials, seed, lambda: disturb(server))
     return row(name, "postgresql", outcomes, {}, time.monotonic() - begun)
+
+
+def tried_on_full_disk(trials: int, seed: int, progress: Progress) -> Json:
+    """PostgreSQL on a disk of its own that fills up; it brings its own server."""
+    begun = time.monotonic()
+    try:
+        outcomes, found = full_disk.run(trials, seed, progress)
+        return row(FULL_DISK, "postgresql", outcomes, found.faults, time.monotonic() - begun)
+    except full_disk.NoDiskError as error:
+        ended = [f"NOT TRIED: {error}"]
+        return row(FULL_DISK, "postgresql", ended, {}, time.monotonic() - begun)
 
 
 def row(
