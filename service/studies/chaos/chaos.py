@@ -104,9 +104,9 @@ def disturbed(
         crowd = Crowd(running.url, batches, plan.clients, ledger, plan.pause_s)
         crowd.start()
         try:
-            while crowd.busy:
+            while crowd.busy or (when and plan.science == "core"):
                 progress(ledger.readings)
-                if when and ledger.readings >= when[0]:
+                if when and (ledger.readings >= when[0] or not crowd.busy):
                     time.sleep(chosen.uniform(0.0, 0.05))
                     if disturb is None:
                         killed[_kill(plan, running, chosen, database_url)] += 1
