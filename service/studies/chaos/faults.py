@@ -89,12 +89,15 @@ def tried(fault: Fault, kind: str, url: str, trials: int, seed: int, progress: P
             faults.pop("wrong_versions", None)
         return row(fault.name, kind, outcomes, faults, time.monotonic() - begun)
     except Exception as error:  # one fault that ends the study would hide all others
-        where = traceback.extract_tb(error.__traceback__)
-        lines = ", ".join(f"{Path(one.filename).name}:{one.lineno}" for one in where[-6:])
-        ended = [f"NOT FINISHED: {error} ({lines})"]
-        return row(fault.name, kind, ended, {}, time.monotonic() - begun)
+        return row(fault.name, kind, [_ended(error)], {}, time.monotonic() - begun)
     finally:
         bench.close()
+
+
+def _ended(error: Exception) -> str:
+    where = traceback.extract_tb(error.__traceback__)
+    lines = ", ".join(f"{Path(one.filename).name}:{one.lineno}" for one in where[-6:])
+    return f"NOT FINISHED: {error} ({lines})"
 
 
 def tried_under_load(name: str, server: Server, url: str, trials: int, seed: int) -> Json:
@@ -110,9 +113,8 @@ def tried_on_full_disk(trials: int, seed: int, progress: Progress) -> Json:
     try:
         outcomes, found = full_disk.run(trials, seed, progress)
         return row(FULL_DISK, "postgresql", outcomes, found.faults, time.monotonic() - begun)
-    except full_disk.NoDiskError as error:
-        ended = [f"NOT TRIED: {error}"]
-        return row(FULL_DISK, "postgresql", ended, {}, time.monotonic() - begun)
+    except Exception as error:
+        return row(FULL_DISK, "postgresql", [_ended(error)], {}, time.monotonic() - begun)
 
 
 def row(
