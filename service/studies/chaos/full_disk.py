@@ -1,11 +1,11 @@
 """PostgreSQL on a disk that fills up under a running API and worker.
 
 The server's data directory lies on a small file system in memory (tmpfs) that this study mounts,
-for which it has to be root, and fills with a file of ballast but for a random rest. Its segments of
-WAL are as small as they come (1 MiB), so that both ends of a full disk are seen: a table that
-cannot grow (an error to the statement), and WAL that cannot be written (the server ends itself, and
-does not come back before there is room). The disk stays full for many leases; then the ballast
-goes, a server that ended is started, and clients send again what was refused.
+for which it has to be root, and fills with a file of ballast but for a random rest. In half of the
+trials tables cannot grow, which is an error to the statement; in the other half the study writes
+WAL besides until that cannot grow either, and the server ends itself. The disk stays full for many
+leases; then the ballast goes, a server that ended is started, and clients send again what was
+refused.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import httpx
+import psycopg
 
 from core.errors import BladetwinError
 from service.ports import Json
@@ -39,6 +40,7 @@ BATCH = 60
 FULL_S = 12 * LEASE_S  # a rotor is blocked after five attempts
 PATIENCE_S = 90.0
 TRIES = 50
+WAL_MB = 40
 
 
 class NoDiskError(BladetwinError):
@@ -132,6 +134,8 @@ def trial(
             if not _post(bench, client, rotor, body, seen):
                 refused.append(body)
             number += 1
+        if chosen.random() < 0.5:
+            _fill_wal(server)
         full = time.monotonic() + FULL_S
         while time.monotonic() < full:
             _post(bench, client, rotor, refused[0] if refused else body, seen)
@@ -153,6 +157,13 @@ def trial(
     words.append("the server ended itself" if ended else "the server went on")
     words.append(f"{told} when there was room")
     return "; ".join(words)
+
+
+def _fill_wal(server: Server) -> None:
+    """Write WAL until the server cannot, as an hour of refused posts would."""
+    with suppress(psycopg.Error):
+        for _ in range(WAL_MB):
+            server.run("SELECT pg_logical_emit_message(false, 'ballast', repeat('x', 1000000))")
 
 
 def _batch(bench: Bench, rotor: str, number: int) -> Json:
