@@ -3,7 +3,7 @@
 The server's data directory lies on a small file system in memory (tmpfs) that this study mounts,
 for which it has to be root, and fills with a file of ballast but for a random rest. In half of the
 trials tables cannot grow, which is an error to the statement; in the other half the study writes
-WAL besides until that cannot grow either, and the server ends itself. The disk stays full for many
+WAL besides until that cannot grow either, and the server crashes. The disk stays full for many
 leases; then the ballast goes, a server that ended is started, and clients send again what was
 refused.
 """
@@ -126,6 +126,7 @@ def trial(
     """Fill the disk, post until refused and on, make room; what was seen, in words."""
     seen = Counter[str]()
     refused: list[Json] = []
+    began = _began(server)
     ballast.fill(chosen.randrange(LEAST, MOST))
     try:
         until, number = time.monotonic() + PATIENCE_S, 0
@@ -154,9 +155,19 @@ def trial(
     odd = sorted(k for k in seen if k not in ("202", "503 database-away", "read 200", "read 503"))
     words = ["posts are told 503 (database-away)" if refused else "nothing was refused"]
     words += [f"OTHERWISE: {', '.join(odd)}"] if odd else []
-    words.append("the server ended itself" if ended else "the server went on")
+    crashed = (
+        "ended itself" if ended else "crashed and recovered" if _began(server) != began else ""
+    )
+    words.append(f"the server {crashed or 'went on'}")
     words.append(f"{told} when there was room")
     return "; ".join(words)
+
+
+def _began(server: Server) -> object:
+    """When the server's own processes began: anew after a crash, though the server went on."""
+    query = "SELECT backend_start FROM pg_stat_activity WHERE backend_type = 'checkpointer'"
+    with psycopg.connect(host=str(server.folder), user="postgres", dbname="postgres") as opened:
+        return opened.execute(query).fetchone()
 
 
 def _fill_wal(server: Server) -> None:
