@@ -104,7 +104,7 @@ def disturbed(
         crowd = Crowd(running.url, batches, plan.clients, ledger, plan.pause_s)
         crowd.start()
         try:
-            while crowd.busy or (when and plan.science == "core"):
+            while crowd.busy or when:  # a machine that is busy may have posted before
                 progress(ledger.readings)
                 if when and (ledger.readings >= when[0] or not crowd.busy):
                     time.sleep(chosen.uniform(0.0, 0.05))
