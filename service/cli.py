@@ -14,6 +14,7 @@ import typer
 
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
+from service import kernels
 from service.adopt_command import adopt
 from service.commands import campaigns, register
 from service.commands import models as own_runs
@@ -233,9 +234,14 @@ def readings(
 
 
 def main() -> None:
-    """Entry point: an error of bladetwin, or of its files, is one line and exit status 1."""
+    """Entry point: an error of bladetwin, or of its files, is one line and exit status 1.
+
+    A command that compiled kernels and must not compute with them begins again.
+    """
     try:
         app()
+    except kernels.CompiledError as error:
+        kernels.again(error)
     except BladetwinError as error:
         typer.echo(f"bladetwin: {error}", err=True)
         raise SystemExit(1) from None

@@ -17,6 +17,7 @@ from service.studies import effects as effects  # noqa: E402
 from service.studies import reduction as reduction  # noqa: E402
 from service.studies import references as references  # noqa: E402
 from service.studies.chaos import commands as chaos  # noqa: E402
+from service.studies.load import commands as load  # noqa: E402
 from service.studies.paper import commands as paper  # noqa: E402
 
-__all__ = ["app", "chaos", "commit", "effects", "paper", "reduction"]
+__all__ = ["app", "chaos", "commit", "effects", "load", "paper", "reduction"]
