@@ -181,10 +181,15 @@ def refine(
     low, high = (np.array([getattr(i, end) for i in declared.inputs]) for end in ("low", "high"))
     rounds = list(read_log(archive.path))
     failed = _first(archive, runs, plan, rounds, low, high, progress)
+
+    def training(what: str, done: int, total: int) -> None:
+        progress("training", done, total)
+
     while True:
         start = time.monotonic()
         done = archive.done()
-        surrogate = train(archive, done, seed=plan.seed, progress=progress)
+        _enough(done, failed, len(low))
+        surrogate = train(archive, done, seed=plan.seed, progress=training)
         region, words = regions(surrogate)
         found = tuple(accuracy(surrogate, region, goals))
         room = plan.most - len(done) - len(failed)
@@ -214,7 +219,7 @@ def refine(
         if ended:
             return Refined(surrogate, tuple(rounds), failed)
         todo = dict(enumerate(points, made.first))
-        failed = {**failed, **_run(archive, runs, todo, progress)}
+        failed = {**failed, **_run(archive, runs, todo, plan.most, progress)}
 
 
 def _first(
@@ -235,15 +240,24 @@ def _first(
         _write(archive, rounds)
     there = set(archive.done())
     todo = {k: x for k, x in _planned(rounds).items() if k not in there}
-    return _run(archive, runs, todo, progress) if todo else {}
+    return _run(archive, runs, todo, plan.most, progress) if todo else {}
+
+
+def _enough(done: Sequence[int], failed: Mapping[int, str], d: int) -> None:
+    need = MINIMUM_RUNS * (d + 1)
+    if len(done) < need:
+        why = "".join(f"; run {k} failed: {said}" for k, said in [*failed.items()][:1])
+        raise ModelError(f"{len(done)} runs are there, and {need} are needed for {d} inputs{why}")
 
 
 def _run(
-    archive: Archive, runs: Runs, todo: Mapping[int, Array], progress: Progress
+    archive: Archive, runs: Runs, todo: Mapping[int, Array], most: int, progress: Progress
 ) -> dict[int, str]:
-    said = f"runs {min(todo)} to {max(todo)}"
-    progress(said, 0, len(todo))
-    return dict(runs(archive, todo, lambda done: progress(said, done, len(todo))))
+    """Make runs; the progress is that of all runs towards the most that there may be."""
+    there = len(archive.done())
+    total = max(most, there + len(todo))
+    progress("runs", there, total)
+    return dict(runs(archive, todo, lambda done: progress("runs", there + done, total)))
 
 
 def _planned(rounds: Sequence[Round]) -> dict[int, Array]:
