@@ -5,19 +5,25 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from core.archive import Archive
+from core.archive import Archive, Input, Mesh
+from core.blade import BOUNDS, build_mesh, simulate
+from core.builtin import rotor_blade
 from core.errors import FaultsError, InputError, ModelError
+from core.network import rotor_blade_network
+from core.posterior_region import of_prior
 from core.surrogate.refine import LOG, read_log
 from service import refining
 from service.cli import app
-from service.commands.refine import goals_of
+from service.commands.refine import _regions, goals_of
 from tests.exchanger import BOTH, NETWORK, TIME_H, drop, network, readings
 from tests.service.test_sampling import HOURS, serving
 
@@ -205,3 +211,56 @@ def test_a_number_is_wanted_of_every_quantity_and_a_name_of_one() -> None:
 def test_the_log_lies_beside_the_runs(own: Path) -> None:
     run(own / "runs", *words(own), "--accuracy", "0.5")
     assert json.loads((own / "runs" / LOG).read_text())["rounds"][0]["region"] == "maximin design"
+
+
+def test_a_rotor_s_blades_and_readings_are_fetched_and_weigh_the_runs(
+    api: httpx.Client, rotor: str, tmp_path: Path
+) -> None:
+    url, net = str(api.base_url), rotor_blade_network()
+    one = {"quantity": "elongation", "time_h": 8000, "value": 0.101, "unit": "mm"}
+    archive = coarse(tmp_path, (0.0, 1e3, 1e4, 5e4))
+    _, words = _regions(net, archive, rotor, url, None, None, 0)
+    assert words == ["warning: there is no reading: the whole prior counts"]
+    told = {"inspections": [one | {"id": f"i{b}", "blade": b} for b in ("B1", "B2")]}
+    assert api.post(f"/v1/rotors/{rotor}/inspections", json=told).status_code == 202
+    regions, words = _regions(net, archive, rotor, url, None, None, 0)
+    assert words == []
+    region, said = regions(rotor_blade.load())
+    assert said == "posterior of 3 blades, 2 readings", "one has none and is predicted as well"
+    even = of_prior(net, list(BOUNDS))
+    assert region.x.shape == (513, 4)
+    spread = region.mean_and_sd()[1] / even.mean_and_sd()[1]
+    assert spread[1] < 0.8, "the gas temperature is known better than before"
+    low, high = np.array([*BOUNDS.values()]).T
+    assert np.all((region.x >= low) & (region.x <= high))
+    with pytest.raises(InputError, match="stands beside --rotor"):
+        _regions(net, archive, rotor, url, None, tmp_path / "x.csv", 0)
+
+
+def coarse(folder: Path, time_h: Sequence[float] = (0.0, 1.0, 5.0, 20.0)) -> Archive:
+    """An archive of finite-element runs, short ones by default."""
+    mesh = build_mesh("coarse")
+    return Archive.create(
+        folder / "blade",
+        inputs=[Input(name, low, high) for name, (low, high) in BOUNDS.items()],
+        time_h=time_h,
+        mesh=Mesh("coarse", mesh.points, mesh.cells, mesh.parametric, mesh.named),
+        seed=0,
+        command=rotor_blade.STANDARD.command,
+        code=rotor_blade.blade_digest(),
+    )
+
+
+def test_finite_elements_go_on_in_their_own_archive(tmp_path: Path) -> None:
+    coarse(tmp_path)
+    source = refining.FiniteElements(workers=1)
+    archive = source.open(tmp_path / "blade", 0)
+    assert refining.network_of(archive).name == "rotor-blade"
+    told: list[int] = []
+    x = np.array([1.1, 0.97, 0.5, 1.5])
+    assert source.run(archive, {7: x}, told.append) == {}
+    assert told == [1]
+    point = dict(zip(BOUNDS, x.tolist(), strict=True))
+    direct = simulate(point, "coarse", time_h=archive.declaration.time_h)
+    np.testing.assert_allclose(archive.read(7).values["elongation"], direct.elongation)
+    assert archive.done() == (7,)
