@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from core.surrogate.refine import Regions, Round
     from service.refining import Source
 
-ROW = "{:>5} {:>5}  {:<44} {:<28} {}"
+ROW = "{:>5} {:>5}  {:<44} {:<32} {}"
 
 
 def refine(
@@ -95,10 +95,10 @@ def refine(
 
 
 def line(number: int, made: Round) -> str:
-    """A round on one line: its number, the runs, what is reached, held-out errors, the region."""
+    """A round on one line: number, runs, what is reached, rms errors left out [unit], region."""
     reached = ", ".join(map(str, made.accuracy))
     held = ", ".join(f"{name} {rms:.3g}" for name, rms in made.held_out.items())
-    return ROW.format(number, made.runs, reached, f"left out: {held}", made.region)
+    return ROW.format(number, made.runs, reached, f"rms left out: {held}", made.region)
 
 
 def goals_of(texts: Sequence[str], hours: tuple[float, ...], network: Network) -> list[Goal]:
