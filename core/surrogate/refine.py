@@ -19,26 +19,22 @@ fail are named, tried again by the next call, and until then count as run for th
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.archive import Archive
-from core.archive.store import replace_file
 from core.archive.take import MINIMUM_RUNS
 from core.design import Region, choose, maximin_lhs
 from core.design.region import sobol
 from core.errors import InputError, ModelError
 from core.rng import seed_of, stream
-from core.surrogate.accuracy import Accuracy, Goal, accuracy, cost
+from core.surrogate.accuracy import Goal, accuracy, cost
 from core.surrogate.kernel import Hyper, SharedGP
 from core.surrogate.model import Surrogate
+from core.surrogate.rounds import Plan, Refined, Round, free, planned, read_log, write_log
 from core.surrogate.training import train
 
 Array = NDArray[np.float64]
@@ -48,115 +44,8 @@ Regions = Callable[[Surrogate], tuple[Region, str]]
 Runs = Callable[[Archive, Mapping[int, Array], Callable[[int], None]], Mapping[int, str]]
 """Write the runs at these points, by index, to the archive, telling how many are done; the reasons
 of those that failed."""
-LOG = "refinement.json"
 CANDIDATES, ELSEWHERE, AROUND = 2048, 128, 512
 LONGEST, LEAST_NUGGET = 2.0, 1e-6  # of the process that chooses; the box is 2 wide
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """How runs are added.
-
-    start      runs of the first design; None: four for each input, and what training needs
-    batch      runs of a round
-    most       runs in all, at which it ends
-    elsewhere  share of the weight that is spread over the whole box
-    """
-
-    start: int | None = None
-    batch: int = 4
-    most: int = 60
-    elsewhere: float = 0.05
-    seed: int = 0
-
-    def first(self, d: int) -> int:
-        """Size of the first design of d inputs.
-
-        >>> Plan().first(4), Plan().first(2)
-        (16, 9)
-        """
-        need = MINIMUM_RUNS * (d + 1)
-        if self.start is not None and self.start < need:
-            problem = f"runs are too few for {d} inputs"
-            raise InputError("start", self.start, problem, f"start with {need} or more")
-        return max(need, 4 * d) if self.start is None else self.start
-
-    def check(self) -> None:
-        """Raises InputError for numbers that make no sense."""
-        for name, value in (("batch", self.batch), ("most", self.most)):
-            if value < 1:
-                raise InputError(name, value, "is not positive", "give 1 or more")
-        if not 0 <= self.elsewhere <= 1:
-            raise InputError("elsewhere", self.elsewhere, "is no share", "give 0 … 1")
-
-
-@dataclass(frozen=True, slots=True)
-class Round:
-    """One round: what was known from `runs` runs, and what it asked for.
-
-    first, points  index of the first new run and the new inputs (n, d); none in the last round
-    region         what it rested on, in words
-    held_out       rms error of each quantity at runs left out, in its unit
-    """
-
-    runs: int
-    accuracy: tuple[Accuracy, ...]
-    region: str
-    held_out: Mapping[str, float]
-    first: int
-    points: tuple[tuple[float, ...], ...]
-    seconds: float
-
-    def to_json(self) -> dict[str, Any]:
-        own = {name: getattr(self, name) for name in self.__slots__}
-        rows = [{k: getattr(one, k) for k in one.__slots__} for one in self.accuracy]
-        return own | {"accuracy": rows, "held_out": dict(self.held_out)}
-
-    @staticmethod
-    def from_json(told: Mapping[str, Any]) -> Round:
-        rows = tuple(Accuracy(**row) for row in told["accuracy"])
-        points = tuple(tuple(float(v) for v in point) for point in told["points"])
-        return Round(**{**told, "accuracy": rows, "points": points})
-
-
-@dataclass(frozen=True, slots=True)
-class Refined:
-    """What a refinement came to; `failed`: runs that are missing, with the reason."""
-
-    surrogate: Surrogate
-    rounds: tuple[Round, ...]
-    failed: Mapping[int, str]
-
-    @property
-    def reached(self) -> bool:
-        """Whether every goal is met."""
-        return all(one.met for one in self.rounds[-1].accuracy)
-
-    @property
-    def verdict(self) -> str:
-        """One sentence: the accuracy is reached, or by how much it is not."""
-        last = self.rounds[-1]
-        told = ", ".join(map(str, last.accuracy))
-        if self.reached:
-            return f"accuracy reached after {last.runs} runs: {told}"
-        worst = max(one.p95 / one.wanted for one in last.accuracy)
-        return f"fell short by a factor of {worst:.3g} after {last.runs} runs: {told}"
-
-
-def read_log(folder: str | Path) -> tuple[Round, ...]:
-    """The rounds of an archive's folder; none where it has no log."""
-    file = Path(folder) / LOG
-    if not file.exists():
-        return ()
-    try:
-        return tuple(Round.from_json(one) for one in json.loads(file.read_text())["rounds"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise ModelError(f"{file} cannot be read: {error!r}; move it away to start anew") from error
-
-
-def _write(archive: Archive, rounds: Sequence[Round]) -> None:
-    text = json.dumps({"rounds": [one.to_json() for one in rounds]}, indent=1)
-    replace_file(archive.path / LOG, lambda part: part.write_text(text + "\n"))
 
 
 def refine(
@@ -196,7 +85,7 @@ def refine(
         ended = room <= 0 or all(one.met for one in found)
         points: Array = np.zeros((0, len(low)))
         if not ended:
-            missing = np.array([_planned(rounds)[k] for k in failed]).reshape(-1, len(low))
+            missing = np.array([planned(rounds)[k] for k in failed]).reshape(-1, len(low))
             wide = region.mixed(
                 low, high, plan.elsewhere, ELSEWHERE, seed_of(plan.seed, "elsewhere")
             )
@@ -207,14 +96,14 @@ def refine(
             accuracy=found,
             region=words,
             held_out={g.quantity: held[g.quantity]["rms"] for g in goals if g.quantity in held},
-            first=_free(done, rounds),
+            first=free(done, rounds),
             points=tuple(map(tuple, points.tolist())),
             seconds=round(time.monotonic() - start, 3),
         )
         if rounds and rounds[-1].runs == made.runs and not rounds[-1].points:
             rounds.pop()  # the end of an earlier call, which this one goes on from
         rounds.append(made)
-        _write(archive, rounds)
+        write_log(archive, rounds)
         seen(made, surrogate)
         if ended:
             return Refined(surrogate, tuple(rounds), failed)
@@ -237,9 +126,9 @@ def _first(
         points = maximin_lhs(n, low, high, seed_of(plan.seed, "refine", n))
         begun = Round(0, (), "maximin design", {}, 0, tuple(map(tuple, points.tolist())), 0.0)
         rounds.append(begun)
-        _write(archive, rounds)
+        write_log(archive, rounds)
     there = set(archive.done())
-    todo = {k: x for k, x in _planned(rounds).items() if k not in there}
+    todo = {k: x for k, x in planned(rounds).items() if k not in there}
     return _run(archive, runs, todo, plan.most, progress) if todo else {}
 
 
@@ -258,15 +147,6 @@ def _run(
     total = max(most, there + len(todo))
     progress("runs", there, total)
     return dict(runs(archive, todo, lambda done: progress("runs", there + done, total)))
-
-
-def _planned(rounds: Sequence[Round]) -> dict[int, Array]:
-    """Every point that a round asked for, by the index of its run."""
-    return {one.first + k: np.array(x) for one in rounds for k, x in enumerate(one.points)}
-
-
-def _free(done: Sequence[int], rounds: Sequence[Round]) -> int:
-    return 1 + max([-1, *done, *_planned(rounds)])
 
 
 def candidates(region: Region, low: Array, high: Array, seed: int) -> Array:

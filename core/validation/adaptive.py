@@ -45,7 +45,8 @@ from core.posterior_region import from_readings, of_prior
 from core.rng import seed_of, stream
 from core.surrogate import Surrogate, train
 from core.surrogate.accuracy import Goal
-from core.surrogate.refine import Plan, Regions, Round, refine
+from core.surrogate.refine import Regions, refine
+from core.surrogate.rounds import Plan, Round
 from core.validation.adaptive_truth import (
     HIGH,
     LOW,

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from core.archive import Archive
     from core.network import Network
     from core.surrogate.accuracy import Goal
-    from core.surrogate.refine import Regions, Round
+    from core.surrogate.refine import Regions
+    from core.surrogate.rounds import Round
     from service.refining import Source
 
 ROW = "{:>5} {:>5}  {:<44} {:<32} {}"
@@ -60,8 +61,8 @@ def refine(
     without --rotor or --readings the whole prior counts. Exit status 1: the accuracy was not
     reached, or runs failed; the others are there, and the same command goes on.
     """
-    from core.surrogate.refine import Plan
     from core.surrogate.refine import refine as run
+    from core.surrogate.rounds import Plan
     from service.commands.models import steps, telling
     from service.refining import FiniteElements, network_of
 

@@ -20,7 +20,7 @@ from core.builtin import rotor_blade
 from core.errors import FaultsError, InputError, ModelError
 from core.network import rotor_blade_network
 from core.posterior_region import of_prior
-from core.surrogate.refine import LOG, read_log
+from core.surrogate.rounds import LOG, read_log
 from service import refining
 from service.cli import app
 from service.commands.refine import _regions, goals_of

@@ -15,7 +15,8 @@ from core.design.region import sobol
 from core.errors import InputError, ModelError
 from core.surrogate import Surrogate
 from core.surrogate.accuracy import Goal, accuracy, cost, relative_error
-from core.surrogate.refine import LOG, Plan, Refined, Regions, Round, read_log, refine
+from core.surrogate.refine import Regions, refine
+from core.surrogate.rounds import LOG, Plan, Refined, Round, read_log
 from tests.exchanger import HIGH, LOW, TIME_H, drop
 
 Array = NDArray[np.float64]
