@@ -28,7 +28,6 @@ app = typer.Typer(
     name="bladetwin",
     help="Online digital twin of turbine rotor blades.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -226,11 +225,17 @@ def readings(
 
 
 def main() -> None:
-    """Entry point: an error of bladetwin is one line and exit status 1."""
+    """Entry point: an error of bladetwin, or of its files, is one line and exit status 1."""
     try:
         app()
     except BladetwinError as error:
         typer.echo(f"bladetwin: {error}", err=True)
+        raise SystemExit(1) from None
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename is not None else ""
+        why = error.strerror or type(error).__name__
+        remedy = "give a path that may be read or written, and room on the disk"
+        typer.echo(f"bladetwin: {where}{why}. To mend it: {remedy}.", err=True)
         raise SystemExit(1) from None
 
 

@@ -303,6 +303,25 @@ class CoreScience:
 
         return joint_draws(meta, get, blades, count)
 
+    def prior_draws(self, card: ModelCard, like: JointDraws) -> JointDraws:
+        from core.calibration.target import shared_prior
+        from service.predictive import prior_draws
+
+        model = self._model(card)
+        shared = {name: shared_prior(model, name) for name in like.shared_names}
+        return prior_draws(card.network, shared, like)
+
+    def replicated(
+        self,
+        card: ModelCard,
+        drawn: JointDraws,
+        readings: Sequence[Inspection],
+        known: Mapping[str, Mapping[str, float]],
+    ) -> list[Array]:
+        from service.predictive import replicated
+
+        return replicated(self._model(card), drawn, readings, known)
+
     def forward(
         self, card: ModelCard, quantity: str, blade: str | None, known: Mapping[str, float] | None
     ) -> Forward:
