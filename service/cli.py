@@ -15,8 +15,8 @@ import typer
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
 from service.adopt_command import adopt
+from service.commands import campaigns, register
 from service.commands import models as own_runs
-from service.commands import register
 from service.diagnose_command import diagnose
 from service.key_commands import audit, keys
 from service.progress import bar
@@ -33,6 +33,7 @@ app = typer.Typer(
 )
 models = typer.Typer(help="Models.", no_args_is_help=True)
 own_runs.add(models)
+models.command("runs")(campaigns.runs)
 app.add_typer(models, name="model")
 app.add_typer(studies, name="study")
 app.add_typer(keys, name="keys")
@@ -160,18 +161,23 @@ def demo(
 def build(
     name: Annotated[str, typer.Argument(help="rotor-blade or rotor-blade-wide.")],
     out: Annotated[Path, typer.Option(help="Folder of the model.")] = Path("bladetwin-data"),
-    mesh: Annotated[str, typer.Option(help="Mesh: default, coarse or fine.")] = "default",
+    mesh: Annotated[str, typer.Option(help="Mesh: coarse, default, fine or paper.")] = "default",
     seed: Annotated[int | None, typer.Option(help="Seed of the design.")] = None,
     workers: Annotated[int, typer.Option(help="Processes that compute runs.")] = 2,
+    dask: campaigns.Dask = None,
+    archive: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the runs; default: archive, in that of the model."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Compute the finite-element runs and train the model again; resumes where it stopped."""
+    """Compute the finite-element runs and train the model again; resumes where it stopped.
+
+    Runs that others compute into the same folder (`model runs`) are waited for.
+    """
     from core.builtin import rotor_blade
 
-    plan = rotor_blade.PLANS.get(name)
-    if plan is None:
-        known = " or ".join(rotor_blade.PLANS)
-        raise typer.BadParameter(f"{name!r} is no built-in model; use {known}")
+    plan = campaigns.plan_of(name)
     chosen = rotor_blade.SEED if seed is None else seed
     shown: dict[str, Any] = {}
     with ExitStack() as bars:
@@ -186,6 +192,8 @@ def build(
             mesh=mesh,
             seed=chosen,
             workers=workers,
+            dask=dask,
+            archive_dir=archive,
             progress=progress,
             commit=commit(),
             plan=plan,
