@@ -1,0 +1,70 @@
+"""A diagnosis of 100 blades, as a worker makes it: its steps, and how long each takes.
+
+    python tests/benchmarks/bench_diagnosis.py [VISITS]
+
+Finite-element elongations of `core.builtin.worn_plan` at VISITS (default 6) equal steps to
+24,000 h, with 0.02 mm of noise; one coating lot wears, one visit reads 0.02 mm too much. All of it
+is diagnosed by `rotor-blade-wide` over the whole grammar with pairs, before and after included.
+Peak memory is that of the process.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from itertools import pairwise
+
+import service.one_thread  # noqa: F401  before numpy
+
+# isort: split
+import numpy as np
+
+from core.builtin import inspection_plan, worn_plan
+from core.calibration.online import RotorSpec
+from core.model import rotor_blade_wide
+from core.observation import Inspection
+from core.rng import stream
+from service.effects import diagnosed
+from service.ports import BladeRecord
+
+LAST_H, NOISE, PARTICLES, BLADES = 24_000.0, 0.02, 1000, 100
+
+
+def readings(visits: int) -> list[Inspection]:
+    """Of the first 100 blades, at equal steps."""
+    plan, rng, found = worn_plan.load(), stream(7, "bench-diagnosis"), []
+    names = list(inspection_plan.blades())[:BLADES]
+    for k in range(visits):
+        hour = LAST_H * (k + 1) / visits
+        for b, name in enumerate(names):
+            y = float(np.interp(hour, plan.time_h, plan.elongation[b]))
+            y += worn_plan.OFFSET * (k == visits // 2) + NOISE * rng.standard_normal()
+            at = (f"{name}-{k}", name, "elongation", hour, np.array([round(y, 4)]))
+            found.append(Inspection(*at, campaign=f"visit-{k}"))
+    return found
+
+
+def main() -> None:
+    visits = int(sys.argv[1]) if len(sys.argv) > 1 else 6
+    given, model = readings(visits), rotor_blade_wide()
+    names = sorted({r.blade for r in given})
+    spec = RotorSpec("bench", tuple(names), PARTICLES, 0)
+    records = [BladeRecord(b, coating_lot=worn_plan.coating_lot(b)) for b in names]
+    steps: list[tuple[str, float, float]] = []
+
+    def progress(what: str, done: int, total: int) -> None:
+        steps.append((what, time.perf_counter(), time.process_time()))
+
+    found = diagnosed(model, spec, records, given, [], 50_000.0, progress)
+    steps.append(("end", time.perf_counter(), time.process_time()))
+    for (what, wall, cpu), (_, wall_1, cpu_1) in pairwise(steps):
+        print(f"{wall_1 - wall:6.1f} s wall {cpu_1 - cpu:6.1f} s processor  {what}")
+    (_, wall, cpu), (_, wall_1, cpu_1) = steps[0], steps[-1]
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{len(given)} readings: {wall_1 - wall:.1f} s wall, {cpu_1 - cpu:.1f} s of processor,")
+    print(f"{memory:.0f} MB; {found['verdict']}: {', '.join(found['names'])}")
+
+
+if __name__ == "__main__":
+    main()
