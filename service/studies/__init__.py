@@ -16,6 +16,7 @@ from service.studies import commands as commands  # noqa: E402  (they register w
 from service.studies import effects as effects  # noqa: E402
 from service.studies import references as references  # noqa: E402
 from service.studies.chaos import commands as chaos  # noqa: E402
+from service.studies.contest import commands as contest  # noqa: E402
 from service.studies.paper import commands as paper  # noqa: E402
 
-__all__ = ["app", "chaos", "commit", "effects", "paper"]
+__all__ = ["app", "chaos", "commit", "contest", "effects", "paper"]
