@@ -14,11 +14,12 @@ row          one value of the surrogate as a compiled polynomial
 
 The rules of the long contest (`bladetwin study contest`). Every contestant predicts the same
 features from the same inputs, on the same folds; bases and features are made anew in each fold
-without the runs left out. Each has the same number of configurations, and one of them is chosen by
-an inner cross-validation over the fold's training runs. Independent runs are looked at once, by the
-configuration that the training runs chose. The first is the one with the smallest geometric mean
-of three cross-validated errors: tip elongation (95th percentile), CEEQ at the worst node (95th
-percentile) and root-mean-square of the deformation field; targets as they are or transformed.
+without the runs left out. The first is the one with the smallest geometric mean of three
+cross-validated errors: tip elongation (95th percentile), CEEQ at the worst node (95th percentile)
+and root-mean-square of the deformation field; targets as they are or transformed. Each has the
+same number of configurations, and one of them is chosen by the same rule in an inner
+cross-validation over the fold's training runs. Independent runs are looked at once, by the
+configuration that the training runs chose.
 """
 
 from core.surrogate.contest.curve import contest, contestants

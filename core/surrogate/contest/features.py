@@ -115,10 +115,11 @@ class Features:
         mean = None
         if scaled:
             mean = invert(self.parts[MEAN_CEEQ][0], got[MEAN_CEEQ], instants)[:, :, 0]
-        tip, ceeq, moved = (
-            invert(self.parts[name][0], got[name][:, -len(instants) :], instants, mean)
-            for name in names[:3]
-        )
+        with np.errstate(over="ignore"):  # a wild prediction is wrong without end
+            tip, ceeq, moved = (
+                invert(self.parts[name][0], got[name][:, -len(instants) :], instants, mean)
+                for name in names[:3]
+            )
         return tip[:, :, 0], ceeq, moved
 
     def tip_forms(self) -> dict[str, tuple[float, Array]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,15 @@ from core.rng import seed_of, stream
 from core.surrogate.contest.features import Features
 from core.surrogate.contest.kept import Kept
 from core.surrogate.contest.regressors import Contestant, Effort, Fitted, Setting
-from core.surrogate.contest.score import Errors
+from core.surrogate.contest.score import Errors, rank_of
 from core.surrogate.targets import MEAN_CEEQ
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Clock = Callable[[], float]
-Progress = Callable[[int, int], None]
+Predicted = Sequence[tuple[Rows, Array]]
+Judge = Callable[[Predicted], float]
+"""From runs left out (positions) and their predicted features to what is lost."""
 TEST = "independent"
 ALONE = "the features themselves"
 """A control: what is lost by the reduction alone, whoever predicts."""
@@ -41,7 +43,7 @@ class Plan:
     folds, inner      of the cross-validation, and of the one within its training runs
     configurations    tried by each contestant, the first of its list
     trees, rounds     of forests and of boosters
-    features, tuned   learnt, and looked at to choose a configuration (the leading ones)
+    features          learnt, at most
     nodes             sampled, over which fields are compared
     timed             points at which predictions are timed
     """
@@ -49,15 +51,14 @@ class Plan:
     folds: int = 10
     inner: int = 3
     configurations: int = 6
-    trees: int = 200
-    rounds: int = 300
+    trees: int = 100
+    rounds: int = 150
     features: int = 40
-    tuned: int = 10
     nodes: int = 600
     timed: int = 20_000
 
 
-QUICK = Plan(3, 2, 2, 30, 40, 16, 8, 60, 2000)
+QUICK = Plan(3, 2, 2, 30, 40, 16, 60, 2000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +114,10 @@ def folds(n: int, count: int, *key: str | int, seed: int) -> list[tuple[Rows, Ro
     return [(np.setdiff1d(order, one), one) for one in left if len(one)]
 
 
-def tuned(one: Contestant, z: Array, f: Array, plan: Plan, seed: int) -> tuple[Setting, int]:
-    """The configuration of the least inner error by variance; and how many were tried."""
+def tuned(
+    one: Contestant, z: Array, f: Array, judge: Judge, plan: Plan, seed: int
+) -> tuple[Setting, int]:
+    """The configuration that the judge likes best by inner folds; and how many were tried."""
     inner = folds(len(z), plan.inner, "inner", seed=seed)
     least = min(len(fit) for fit, _ in inner)
     able = [s for s in one.settings if one.carries(least, z.shape[1], s)][: plan.configurations]
@@ -122,15 +125,24 @@ def tuned(one: Contestant, z: Array, f: Array, plan: Plan, seed: int) -> tuple[S
         raise InputError("runs", len(z), f"carry no configuration of {one.name}", "make more runs")
     if len(able) == 1:
         return able[0], 1
-    y, effort = f[:, : plan.tuned], Effort(plan.trees, plan.rounds, seed_of(seed, one.name))
+    effort = Effort(plan.trees, plan.rounds, seed_of(seed, one.name))
     lost = [
-        sum(
-            float(np.sum((one.fit(z[fit], y[fit], s, effort).predict(z[left]) - y[left]) ** 2))
-            for fit, left in inner
-        )
+        judge([(left, one.fit(z[fit], f[fit], s, effort).predict(z[left])) for fit, left in inner])
         for s in able
     ]
-    return able[int(np.argmin(lost))], len(able)
+    return able[int(np.argmin(np.nan_to_num(lost, nan=np.inf)))], len(able)
+
+
+def by_rule(kept: Kept, fold: Fold) -> Judge:
+    """The contest's own rule, on training runs of a fold that inner folds left out."""
+
+    def judge(parts: Predicted) -> float:
+        errors = [
+            Errors.of(kept, fold.made, fold.fit[left], fold.f[left], told) for left, told in parts
+        ]
+        return rank_of(Errors.joined(errors).told())
+
+    return judge
 
 
 def trial(
@@ -141,7 +153,7 @@ def trial(
         errors = Errors.of(kept, fold.made, fold.left, fold.f_left, fold.f_left)
         return Trial({}, 0, fold.made.held, errors)
     z = kept.z
-    setting, tried = tuned(one, z[fold.fit], fold.f, plan, seed)
+    setting, tried = tuned(one, z[fold.fit], fold.f, by_rule(kept, fold), plan, seed)
     effort = Effort(plan.trees, plan.rounds, seed_of(seed, one.name))
     fitted = one.fit(z[fold.fit], fold.f, setting, effort)
     errors = Errors.of(kept, fold.made, fold.left, fold.f_left, fitted.predict(z[fold.left]))

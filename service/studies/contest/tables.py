@@ -34,8 +34,8 @@ def markdown(found: Json) -> str:
         f"{archive['independent']} independent runs, {archive['nodes']} nodes (mesh "
         f"{archive['mesh']}), fields compared at {min(plan['nodes'], archive['nodes'])} of them. "
         f"Every contestant predicts the same features, {plan['features']} at most; it tries "
-        f"{plan['configurations']} configurations by {plan['inner']}-fold cross-validation within "
-        "the training runs of each fold.",
+        f"{plan['configurations']} configurations by the same rule in {plan['inner']}-fold "
+        "cross-validation within the training runs of each fold.",
         "",
         f"First, by the rule set beforehand ({found['rule']}): **{found['best']['name']}**, "
         f"{found['best']['targets']} targets.",

@@ -19,7 +19,7 @@ from core.surrogate.contest.regressors import Contestant, Effort, Fitted, Settin
 from core.surrogate.contest.score import Errors
 
 Array = NDArray[np.float64]
-PLAN = replace(trial.QUICK, trees=8, rounds=8, features=12, tuned=4, nodes=25, timed=50)
+PLAN = replace(trial.QUICK, trees=8, rounds=8, features=12, nodes=25, timed=50)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_all_features_give_back_every_field_of_the_runs_they_were_made_of(
     late = kept.instants >= 1000.0
     assert whole[0][:, late] == pytest.approx(tip[:, late], rel=2e-3)
     own, worst = np.arange(66), kept.worst[runs]
-    assert whole[1][own, -1, worst] == pytest.approx(ceeq[own, -1, worst], rel=1e-2)
+    assert whole[1][own, -1, worst] == pytest.approx(ceeq[own, -1, worst], rel=2e-2)
     lost = [float(np.sqrt(np.mean((one[2] - moved) ** 2))) for one in (whole, cut)]
     assert lost[0] < 3e-4
     assert lost[1] > 3 * lost[0]
@@ -124,12 +124,17 @@ def test_the_configuration_of_the_least_inner_error_is_chosen() -> None:
     settings = tuple({"by": by} for by in (0.3, 0.02, -0.1))
     one = Contestant("shifted", settings, shifted)
     z = stream(6, "contest").uniform(-1, 1, (30, 2))
-    assert trial.tuned(one, z, z[:, :1], PLAN, 1) == ({"by": 0.02}, 2)
+    f = z[:, :1]
+
+    def judge(parts: trial.Predicted) -> float:
+        return sum(float(np.sum((told - f[left]) ** 2)) for left, told in parts)
+
+    assert trial.tuned(one, z, f, judge, PLAN, 1) == ({"by": 0.02}, 2)
     more = replace(PLAN, configurations=1)
-    assert trial.tuned(one, z, z[:, :1], more, 1) == ({"by": 0.3}, 1)
+    assert trial.tuned(one, z, f, judge, more, 1) == ({"by": 0.3}, 1)
     none = replace(one, carries=lambda n, d, setting: n > 20)
     with pytest.raises(InputError, match="carry no configuration of shifted"):
-        trial.tuned(none, z, z[:, :1], PLAN, 1)
+        trial.tuned(none, z, f, judge, PLAN, 1)
 
 
 def test_measures_are_those_of_their_formulas() -> None:
