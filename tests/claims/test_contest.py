@@ -70,7 +70,7 @@ def test_the_chosen_one_is_as_good_as_asked_on_runs_it_never_saw() -> None:
 
 
 def test_the_published_choice_does_not_win_here_and_an_unscaled_process_loses_to_it() -> None:
-    """Negative control of "the process wins": on inputs in their own units, nothing fitted."""
+    """Negative control of "the process wins": on inputs in their own units, one length for all."""
     for which in SETS:
         trees, best, untuned = (
             row_of(KEPT, name, which)["cross_validation"]["rmse_by_variance"]

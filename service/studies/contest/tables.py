@@ -73,19 +73,26 @@ def markdown(found: Json) -> str:
 
 
 def number(value: float) -> str:
-    """Three digits, four next to one.
+    """Three digits.
 
     >>> [number(v) for v in (0.99876, 0.012345, 12.345, 1234.5, -0.5)]
-    ['0.9988', '0.0123', '12.3', '1234', '-0.5']
+    ['0.999', '0.0123', '12.3', '1234', '-0.5']
     """
-    if 0.9 <= abs(value) < 1:
-        return f"{value:.4f}"
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 def _line(row: Json, told: Json) -> str:
-    cells = [number(scale * told[name]) for name, scale in COLUMNS]
+    cells = [told_as(name, scale * told[name]) for name, scale in COLUMNS]
     return f"| {row['name']} | {row['targets']} | " + " | ".join(cells) + " |"
+
+
+def told_as(name: str, value: float) -> str:
+    """R² with four decimals, everything else with three digits.
+
+    >>> told_as("r2_each", 0.99876), told_as("rmse_each", 0.99876)
+    ('0.9988', '0.999')
+    """
+    return f"{value:.4f}" if name.startswith("r2") else number(value)
 
 
 def _cost(row: Json) -> str:
@@ -132,4 +139,4 @@ def _beside(rows: Sequence[Json], paper: Json) -> list[str]:
 
 
 def _of(rows: Sequence[Json], name: str, key: str = "cross_validation") -> str:
-    return number(rows[0][key][name]) if rows else "–"
+    return told_as(name, rows[0][key][name]) if rows else "–"
