@@ -10,6 +10,7 @@ import sys
 import uvicorn
 from fastapi import FastAPI
 
+from service import tracing
 from service.api.app import create_app
 from service.api.loopback import keys_required
 from service.api.services import Services
@@ -31,16 +32,17 @@ from service.worker.supervise import Supervisor
 from service.worker.wake import open_wake
 
 
-def make_science(settings: Settings, store: SqlStore) -> Science:
+def make_science(settings: Settings, store: SqlStore, *, kept: bool = False) -> Science:
     """The science that the settings name; imported only here and only when asked for.
 
-    Models of users' own runs come from the store.
+    Models of users' own runs come from the store. `kept`: states are made with kept machine code
+    only, else CompiledError, after which the process is to run again (`service.kernels`).
     """
     if settings.science == "fake":
         return FakeScience()
     from service.science import CoreScience
 
-    return CoreScience(settings.model_dir, files=store.blob)
+    return CoreScience(settings.model_dir, files=store.blob, kept=kept)
 
 
 def make_store(settings: Settings) -> SqlStore:
@@ -132,6 +134,7 @@ class _Server(uvicorn.Server):
 def serve(settings: Settings) -> None:
     """API and workers until SIGTERM or SIGINT; returns when all have ended."""
     configure_logs(settings.log_level)
+    tracing.begin(settings, "api", owner_name())
     store = make_store(settings)
     science = make_science(settings, store)
     prepare(store, settings)
@@ -162,6 +165,7 @@ def serve(settings: Settings) -> None:
     finally:
         supervisor.stop()
         store.close()
+        tracing.end()
 
 
 SEALER_NICENESS = 10
@@ -180,15 +184,19 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
     if with_parent:
         end_with_parent()
     configure_logs(settings.log_level)
+    owner = owner or owner_name()
+    tracing.begin(settings, role, owner)
     store = make_store(settings)
     try:
         if not with_parent:
             prepare(store, settings)
         if role == "deliver":
-            run_worker(Deliverer(store.engine, settings, owner or owner_name()))
+            run_worker(Deliverer(store.engine, settings, owner))
             return
         if role in ("seal", "diagnose"):
             step_back()
-        run_worker(make_worker(store, make_science(settings, store), settings, owner, role))
+        science = make_science(settings, store, kept=True)
+        run_worker(make_worker(store, science, settings, owner, role))
     finally:
         store.close()
+        tracing.end()

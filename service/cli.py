@@ -14,9 +14,10 @@ import typer
 
 import service.one_thread  # noqa: F401  before numpy
 from core.errors import BladetwinError
+from service import kernels
 from service.adopt_command import adopt
+from service.commands import campaigns, register
 from service.commands import models as own_runs
-from service.commands import register
 from service.diagnose_command import diagnose
 from service.key_commands import audit, keys
 from service.progress import bar
@@ -28,12 +29,12 @@ app = typer.Typer(
     name="bladetwin",
     help="Online digital twin of turbine rotor blades.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 models = typer.Typer(help="Models.", no_args_is_help=True)
 own_runs.add(models)
+models.command("runs")(campaigns.runs)
 app.add_typer(models, name="model")
 app.add_typer(studies, name="study")
 app.add_typer(keys, name="keys")
@@ -161,18 +162,23 @@ def demo(
 def build(
     name: Annotated[str, typer.Argument(help="rotor-blade or rotor-blade-wide.")],
     out: Annotated[Path, typer.Option(help="Folder of the model.")] = Path("bladetwin-data"),
-    mesh: Annotated[str, typer.Option(help="Mesh: default, coarse or fine.")] = "default",
+    mesh: Annotated[str, typer.Option(help="Mesh: coarse, default, fine or paper.")] = "default",
     seed: Annotated[int | None, typer.Option(help="Seed of the design.")] = None,
     workers: Annotated[int, typer.Option(help="Processes that compute runs.")] = 2,
+    dask: campaigns.Dask = None,
+    archive: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the runs; default: archive, in that of the model."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Compute the finite-element runs and train the model again; resumes where it stopped."""
+    """Compute the finite-element runs and train the model again; resumes where it stopped.
+
+    Runs that others compute into the same folder (`model runs`) are waited for.
+    """
     from core.builtin import rotor_blade
 
-    plan = rotor_blade.PLANS.get(name)
-    if plan is None:
-        known = " or ".join(rotor_blade.PLANS)
-        raise typer.BadParameter(f"{name!r} is no built-in model; use {known}")
+    plan = campaigns.plan_of(name)
     chosen = rotor_blade.SEED if seed is None else seed
     shown: dict[str, Any] = {}
     with ExitStack() as bars:
@@ -187,6 +193,8 @@ def build(
             mesh=mesh,
             seed=chosen,
             workers=workers,
+            dask=dask,
+            archive_dir=archive,
             progress=progress,
             commit=commit(),
             plan=plan,
@@ -226,11 +234,22 @@ def readings(
 
 
 def main() -> None:
-    """Entry point: an error of bladetwin is one line and exit status 1."""
+    """Entry point: an error of bladetwin, or of its files, is one line and exit status 1.
+
+    A command that compiled kernels and must not compute with them begins again.
+    """
     try:
         app()
+    except kernels.CompiledError as error:
+        kernels.again(error)
     except BladetwinError as error:
         typer.echo(f"bladetwin: {error}", err=True)
+        raise SystemExit(1) from None
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename is not None else ""
+        why = error.strerror or type(error).__name__
+        remedy = "give a path that may be read or written, and room on the disk"
+        typer.echo(f"bladetwin: {where}{why}. To mend it: {remedy}.", err=True)
         raise SystemExit(1) from None
 
 

@@ -22,6 +22,7 @@ from core.diagnosis import (
     FAMILIES,
     BeforeAfter,
     Case,
+    Diagnosis,
     Facts,
     Family,
     before_after,
@@ -35,7 +36,9 @@ from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
 from core.diagnosis.rivals import splitting
 from core.diagnosis.separate import separation_json
+from core.diagnosis.tell import discrepancy_json
 from core.diagnosis.transfer import conditions, transferred
+from core.diagnosis.widen import Widened, widen
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
@@ -98,7 +101,8 @@ def diagnosed(
 ) -> Json:
     """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`).
 
-    ``adds`` is what an effect that is claimed adds to the rotor's network (`service.variant`).
+    ``adds`` is what an adoption adds to the rotor's network (`service.variant`): the effects that
+    are claimed, or, where a lack has no name, the discrepancy that the readings bear out.
     """
     total = STEPS + 4 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
@@ -113,29 +117,41 @@ def diagnosed(
         progress(what, 1 + done, total)
 
     found = diagnose(model, state, case, during, work)
-    both: BeforeAfter | None = None
     quantity = compared(readings)
     claimed = found.verdict.word == "effect"
-    if claimed and compare_h is not None and held_out(readings, quantity):
+    wide, after = None, found.after if claimed else None
+    if found.verdict.word == "unattributed" and quantity:
+        progress("a discrepancy that has no name", STEPS + 1, total)
+        hour = compare_h or model.surrogate.horizon_h
+        wide = widen(model, state, case, quantity, hour, work)
+        after = (wide.model, wide.state) if wide is not None and wide.borne_out else None
+    both: BeforeAfter | None = None
+    if after is not None and compare_h is not None and held_out(readings, quantity):
         steps = iter(range(STEPS + 1, total - 1))
         both = before_after(
-            (found.before[0], found.after[0]),
+            (found.before[0], after[0]),
             spec,
             case.readings,
             compare_h,
             quantity,
             lambda what: progress(what, next(steps), total),
             work,
+            (found.before[1], after[1]),
         )
     progress("pictures and inspections to come", total - 1, total)
     split = splitting(found, case, work)
     apart = None if split is None else separation_json(split)
-    told = to_json(found, case, both, pictures(found, case), apart)
+    told = to_json(found, case, both, pictures(found, case), apart, wide)
     if claimed and compare_h is not None:
-        models = (found.before[0], found.after[0])
         steps = iter(range(STEPS + 3, total - 1))
         held = transferred(
-            models, spec, readings, quantity, lambda what: progress(what, next(steps), total), work
+            (found.before[0], found.after[0]),
+            spec,
+            readings,
+            quantity,
+            lambda what: progress(what, next(steps), total),
+            work,
+            (found.before[1], found.after[1]),
         )
         told["conditions"] = [one.to_json() for one in held]
         told["reasons"] += [
@@ -144,5 +160,13 @@ def diagnosed(
             for one in held
             if not one.holds
         ]
-    before, after = (one[0].network for one in (found.before, found.after))
-    return told | {"adds": effects_between(before, after) if claimed else None}
+    return told | {"adds": _adds(found, wide)}
+
+
+def _adds(found: Diagnosis, wide: Widened | None) -> Json | None:
+    """What an adoption would put into the rotor's network; None where there is nothing to."""
+    if found.verdict.word == "effect":
+        return effects_between(found.before[0].network, found.after[0].network)
+    if wide is None or not wide.borne_out:
+        return None
+    return {"quantities": {wide.quantity: {"discrepancy": discrepancy_json(wide.discrepancy)}}}

@@ -411,6 +411,30 @@ class FakeScience:
             local[:, i] += left * rng.standard_normal((count, 1))
         return JointDraws(("rate",), shared, ("offset",), tuple(blades), local, meta["particles"])
 
+    def prior_draws(self, card: ModelCard, like: JointDraws) -> JointDraws:
+        from service.predictive import prior_draws
+
+        shared = {name: card.network.parameter(name).prior for name in like.shared_names}
+        return prior_draws(card.network, shared, like)
+
+    def replicated(
+        self,
+        card: ModelCard,
+        drawn: JointDraws,
+        readings: Sequence[Inspection],
+        known: Mapping[str, Mapping[str, float]],
+    ) -> list[NDArray[np.float64]]:
+        """(m + l_b) h at the reading's nodes, with its noise."""
+        found = []
+        for one in readings:
+            rate = drawn.shared[:, 0] + drawn.local[:, drawn.blades.index(one.blade), 0]
+            nodes = [None] if one.nodes is None else one.nodes.tolist()
+            scale = np.concatenate([along(card, one.quantity, node) for node in nodes])
+            y = np.outer(rate, scale * one.time_h / HORIZON_H)
+            z = stream(0, "replicated", one.id).standard_normal(y.shape)
+            found.append(y + (one.sigma or SIGMA) * z)
+        return found
+
     def forward(
         self, card: ModelCard, quantity: str, blade: str | None, known: Mapping[str, float] | None
     ) -> Forward:

@@ -31,6 +31,7 @@ from core.network import Network, rotor_blade_network
 from core.observation import Inspection
 from core.prediction import predict
 from core.surrogate.artefact import load
+from service import kernels
 from service.packed import pack, unpack, write_network
 from service.ports import (
     Array,
@@ -82,6 +83,8 @@ class CoreScience:
     model    any network and surrogate, e.g. a formula (core.surrogate.formula), used instead of
              rotor-blade and alone
     files    gives a stored file by its SHA-256: artefacts that were trained on users' runs
+    kept     update with kept machine code only: CompiledError where kernels were compiled here
+             (`service.kernels`); for processes that can run again
     """
 
     def __init__(
@@ -89,8 +92,11 @@ class CoreScience:
         folder: str = "",
         model: Model | None = None,
         files: Callable[[str], bytes] | None = None,
+        *,
+        kept: bool = False,
     ) -> None:
         self._files = files
+        self._kept = kept
         self._own: OrderedDict[str, Model] = OrderedDict()
         self._folder = Path(folder) if folder else SHIPPED
         self._models: dict[str, Model] = {} if model is None else {NAME: model}
@@ -236,9 +242,12 @@ class CoreScience:
         if self._workspace is None:
             self._workspace = online.Workspace()
         spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
-        return online.update(
+        state = online.update(
             self._model(card), spec, readings, previous, quick=quick, workspace=self._workspace
         )
+        if self._kept:
+            kernels.insist()
+        return state
 
     def restore(self, meta: Mapping[str, Any], get: Get) -> RotorState:
         return RotorState(meta, Arrays(meta["arrays"], {}, get))
@@ -302,6 +311,25 @@ class CoreScience:
         from service.joint import joint_draws
 
         return joint_draws(meta, get, blades, count)
+
+    def prior_draws(self, card: ModelCard, like: JointDraws) -> JointDraws:
+        from core.calibration.target import shared_prior
+        from service.predictive import prior_draws
+
+        model = self._model(card)
+        shared = {name: shared_prior(model, name) for name in like.shared_names}
+        return prior_draws(card.network, shared, like)
+
+    def replicated(
+        self,
+        card: ModelCard,
+        drawn: JointDraws,
+        readings: Sequence[Inspection],
+        known: Mapping[str, Mapping[str, float]],
+    ) -> list[Array]:
+        from service.predictive import replicated
+
+        return replicated(self._model(card), drawn, readings, known)
 
     def forward(
         self, card: ModelCard, quantity: str, blade: str | None, known: Mapping[str, float] | None

@@ -137,6 +137,11 @@ class Settings(BaseModel):
         description="processes that send to webhooks, where there is a key file; "
         "0 = `bladetwin worker --role deliver` does",
     )
+    otel_endpoint: str = Field(
+        "",
+        description="OpenTelemetry collector that takes OTLP over HTTP, e.g. "
+        "http://127.0.0.1:4318; empty = OTEL_EXPORTER_OTLP_ENDPOINT, or no traces",
+    )
     cache_mb: float = Field(256.0, ge=0, description="decoded arrays kept for reads, MiB")
     rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
     log_level: Literal["debug", "info", "warning", "error"] = Field(

@@ -37,6 +37,16 @@ def tell(**facts: str | None) -> None:
         known |= {name: value for name, value in facts.items() if value is not None}
 
 
+@contextmanager
+def about(**facts: str) -> Iterator[None]:
+    """Inside, every line of this thread carries these facts as well."""
+    token = _facts.set({**(_facts.get() or {}), **facts})
+    try:
+        yield
+    finally:
+        _facts.reset(token)
+
+
 class JsonLines(logging.Formatter):
     """A record as one line of JSON."""
 

@@ -187,17 +187,24 @@ def effects_between(before: Network, after: Network) -> Json:
     return found
 
 
-def with_more(asked: Json | None, effects: Json) -> Json:
-    """What a rotor asks for, and these effects on top.
+def with_more(asked: Json | None, adds: Json) -> Json:
+    """What a rotor asks for, and on top what a diagnosis adds: effects, or a discrepancy.
 
     >>> with_more(None, {"biases": [1]})["effects"]["biases"]
     [1]
     >>> with_more({"effects": {"biases": [1]}}, {"biases": [2]})["effects"]["biases"]
     [1, 2]
+    >>> told = {"quantities": {"y": {"discrepancy": {"kind": "gp"}}}}
+    >>> with_more({"quantities": {"y": {"by_instrument": True}}}, told)["quantities"]["y"]
+    {'by_instrument': True, 'discrepancy': {'kind': 'gp'}}
     """
     own: Json = asked or {}
+    if more := adds.get("quantities"):
+        quantities = own.get("quantities", {})
+        changed = {name: {**quantities.get(name, {}), **told} for name, told in more.items()}
+        return {**own, "quantities": {**quantities, **changed}}
     there = own.get("effects", {})
-    return {**own, "effects": {n: [*there.get(n, []), *effects.get(n, [])] for n in EFFECTS}}
+    return {**own, "effects": {n: [*there.get(n, []), *adds.get(n, [])] for n in EFFECTS}}
 
 
 def check_known(network: Network, blades: Sequence[tuple[str, BladeRecord]]) -> None:

@@ -9,18 +9,21 @@
                      scalars (T,) float64
 
 Each file is written under a temporary name, flushed to the disk and renamed, so a killed write
-leaves nothing half-done and a campaign resumes from `Archive.done`. `to_netcdf` packs the whole
-archive into one file for transport and `from_netcdf` unpacks it; both keep one run in memory. An
-error names the run, the quantity, the instant and the node. Archives of scalars have no mesh.
+leaves nothing half-done and a campaign resumes from `Archive.done`. Several workers share one
+archive by `core.archive.shared`; their runs appear by `Archive.add`, and the first one stays.
+`to_netcdf` packs the whole archive into one file for transport and `from_netcdf` unpacks it; both
+keep one run in memory. An error names the run, the quantity, the instant and the node. Archives of
+scalars have no mesh.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import h5netcdf
 import numpy as np
@@ -117,17 +120,37 @@ class Archive:
         if index < 0:
             raise RangeError("index", index, "is negative", "number the runs from 0")
         self.declaration.check(index, run)
+        replace_file(self.file(index), lambda name: self._fill(name, run))
+
+    def add(self, index: int, run: Run) -> bool:
+        """Check a run and store it, unless one of this index is there; whether it was stored."""
+        if index < 0:
+            raise RangeError("index", index, "is negative", "number the runs from 0")
+        self.declaration.check(index, run)
+        file = self.file(index)
+        part = _part(file)
+        try:
+            self._fill(part, run)
+            _flush(part)
+            first = link_file(part, file)
+        except FileNotFoundError:
+            if not file.exists():
+                raise
+            first = False  # swept away below, by the one who was first
+        finally:
+            part.unlink(missing_ok=True)
+        for left in self.path.glob(f".{file.name}.*.part"):
+            left.unlink(missing_ok=True)
+        return first
+
+    def _fill(self, name: Path, run: Run) -> None:
         declared = self.declaration
-
-        def fill(name: Path) -> None:
-            with h5netcdf.File(name, "w") as out:
-                out.dimensions = declared.dimensions()
-                inputs = np.array([float(run.inputs[item.name]) for item in declared.inputs])
-                out.create_variable("inputs", ("input",), data=inputs)
-                for quantity in declared.quantities:
-                    _variable(out, quantity)[...] = run.values[quantity.name]
-
-        replace_file(self.file(index), fill)
+        with h5netcdf.File(name, "w") as out:
+            out.dimensions = declared.dimensions()
+            inputs = np.array([float(run.inputs[item.name]) for item in declared.inputs])
+            out.create_variable("inputs", ("input",), data=inputs)
+            for quantity in declared.quantities:
+                _variable(out, quantity)[...] = run.values[quantity.name]
 
     def done(self) -> tuple[int, ...]:
         """Indices of the runs that are present and can be opened, ascending."""
@@ -155,6 +178,11 @@ class Archive:
         with opened(self.file(index)) as data:
             inputs = dict(zip(names, map(float, data["inputs"][...]), strict=True))
             return Run(inputs, {q.name: data[q.name][...] for q in self.declaration.quantities})
+
+    def values(self, index: int, quantities: Collection[str]) -> dict[str, Floats]:
+        """Some quantities of one run: the others are not read."""
+        with opened(self.file(index)) as data:
+            return {name: data[name][...] for name in quantities}
 
     def runs(self) -> Iterator[tuple[int, Run]]:
         """All runs in turn; only one is in memory."""
@@ -271,11 +299,40 @@ def opened(path: Path) -> h5netcdf.File:
 
 def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
     """Write under a temporary name, flush to the disk, rename."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = _part(path)
     try:
         fill(part)
-        with open(part, "rb") as handle:
-            os.fsync(handle.fileno())
+        _flush(part)
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def link_file(part: Path, path: Path) -> bool:
+    """Give a file a second name that must not exist; False if it does.
+
+    On NFS a call may succeed and its answer be lost; repeated, it says that the name exists. Then
+    the number of links tells whose it is.
+    """
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        return os.stat(part).st_nlink == 2
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise ModelError(
+            f"{path.parent} has no hard links ({error.strerror}): several workers cannot share "
+            "it. Put the archive on a local disk or on NFS"
+        ) from error
+    return True
+
+
+def _part(path: Path) -> Path:
+    """A name of one's own, on whichever machine."""
+    return path.with_name(f".{path.name}.{uuid4().hex}.part")
+
+
+def _flush(path: Path) -> None:
+    with open(path, "rb") as handle:
+        os.fsync(handle.fileno())

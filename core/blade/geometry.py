@@ -35,7 +35,7 @@ MESHES: dict[str, tuple[int, int, int]] = {
     "coarse": (16, 2, 8),  # 1,536 nodes
     "default": (40, 2, 12),  # 5,600 nodes
     "fine": (48, 3, 16),  # 12,048 nodes
-    "full": (76, 2, 32),  # 27,360 nodes
+    "paper": (76, 2, 32),  # 27,360 nodes
 }
 """Elements around the section, through the wall and along the span, by name."""
 

@@ -30,7 +30,16 @@ from numpy.typing import NDArray
 
 import core.blade
 from core.archive import Archive, Input, Mesh, Run
-from core.blade import BOUNDS, DORMANT, BladeRun, build_mesh, output_times, run_campaign
+from core.archive.shared import SharedRuns
+from core.blade import (
+    BOUNDS,
+    DORMANT,
+    BladeRun,
+    Campaign,
+    build_mesh,
+    output_times,
+    run_campaign,
+)
 from core.blade.integrate import Tolerance
 from core.design import maximin_lhs
 from core.errors import ModelError
@@ -134,31 +143,43 @@ def simulate(
     *,
     mesh: str | None = None,
     workers: int = 2,
+    dask: str | None = None,
     progress: Progress | None = None,
     plan: Plan = STANDARD,
-) -> None:
-    """Run the points (n, d) that `archive` lacks; `mesh` may be finer than the archive's own."""
+) -> Campaign:
+    """Run the points (n, d) that `archive` lacks; `mesh` may be finer than the archive's own.
+
+    Any number of processes and machines may do so at the same time on one archive, each run is
+    computed by one of them (`core.archive.shared`). Returns when all runs are there; raises
+    ModelError where some failed, here or elsewhere.
+    """
     own = archive.declaration.mesh
     names = [item.name for item in archive.declaration.inputs]
     inputs = [dict(zip(names, map(float, x), strict=True)) for x in points]
-    campaign = run_campaign(
-        inputs,
-        lambda index, run: archive.write(index, as_run(run)),
-        mesh=mesh or own,
-        onto=own,
-        done=frozenset(archive.done()),
-        processes=workers,
-        progress=progress and (lambda done, total, left: progress("runs", done, total, left)),
-        bounds=plan.bounds,
-        time_h=plan.time_h,
-        tolerance=plan.tolerance,
-    )
-    if campaign.failures:
-        first = campaign.failures[0]
-        raise ModelError(
-            f"{len(campaign.failures)} of {len(points)} runs failed; run {first.index} at "
-            f"{first.inputs}: {first.reason}"
+    shared = SharedRuns(archive, range(len(points)))
+    with shared.claims.beating():
+        campaign = run_campaign(
+            inputs,
+            lambda index, run: shared.add(index, as_run(run)),
+            mesh=mesh or own,
+            onto=own,
+            done=frozenset(archive.done()),
+            todo=shared,
+            processes=workers,
+            dask=dask,
+            code=blade_digest,
+            progress=progress and (lambda done, total, left: progress("runs", done, total, left)),
+            bounds=plan.bounds,
+            time_h=plan.time_h,
+            tolerance=plan.tolerance,
         )
+    failed = [(failure.index, failure.reason) for failure in campaign.failures]
+    if failed := sorted([*failed, *shared.failures]):
+        index, reason = failed[0]
+        raise ModelError(
+            f"{len(failed)} of {len(points)} runs failed; run {index} at {inputs[index]}: {reason}"
+        )
+    return campaign
 
 
 def build(
@@ -168,6 +189,7 @@ def build(
     workers: int = 2,
     progress: Progress | None = None,
     *,
+    dask: str | None = None,
     archive_dir: str | Path | None = None,
     training: int | None = None,
     test: int | None = None,
@@ -176,7 +198,8 @@ def build(
 ) -> Surrogate:
     """Make the model into `out_dir`; the runs go to `archive_dir` (default ``out_dir/archive``).
 
-    A build that was cut goes on where it was, unless the finite elements have changed since.
+    A build that was cut goes on where it was, unless the finite elements have changed since; runs
+    that other workers compute meanwhile (`simulate`) are waited for.
     `commit` is noted in the manifest beside the digest of the finite-element code. A model
     without test runs (`test` = 0) reports no errors.
     """
@@ -184,7 +207,7 @@ def build(
     test = plan.test if test is None else test
     points = design(seed, training, test or 2, plan)[: training + test]
     archive = open_archive(archive_dir or Path(out_dir) / "archive", mesh, seed, plan)
-    simulate(archive, points, workers=workers, progress=progress, plan=plan)
+    simulate(archive, points, workers=workers, dask=dask, progress=progress, plan=plan)
     runs = range(training), range(training, training + test)
     return finish(archive, out_dir, *runs, commit, plan.name)
 

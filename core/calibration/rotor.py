@@ -12,6 +12,7 @@ seen by a surface that looks beyond them (`surface.foreseen`): nodes beside the 
 even weights, too. Where messages are cheap (a closed form's) and that is not reached, the nodes of
 further placements are pooled (`placement.pooled`). Everything is a function of the set of readings;
 the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
+Where a posterior is nearly known from another (`start`), the nodes are tried there first.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from core.calibration.columns import Columns, How
 from core.calibration.message import BladeMessage
+from core.calibration.start import Start
 from core.calibration.surface import foreseen
 from core.calibration.target import SharedSpace
 from core.errors import InputError
@@ -77,6 +79,8 @@ PANEL = 12  # blades of a kind whose exact messages place the nodes
 CHEAP_TURNS = 3  # placements tried where messages are cheap, before all nodes met are pooled
 WELL = 0.4  # share of effective nodes that is enough then
 POOLED = 512  # nodes of a round of those
+EXPECTED = 4  # placements tried from where the posterior is expected
+COMPARED = 0.3  # share of effective nodes that is enough there: 0.13 nat of evidence by 128 nodes
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
 
@@ -176,13 +180,19 @@ def weigh(
     seed: int,
     *,
     rounds: int = 12,
+    start: Start | None = None,
 ) -> Weighed:
-    """Place and weight the shared nodes for these messages."""
+    """Place and weight the shared nodes for these messages.
+
+    start  where they are tried first; none, for what must depend on the messages alone
+    """
     d, n = space.dim, max(node_count(space.dim), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
     fitting, cheap = min(0.3, 1.2 / d), all(m.cheap for m in messages.values())
     if cheap:
         enough = max(enough, WELL)
+    if start is not None:
+        enough = min(enough, COMPARED)
     base = sobol(n, d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
@@ -246,15 +256,24 @@ def weigh(
             start = following
         return best
 
-    place, best = exactly(start_of(space, messages), counts), (-1.0, Proposal(np.zeros(d), None))
-    if len(counts) < len(messages):
-        nearer = mended(place, counts)
-        nearer = nearer and mended(nearer, everyone)
-        if nearer is not None:
-            best = settled(nearer, 3, ASTRAY)
+    def found() -> tuple[float, Proposal]:
+        """The best share of effective nodes, and its proposal, from nothing but the messages."""
+        place, best = exactly(start_of(space, messages), counts), nowhere
+        if len(counts) < len(messages):
+            nearer = mended(place, counts)
+            nearer = nearer and mended(nearer, everyone)
+            if nearer is not None:
+                best = settled(nearer, 3, ASTRAY)
+        if best[0] < enough:
+            turns = CHEAP_TURNS if cheap else rounds
+            best = max(best, settled(exactly(place, everyone), turns), key=lambda one: one[0])
+        return best
+
+    best = nowhere = (-1.0, Proposal(np.zeros(d), None))
+    if start is not None and (expected := start.on(space)) is not None:
+        best = settled(expected, EXPECTED)
     if best[0] < enough:
-        turns = CHEAP_TURNS if cheap else rounds
-        best = max(best, settled(exactly(place, everyone), turns), key=lambda found: found[0])
+        best = max(best, found(), key=lambda one: one[0])
     if best[0] < enough and cheap:
         place = pooled(
             lambda unit: space.log_prior(unit) + seen(unit, "exact", everyone),

@@ -11,8 +11,9 @@ leaves the smallest set that has `CREDIBLE` of the evidence: not separable.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -35,14 +36,22 @@ from core.model import Model
 SHOWN = 20
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Rival:
-    """Effects in the model, calibrated; gained [nat] against the model as it was."""
+    """Effects in the model, calibrated; gained [nat] against the model as it was.
+
+    made  its state, drawn when it is first looked at: most rivals are weighed and no more
+    """
 
     effects: tuple[Cell, ...]
     model: Model
-    state: RotorState
+    made: Callable[[], RotorState]
     gained: float
+
+    @cached_property
+    def state(self) -> RotorState:
+        """With the particles of all blades."""
+        return self.made()
 
 
 @dataclass(frozen=True)

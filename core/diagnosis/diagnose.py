@@ -26,11 +26,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.online import Workspace, update
+from core.calibration.online import Workspace, begun
+from core.calibration.start import Start
 from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude, with_effects
 from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, apart, conclude, reweighed
+from core.diagnosis.expected import joined, without
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
 from core.diagnosis.verdict import LEFT, Verdict, judge
@@ -105,22 +107,33 @@ class _Search:
         self.progress(what, min(self.done, STEPS), STEPS)
         self.done += 1
 
-    def calibrated(self, effects: tuple[Cell, ...]) -> Rival | None:
-        """The rotor with these effects in its model; none where the runs have no room."""
+    def calibrated(
+        self, effects: tuple[Cell, ...], start: Callable[[], Start] | None = None
+    ) -> Rival | None:
+        """The rotor with these effects in its model; none where the runs have no room.
+
+        start  where its posterior is expected
+        """
         names = tuple(c.name for c in effects)
         if not effects:
-            return Rival((), self.model, self.state, 0.0)
+            return Rival((), self.model, lambda: self.state, 0.0)
         if (key := frozenset(effects)) not in self.known:
             self.say(" and ".join(names))
             noise = self.case.noise(self.model, self.state)
             try:
                 bigger = with_effects(self.model, effects, self.case.facts, noise)
-                made = update(bigger, self.case.spec, self.case.readings, workspace=self.work)
+                made = begun(
+                    bigger,
+                    self.case.spec,
+                    self.case.readings,
+                    workspace=self.work,
+                    start=start() if start is not None else None,
+                )
+                gained = made.log_evidence - self.state.meta["log_evidence"]
             except InputError as error:  # together they may leave the runs, in one blade alone
                 self.refused[names] = str(error)
                 return None
-            gained = made.meta["log_evidence"] - self.state.meta["log_evidence"]
-            self.known[key] = Rival(effects, bigger, made, gained)
+            self.known[key] = Rival(effects, bigger, made.sealed, gained)
         return self.known[key]
 
     def turn(self, scan: Scan, taken: Rival) -> Turn:
@@ -130,10 +143,14 @@ class _Search:
         tells causes from each other, and large effects' courses hardly.
         """
         weighed = weighed_all(scan, least=0.0)
+        noise = self.case.noise(self.model, self.state)
         known: dict[tuple[int, ...], Rival] = {}
 
         def ask(cells: tuple[int, ...]) -> None:
-            made = self.calibrated((*taken.effects, *(scan.cells[i] for i in cells)))
+            made = self.calibrated(
+                (*taken.effects, *(scan.cells[i] for i in cells)),
+                lambda: joined(taken.model, taken.state, scan, cells, self.model, noise),
+            )
             if made is not None:
                 known[cells] = made
 
@@ -152,10 +169,15 @@ class _Search:
             took = names[_best(known)]
         return Turn(found, took, rivals, tuple(scan.cells), taken.effects)
 
+    def _only(self, taken: Rival, effects: tuple[Cell, ...]) -> Rival | None:
+        """Calibrated with some of the effects that are taken."""
+        gone = [c for c in taken.effects if c not in effects]
+        return self.calibrated(effects, lambda: without(taken.model, taken.state, gone, self.model))
+
     def needed(self, taken: Rival) -> Rival:
         """Without the effects that do not earn their place beside the others."""
         for out in taken.effects if len(taken.effects) > 1 else ():
-            rest = self.calibrated(tuple(c for c in taken.effects if c != out))
+            rest = self._only(taken, tuple(c for c in taken.effects if c != out))
             if rest is not None and taken.gained < rest.gained + self.price:
                 return self.needed(rest)
         return taken
@@ -169,7 +191,7 @@ class _Search:
         sure = tuple(c for c in taken.effects if claims.get(c.name) is not None)
         if not 0 < len(sure) < len(taken.effects):
             return None
-        rest = self.calibrated(sure)
+        rest = self._only(taken, sure)
         if rest is None:
             return None
         _, found = _left(self, rest, len(turns))
@@ -209,7 +231,7 @@ def diagnose(
     scan = case.scan(model, state)
     search.price = EARNED + math.log(max(1, len(scan.families)))
     first = found = judge(scan, case.spec.seed, dealt=case.dealt)
-    nothing = taken = Rival((), model, state, 0.0)
+    nothing = taken = Rival((), model, lambda: state, 0.0)
     if first.word == "adequate":
         return Diagnosis(first, first, (model, state), (model, state), (), 0.0, ())
     turns: list[Turn] = []

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec, RotorState, blade_posterior
+from core.diagnosis.expected import with_fewer
 from core.model import Model
 from core.observation import Inspection
 from core.prediction import predict
@@ -94,16 +95,21 @@ def before_after(
     quantity: str = "elongation",
     say: Callable[[str], None] = lambda what: None,
     workspace: Workspace | None = None,
+    states: Sequence[RotorState] = (),
 ) -> BeforeAfter:
-    """Calibrate both models without the held-out readings, and predict these."""
+    """Calibrate both models without the held-out readings, and predict these.
+
+    states  of both models with all readings: where to look first
+    """
     held = held_out(readings, quantity)
     gone = {r.id for r in held}
     kept = [r for r in readings if r.id not in gone]
     work = workspace or Workspace()
     scored, forecast = [], []
-    for model, which in zip(models, ("before", "after"), strict=True):
+    for i, (model, which) in enumerate(zip(models, ("before", "after"), strict=True)):
         say(f"{which}, without {len(held)} readings")
-        state = update(model, spec, kept, workspace=work)
+        start = with_fewer(model, states[i]) if states else None
+        state = update(model, spec, kept, workspace=work, start=start)
         scored.append(score(model, state, held, spec.known))
         forecast.append(fleet(model, state, spec, quantity, horizon_h))
     return BeforeAfter(

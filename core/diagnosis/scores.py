@@ -91,7 +91,7 @@ class Scores:
         return self.rows[b].readings[int(self.place[b, i])]
 
     @cached_property
-    def _curvature(self) -> Array:
+    def curvature(self) -> Array:
         """A (S, S)."""
         a = np.einsum("bis,bij,bjt->st", self.slope, self.information, self.slope)
         return np.asarray(np.diag(1.0 / self.prior) + a)
@@ -99,7 +99,7 @@ class Scores:
     @cached_property
     def imitated(self) -> Array:
         """Z = S A^−½, (B, n, S)."""
-        value, vector = np.linalg.eigh(self._curvature)
+        value, vector = np.linalg.eigh(self.curvature)
         return np.asarray(self.slope @ (vector / np.sqrt(value)))
 
     def by_chance(self, rng: np.random.Generator, count: int) -> Array:
@@ -107,7 +107,7 @@ class Scores:
 
         Its covariance is A^−½ (P⁻¹ − P⁻¹ A⁻¹ P⁻¹) A^−½.
         """
-        value, vector = np.linalg.eigh(self._curvature)
+        value, vector = np.linalg.eigh(self.curvature)
         inverse = np.diag(1.0 / self.prior)
         middle = inverse - inverse @ (vector / value) @ vector.T @ inverse
         turn = (vector / np.sqrt(value)).T
@@ -142,6 +142,12 @@ class Scores:
         sure = size[:, :few] > 1e-3 * np.maximum(size[:, :1], 1e-300)
         back = np.where(sure, 1.0 / np.where(sure, size[:, :few], 1.0), 0.0)
         return left[:, :, :few], back, right[:, :few], spread
+
+    def imitating(self, g: Array) -> Array:
+        """By how much shared parameters move for an amplitude of one of signatures g (B, n, C),
+        −A⁻¹ Σ_b S_bᵀ Q_b g_b, (S, C)."""
+        across = np.einsum("bis,bij,bjc->sc", self.slope, self.information, g)
+        return np.asarray(-np.linalg.solve(self.curvature, across))
 
     def efficient(self, g: Array) -> Array:
         """g⊥ (B, n, C) of signatures g (B, n, C)."""

@@ -15,6 +15,8 @@ from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.grammar import Cell
 from core.diagnosis.report import BeforeAfter, Scored
 from core.diagnosis.verdict import Verdict, describe
+from core.diagnosis.widen import Widened
+from core.quantity import Discrepancy
 
 Json = dict[str, Any]
 
@@ -25,17 +27,22 @@ def to_json(
     compared: BeforeAfter | None = None,
     pictures: Json | None = None,
     separating: Json | None = None,
+    wide: Widened | None = None,
 ) -> Json:
     """Verdict, effects with amplitudes, evidence, everything tried, before and after.
 
     pictures    what a report shows of it (`core.diagnosis.pictures`)
     separating  inspections that would split what is not separable (`core.diagnosis.separate`)
+    wide        what a lack without a name makes of the bands (`core.diagnosis.widen`)
     """
     verdict = found.verdict
+    after = found.after
+    if wide is not None and wide.borne_out:
+        after = wide.model, wide.state
     return {
         "verdict": verdict.word,
         "names": list(verdict.names),
-        "reasons": list(verdict.reasons),
+        "reasons": [*verdict.reasons, *([] if wide is None else [in_words(wide)])],
         "p": verdict.p,
         "p_after": verdict.after,
         "effects": [
@@ -54,17 +61,49 @@ def to_json(
         "holds": [{**asdict(h), "agrees": h.agrees} for h in verdict.held],
         "parameters": {
             "before": shared(found.before[1]),
-            "after": shared(found.after[1]),
+            "after": shared(after[1]),
         },
         "readings": {
             "delivered": len(case.readings),
             "used": int(found.before[1].meta["events"]),
         },
-        "models": {"before": found.before[0].digest, "after": found.after[0].digest},
+        "models": {"before": found.before[0].digest, "after": after[0].digest},
         "before_after": None if compared is None else compared_json(compared),
         "pictures": pictures,
         "separating": separating,
+        "widened": None if wide is None else widened_json(wide),
     }
+
+
+def widened_json(wide: Widened) -> Json:
+    """A discrepancy without a name, and how much of the bands it is."""
+    return {
+        "quantity": wide.quantity,
+        "discrepancy": discrepancy_json(wide.discrepancy),
+        "gained_nat": wide.gained,
+        "borne_out": wide.borne_out,
+        "time_h": wide.hour_h,
+        "share": wide.share,
+        "sd": {"before": wide.sds[0], "after": wide.sds[1]},
+    }
+
+
+def discrepancy_json(declared: Discrepancy) -> Json:
+    """As a network tells it: what is given, and no more."""
+    return {k: v for k, v in asdict(declared).items() if v is not None and (k, v) != ("sigma", 0.0)}
+
+
+def in_words(wide: Widened) -> str:
+    """What a discrepancy without a name means."""
+    what = f"a discrepancy of {wide.quantity} over operating hours, the same in all blades,"
+    if not wide.settled:
+        return f"{what} could not be calibrated: too few nodes carry its posterior"
+    if not wide.borne_out:
+        return f"{what} gains {wide.gained:.1f} nat: the misfit is not common to the blades"
+    return (
+        f"{what} gains {wide.gained:.1f} nat and is {wide.share:.0%} of the variance at "
+        f"{wide.hour_h:,.0f} h; it names no cause"
+    )
 
 
 def cell_json(cell: Cell) -> Json:

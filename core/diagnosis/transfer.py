@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from core.calibration.online import Workspace, update
-from core.calibration.state import RotorSpec
+from core.calibration.state import RotorSpec, RotorState
+from core.diagnosis.expected import with_fewer
 from core.diagnosis.report import Scored, score
 from core.model import Model
 from core.observation import Inspection
@@ -81,8 +82,12 @@ def transferred(
     quantity: str,
     say: Callable[[str], None] = lambda what: None,
     workspace: Workspace | None = None,
+    states: Sequence[RotorState] = (),
 ) -> tuple[Condition, ...]:
-    """Both models in every condition, calibrated on all others; empty where there are none."""
+    """Both models in every condition, calibrated on all others; empty where there are none.
+
+    states  of both models with all readings: where to look first
+    """
     work = workspace or Workspace()
     found = []
     for name, value, blades in conditions(spec.known, sorted({r.blade for r in readings})):
@@ -91,9 +96,10 @@ def transferred(
         if not held:
             continue
         scored = []
-        for model in models:
+        for i, model in enumerate(models):
             say(f"without {name} = {value:g}")
-            state = update(model, spec, kept, workspace=work)
+            start = with_fewer(model, states[i]) if states else None
+            state = update(model, spec, kept, workspace=work, start=start)
             scored.append(score(model, state, held, spec.known))
         found.append(Condition(name, value, blades, scored[0], scored[1]))
     return tuple(found)

@@ -82,6 +82,8 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         lifespan=lifespan,
         responses={"default": PROBLEM},
         redirect_slashes=False,
+        # whole addresses with their queries would stand in its spans; ours: service.api.traced
+        telemetry={"tracing": False, "logs": False},
     )
     app.state.services = services
     app.state.revisions = revisions

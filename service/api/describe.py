@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import FastAPI
 
 from service.api.answers import ANSWERS
-from service.api.files import contents
+from service.api.files import FILES, contents
 from service.api.scopes import RULES, STATE_CHANGING
 
 Json = dict[str, Any]
@@ -64,6 +64,8 @@ def _complete(name: str, operation: Json, keys: bool) -> None:
     operation["security"] = [] if scope == "open" else [{"key": [scope]}] + [{}] * (not keys)
     operation["responses"].pop("422", None)
     for status in ("200", "201", "202"):
+        if status in operation["responses"] and name in FILES and name not in ANSWERS:
+            operation["responses"][status]["content"] = contents(name)
         if status in operation["responses"] and name in ANSWERS:
             told = {"application/json": {"schema": ANSWERS[name]}} | contents(name)
             operation["responses"][status]["content"] = told

@@ -8,17 +8,20 @@ from typing import Any
 from fastapi.responses import Response, StreamingResponse
 
 from service.api.tags import REVALIDATE
+from service.export.sensorthings import MEDIA
 from service.handlers.reads import Basis, health
 
 NETCDF, PARQUET = "application/x-netcdf", "application/vnd.apache.parquet"
 CSV, VTU = "text/csv; charset=utf-8", "application/xml"
+SENSORTHINGS, ZIP, NPZ = MEDIA, "application/zip", "application/x-npz"
 BLADE = "/v1/rotors/{r}/blades/{b}"
 FILES: dict[str, tuple[str, ...]] = {
-    "GET /v1/rotors/{r}/inspections": (CSV, PARQUET),
+    "GET /v1/rotors/{r}/inspections": (CSV, PARQUET, SENSORTHINGS),
     "GET /v1/rotors/{r}/draws": (NETCDF,),
     f"GET {BLADE}/draws": (NETCDF,),
-    f"GET {BLADE}/field": (VTU,),
-    f"GET {BLADE}/prediction": (CSV,),
+    f"GET {BLADE}/field": (VTU, ZIP, NPZ),
+    "GET /v1/rotors/{r}/field": (ZIP,),
+    f"GET {BLADE}/prediction": (CSV, SENSORTHINGS),
 }
 """Media types that a route answers with besides JSON; `service.api.describe` tells them."""
 
@@ -29,7 +32,7 @@ def contents(name: str) -> dict[str, Any]:
 
 
 def file(
-    body: bytes | Iterable[str],
+    body: bytes | Iterable[str] | Iterable[bytes],
     kind: str,
     name: Iterable[object],
     ending: str,
@@ -38,7 +41,7 @@ def file(
 ) -> Response:
     """A file with its ETag and a name to save it under; `found`: the version that it rests on.
 
-    body   the bytes, or texts as they come
+    body   the bytes, or pieces as they come
     """
     saved = "-".join(str(part) for part in name).replace(":", "_")
     headers = {

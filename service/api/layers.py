@@ -3,6 +3,7 @@
 =============  ===========================================================================
 Measured       counts and times of requests
 Manners        request id, browsers' headers, a line in the log
+Traced         a span of the client's trace, where traces are on
 CORS           where BLADETWIN_CORS_ORIGINS names pages that may call
 Compression    gzip for large answers
 LastResort     an error that nobody foresaw is a problem, too
@@ -27,12 +28,16 @@ from service.api.problems import LastResort
 from service.api.repeats import Repeats
 from service.api.services import Services
 from service.api.tags import Compression, EntityTags
+from service.api.traced import Traced
 from service.api.trail import Trail
 
-SENT = ("Authorization", "Idempotency-Key", "If-Match", "If-None-Match", "X-Request-Id")
+SENT = (
+    *("Authorization", "Idempotency-Key", "If-Match", "If-None-Match", "X-Request-Id"),
+    *("traceparent", "tracestate"),
+)
 SHOWN = (
     *("ETag", "Location", "Retry-After", "RateLimit", "RateLimit-Policy", "X-Request-Id"),
-    *("Idempotent-Replayed", "Bladetwin-Health"),
+    *("Idempotent-Replayed", "Bladetwin-Health", "traceresponse"),
 )
 
 
@@ -54,5 +59,6 @@ def add_layers(app: FastAPI, services: Services, requests: Requests) -> None:
             allow_headers=SENT,
             expose_headers=SHOWN,
         )
+    app.add_middleware(Traced)
     app.add_middleware(Manners)
     app.add_middleware(Measured, requests=requests)

@@ -27,6 +27,8 @@ from pydantic_core import from_json
 from core.observation import Inspection
 from service.api.csv_rows import csv_rows
 from service.api.problems import Fault, RequestError, fault, faults_of_validation, invalid
+from service.api.sensorthings import sensorthings_rows
+from service.export.sensorthings import MEDIA
 from service.handlers.inspections import Item
 from service.hooks import Kind
 from service.names import ID_PATTERN, TEXT_PATTERN
@@ -158,17 +160,19 @@ class Nothing(Body):
 
 
 def read_inspections(body: bytes, content_type: str) -> list[Item]:
-    """The readings of a request: one, many or CSV. RequestError lists every fault."""
+    """The readings of a request, by its media type. RequestError lists every fault."""
     kind = content_type.split(";")[0].strip().lower()
     if kind == "text/csv":
         rows = csv_rows(body)
+    elif kind == MEDIA:
+        rows = sensorthings_rows(body)
     elif kind in ("", "application/json"):
         rows = _json_rows(body)
     else:
         raise RequestError(
             415,
             "unsupported-media-type",
-            f"{kind!r} is not read; post application/json or text/csv",
+            f"{kind!r} is not read; post application/json, text/csv or {MEDIA}",
         )
     items: list[Item] = []
     faults: list[Fault] = []

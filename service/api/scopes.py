@@ -68,6 +68,7 @@ RULES: dict[str, Rule] = {
     f"GET {ROTOR}/plan": Rule("read"),
     f"GET {ROTOR}/blades": Rule("read"),
     f"GET {ROTOR}/draws": Rule("read"),
+    f"GET {ROTOR}/field": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/draws": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/field": Rule("read"),
     f"GET {ROTOR}/versions": Rule("read"),

@@ -17,7 +17,7 @@ COMPRESSED = "-gz"
 REVALIDATE = "private, no-cache"
 NOT_COMPRESSED = (
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
-    *("application/octet-stream", "application/x-npy", "application/x-netcdf"),
+    *("application/octet-stream", "application/x-npz", "application/x-netcdf"),
     "application/vnd.apache.parquet",
 )
 LARGE_BYTES = 4096

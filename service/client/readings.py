@@ -8,6 +8,7 @@ from typing import Any
 from service.client.steps import Call, Json, Steps, ask, fetch, head_seq, path, told
 
 CSV = {"content-type": "text/csv; charset=utf-8"}
+SENSORTHINGS = "application/vnd.bladetwin.sensorthings+json"
 
 
 def post_inspections(rotor: str, inspections: Sequence[Mapping[str, Any]]) -> Steps[int]:
@@ -21,6 +22,16 @@ def post_csv(rotor: str, text: str | bytes) -> Steps[int]:
     content = text.encode() if isinstance(text, str) else text
     where = path("rotors", rotor, "inspections")
     return head_seq(ask("POST", where, content=content, headers=CSV))
+
+
+def post_sensorthings(rotor: str, body: str | bytes) -> Steps[int]:
+    """Post SensorThings Observations, all or nothing; the sequence number to wait for.
+
+    body   JSON: an Observation, data arrays, or what `readings_sensorthings` gave
+    """
+    content = body.encode() if isinstance(body, str) else body
+    where = path("rotors", rotor, "inspections")
+    return head_seq(ask("POST", where, content=content, headers={"content-type": SENSORTHINGS}))
 
 
 def retract(rotor: str, inspection: str) -> Steps[int]:
@@ -46,6 +57,11 @@ def readings_csv(rotor: str, *, blade: str | None = None) -> Steps[bytes]:
 def readings_parquet(rotor: str, *, blade: str | None = None) -> Steps[bytes]:
     """Every reading with its status, as a Parquet file."""
     return fetch(path("rotors", rotor, "inspections"), told(format="parquet", blade=blade))
+
+
+def readings_sensorthings(rotor: str, *, blade: str | None = None) -> Steps[bytes]:
+    """The readings that count, as SensorThings Datastreams with their Observations (JSON)."""
+    return fetch(path("rotors", rotor, "inspections"), told(format="sensorthings", blade=blade))
 
 
 def residuals(rotor: str, **filters: str) -> Steps[Json]:

@@ -36,6 +36,13 @@ def restore(
     file: Annotated[
         Path, typer.Argument(help="What `bladetwin backup` wrote.", exists=True, dir_okay=False)
     ],
+    hold_webhooks: Annotated[
+        bool,
+        typer.Option(
+            "--hold-webhooks",
+            help="What was still to be sent to webhooks is dead, and sent when asked for.",
+        ),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Make the database of BLADETWIN_DATABASE_URL from a backup, where there is none yet.
@@ -49,11 +56,14 @@ def restore(
     url = Settings.load().database_url
     target = use.sqlite_path(url)
     if target is None:
-        raise use.for_postgres(use.restore_command(url, file))
-    _tell(use.restore_file(file, target, revisions()), as_json)
+        more = [use.hold_command(url)] if hold_webhooks else []
+        raise use.for_postgres(use.restore_command(url, file), *more)
+    _tell(use.restore_file(file, target, revisions(), hold=hold_webhooks), as_json)
 
 
 def _tell(done: Copied, as_json: bool) -> None:
     line = f"{done.file}: {done.rotors} rotor(s), {done.entries} entries, schema {done.schema}"
-    detail = f"{done.bytes} bytes, SHA-256 {done.sha256}"
-    say(done.to_json(), [line, detail], as_json=as_json)
+    lines = [line, f"{done.bytes} bytes, SHA-256 {done.sha256}"]
+    if done.held:
+        lines.append(f"{done.held} deliveries to webhooks are held (dead) until they are asked for")
+    say(done.to_json(), lines, as_json=as_json)

@@ -1,5 +1,7 @@
 """``bladetwin inspect``: a rotor at a glance, in the terminal. It reads and changes nothing.
 
+With a file of readings it tells what would become of them instead (`service.commands.check_file`).
+
 Everything is of one version: the table, the parameters and the state that the header names. A
 margin is what is left to the limit in standard deviations of the blade itself, without a reading's
 noise, as on the rotor's page: (limit − mean) / sd.
@@ -10,19 +12,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from itertools import compress
+from pathlib import Path
 from typing import Annotated, Any
 
 import httpx
 import typer
 
+from core.errors import InputError
 from core.network import Network
 from service.client import Client
 from service.commands import Json
+from service.commands.check_file import checked
+from service.commands.check_file import lines_of as file_lines
 from service.diagnose_command import AwayError
 from service.export.units import unit_of
 
 Told = dict[str, Any]
 FEW_SD = 2.0
+REFUSED = 3  # exit status where a file could not be posted
 
 
 def gathered(
@@ -86,18 +93,39 @@ def inspect(
     limit: Annotated[
         float | None, typer.Option(help="Of that quantity: tells each blade's margin to it.")
     ] = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(
+            help="Readings (CSV or JSON): what would become of them, if they were posted."
+        ),
+    ] = None,
     url: Annotated[str, typer.Option(help="The service.")] = "http://127.0.0.1:8000",
     key: Annotated[str | None, typer.Option(help="An API key with read.")] = None,
     as_json: Json = False,
 ) -> None:
-    """A rotor at a glance: state and health, shared parameters, every blade. Changes nothing."""
+    """A rotor at a glance, or a file of readings before it is posted. Changes nothing.
+
+    State and health, shared parameters, every blade. With --file: exit status 0: it can be posted;
+    3: it would be refused, and every fault.
+    """
+    other = {"--quantity": quantity, "--time-h": time_h, "--node": node, "--limit": limit}
+    odd = [name for name, value in other.items() if value is not None]
+    if file is not None and odd:
+        value = other[odd[0]]
+        raise InputError(odd[0], value, "is given beside a file", "leave one of the two out")
     try:
         with Client(url, key=key) as twin:
-            told = gathered(twin, rotor, quantity, time_h, node)
+            if file is not None:
+                told = checked(twin, rotor, file, quiet=as_json)
+            else:
+                told = gathered(twin, rotor, quantity, time_h, node)
     except httpx.TransportError as error:
         raise AwayError(
             f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."
         ) from None
+    if file is not None:
+        typer.echo(json.dumps(told) if as_json else "\n".join(file_lines(told)))
+        raise typer.Exit(REFUSED if told["faults"] else 0)
     if limit is not None:
         told = with_margins(told, limit)
     typer.echo(json.dumps(told) if as_json else "\n".join(lines_of(told)))

@@ -156,7 +156,7 @@ def _repair_lines(done: Repair | None) -> list[str]:
 def _wired(store: SqlStore, settings: Settings) -> tuple[Science, Updater]:
     from service.bootstrap import make_science, make_worker
 
-    science = make_science(settings, store)
+    science = make_science(settings, store, kept=True)
     return science, make_worker(store, science, settings).updater
 
 

@@ -1,4 +1,7 @@
-"""`bladetwin export` and `bladetwin import`: a rotor as one file, between databases."""
+"""`bladetwin export` and `bladetwin import`: a rotor as one file.
+
+Between databases it is a bundle; other formats are for other tools (`service.commands.files`).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import typer
 
 from core.errors import InputError
 from service.commands import Json, opened, say
+from service.commands.files import Form, Wanted, check, write
 from service.settings import Settings
 
 
@@ -16,17 +20,48 @@ def export(
     rotor: Annotated[str, typer.Argument(help="Id of the rotor.")],
     file: Annotated[Path, typer.Argument(help="The file to write.")],
     force: Annotated[bool, typer.Option(help="Replace the file if it is there.")] = False,
+    form: Annotated[
+        Form,
+        typer.Option(
+            "--format",
+            help="bundle: for `bladetwin import`; csv, parquet, sensorthings: readings; netcdf: "
+            "draws for ArviZ; vtu, pvd, npz: a field.",
+        ),
+    ] = Form.BUNDLE,
+    blade: Annotated[str | None, typer.Option(help="Of this blade alone.")] = None,
+    prediction: Annotated[
+        bool, typer.Option("--prediction", help="csv, sensorthings: a blade's prediction.")
+    ] = False,
+    quantity: Annotated[
+        str | None, typer.Option(help="Of a field or prediction; default: the model's first.")
+    ] = None,
+    times: Annotated[
+        str | None, typer.Option(help="Hours with commas between; default: the model's instants.")
+    ] = None,
+    count: Annotated[int | None, typer.Option(help="Draws; default: 1000.")] = None,
+    version: Annotated[
+        int | None, typer.Option(help="Of the posterior; default: the newest.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a rotor, its blades, network and whole log into one file."""
+    """Write a rotor, its blades, network and whole log into one file; or what other tools read."""
     from service.handlers.transfer import export_rotor
     from service.release import release
 
+    wanted = Wanted(form, blade, prediction, quantity, times, count, version)
+    check(wanted)
     if file.exists() and not force:
         raise InputError("FILE", str(file), "is there already", "choose another, or add --force")
     if not file.absolute().parent.is_dir():
         raise InputError("FILE", str(file), "is in a folder that does not exist", "make it first")
     settings = Settings.load()
+    if form is not Form.BUNDLE:
+        with opened(settings) as store:
+            write(store, settings, rotor, wanted, file)
+        size = file.stat().st_size
+        facts = {"rotor": rotor, "format": form.value, "file": str(file), "bytes": size}
+        say(facts, [f"rotor {rotor}: {form.value} in {file} ({size} bytes)"], as_json=as_json)
+        return
     with opened(settings) as store:
         manifest = export_rotor(store, rotor, file, release())
     size = file.stat().st_size

@@ -4,5 +4,7 @@ netcdf.py    draws, in ArviZ's schema
 vtu.py       a field on the model's mesh, for ParaView, PyVista, meshio
 tables.py    predictions as CSV
 readings.py  readings as CSV rows, which can be posted again, and as Parquet
+series.py    fields over hours: PVD with its VTU files, numpy arrays
+sensorthings.py  readings and predictions as SensorThings entities
 units.py     units of parameters by their names
 """

@@ -5,7 +5,8 @@ like after any other entry, from the whole log under the new network.
 
 A diagnosis is adopted where it speaks of the rotor as it is:
 
-* its verdict is ``effect``: the other verdicts name nothing that could go into a model;
+* its verdict is ``effect``, or it is ``unattributed`` and the readings bear a discrepancy out that
+  names no cause and widens the bands: there is nothing else that could go into a model;
 * the rotor's model is the one that it was made for: an effect is what *that* model lacked;
 * every reading that it used still counts, unchanged. Readings that came later are no obstacle, or
   nothing could be adopted on a rotor that is read all the time; the answer tells how many;
@@ -88,7 +89,7 @@ def adopt_in(
     body: Json = {
         "number": now.count + 1,
         "diagnosis": job.id,
-        "effects": result["effects"],
+        "effects": _told(result),
         "before": now.network,
         "after": network,
         "models": models,
@@ -181,8 +182,12 @@ def _claimed(job: JobRecord, result: Json | None) -> Json:
         over = job.status in ("failed", "cancelled")
         raise AdoptionError(job.id, "adopted", problem, f"ask anew: {where}" if over else wait)
     verdict = result["verdict"]
-    if verdict != "effect":
-        problem = f"its verdict is {verdict!r}, and only an effect that is named can be adopted"
+    wide = (result.get("widened") or {}) if verdict == "unattributed" else {}
+    if verdict != "effect" and not wide.get("borne_out"):
+        problem = (
+            f"its verdict is {verdict!r}, and it has neither an effect that is named "
+            "nor a discrepancy that is borne out"
+        )
         remedy = {
             "adequate": "leave the model as it is",
             "not separable": "take the readings that would separate "
@@ -234,12 +239,34 @@ def _since(tx: Transaction, rotor: RotorRecord, job: JobRecord, result: Json, he
         problem = f"{len(gone)} of its {len(then)} readings count no longer ({shown})"
         raise AdoptionError(job.id, "adopted", problem, anew)
     joined = [b for b in tx.records.blades(rotor.id) if b.added_seq > through]
-    for effect in result["effects"]:
+    for effect in _told(result):
         strangers = [b.id for b in joined if _concerns(effect, b)]
         if strangers:
             problem = f"{', '.join(strangers)} joined since, and {effect['name']!r} concerns them"
             raise AdoptionError(job.id, "adopted", problem, anew)
     return len(now) - len(then)
+
+
+def _told(result: Json) -> list[Json]:
+    """The effects that enter; of a lack without a name, its discrepancy, which is all blades'."""
+    if result["verdict"] == "effect":
+        return list(result["effects"])
+    wide = result["widened"]
+    name = f"discrepancy ({wide['quantity']})"
+    share = f"{wide['share']:.0%} of the variance at {wide['time_h']:,.0f} h"
+    return [
+        {
+            "name": name,
+            "words": f"{name}: {share}, without a cause",
+            "kind": "unnamed",
+            "on": "quantity",
+            "target": wide["quantity"],
+            "whom": "all",
+            "value": None,
+            "shape": "gp",
+            "clock": "blade",
+        }
+    ]
 
 
 def _concerns(effect: Json, blade: BladeRecord) -> bool:

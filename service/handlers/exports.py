@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from core.errors import RangeError
+from core.observation import Inspection
 from service.errors import NotFoundError
-from service.export.netcdf import inference_data
+from service.export import sensorthings as entities
+from service.export.netcdf import Replicated, inference_data
+from service.export.readings import Parquet, csv_header, csv_text
 from service.export.units import unit_of
 from service.export.vtu import vtu
 from service.handlers.glance import MOST_DRAWS
+from service.handlers.inspections import Log, pages_of
+from service.handlers.plans import counting
 from service.handlers.reads import Basis, health
 from service.handlers.rotors import blades_at
 from service.moments import moment
@@ -21,6 +26,8 @@ from service.ports import BladeRecord, JointDraws, Json, Science, Store
 from service.release import release
 
 MOST_VALUES = {"json": 400_000, "netcdf": 8_000_000}
+GROUPS = ("prior", "posterior_predictive")
+"""Of a file of draws, beside the posterior."""
 
 
 def rotor_draws(
@@ -88,8 +95,18 @@ def facts_of(found: Basis) -> dict[str, str | int]:
     }
 
 
-def draws_netcdf(drawn: JointDraws, blades: list[BladeRecord], found: Basis) -> bytes:
-    """Joint draws as netCDF in ArviZ's schema."""
+def draws_netcdf(
+    store: Store,
+    science: Science,
+    drawn: JointDraws,
+    blades: list[BladeRecord],
+    found: Basis,
+    groups: Collection[str] = GROUPS,
+) -> bytes:
+    """Joint draws as netCDF in ArviZ's schema, with the other groups that are asked for.
+
+    Raises RangeError where the replicated readings would be more than an answer should hold.
+    """
     network = found.card.network
     known = {
         parameter.name: [(blade.known or {}).get(parameter.name, np.nan) for blade in blades]
@@ -99,7 +116,41 @@ def draws_netcdf(drawn: JointDraws, blades: list[BladeRecord], found: Basis) -> 
     units = {name: unit_of(network, name) for name in names}
     weights = "equal: drawn by systematic resampling from weighted particles, in random order"
     facts = facts_of(found) | {"weights": weights, "particles": drawn.of}
-    return inference_data(drawn, units, known, facts)
+    again: list[Replicated] = []
+    if "posterior_predictive" in groups:
+        again = _replicated(store, science, drawn, blades, found)
+    prior = science.prior_draws(found.card, drawn) if "prior" in groups else None
+    return inference_data(drawn, units, known, facts, prior=prior, readings=again)
+
+
+def _replicated(
+    store: Store, science: Science, drawn: JointDraws, blades: list[BladeRecord], found: Basis
+) -> list[Replicated]:
+    """The readings of these blades that the version rests on, and what they would be again."""
+    state = found.state
+    with store.read() as tx:
+        readings = [
+            one
+            for one in counting(tx, state.rotor_id, state.through_seq)
+            if one.blade in drawn.blades
+        ]
+    most = MOST_VALUES["netcdf"] // max(sum(one.values.size for one in readings), 1)
+    if len(drawn.shared) > most:
+        problem = f"draws of {len(readings)} readings are more than {MOST_VALUES['netcdf']} values"
+        remedy = f"ask for 1 … {most}, or leave them out with groups=prior"
+        raise RangeError("count", len(drawn.shared), problem, remedy)
+    known = {blade.id: blade.known for blade in blades if blade.known}
+    told = science.replicated(found.card, drawn, readings, known)
+    return [_one_again(one, found, again) for one, again in zip(readings, told, strict=True)]
+
+
+def _one_again(one: Inspection, found: Basis, again: np.ndarray[Any, Any]) -> Replicated:
+    labels = [one.id]
+    if one.nodes is not None and one.values.ndim == 2:
+        labels = [f"{one.id}[{node}].{axis}" for node in one.nodes for axis in "xyz"]
+    unit = found.card.outputs[one.quantity].unit
+    values = one.values.reshape(-1)
+    return Replicated(one.blade, one.quantity, unit, one.time_h, labels, values, again)
 
 
 def field_vtu(store: Store, science: Science, found: Basis, told: Mapping[str, Any]) -> bytes:
@@ -112,3 +163,40 @@ def field_vtu(store: Store, science: Science, found: Basis, told: Mapping[str, A
     data = {f"{name} {what} [{unit}]": np.array(told[what]) for what in ("mean", "sd")}
     facts = {"blade": told["blade"], "quantity": name, "time_h": told["time_h"]} | facts_of(found)
     return vtu(mesh, data, float(told["time_h"]), facts)
+
+
+def readings_csv(store: Store, log: Log, blade: str | None) -> Iterable[str]:
+    """The readings that count, as CSV in pieces."""
+    yield csv_header()
+    for some in pages_of(store, log, blade):
+        yield csv_text([one.body for one in some if one.status == "counts"])
+
+
+def readings_parquet(store: Store, log: Log, blade: str | None) -> bytes:
+    """Every reading with its status. Raises NotInstalledError where pyarrow is not there."""
+    table = Parquet({"rotor": log.rotor, "model": log.model, "head_seq": str(log.head_seq)})
+    for some in pages_of(store, log, blade):
+        table.add((o.body, o.seq, o.status, o.received_at, o.posted_by) for o in some)
+    return table.end()
+
+
+def sensorthings(store: Store, log: Log, blade: str | None) -> Iterable[str]:
+    """The readings that count, as SensorThings entities; the readings of one blade at a time."""
+    with store.read() as tx:
+        rotor = tx.records.rotor(log.rotor)
+        network = tx.records.model(rotor.model_id, rotor.model_version).network
+        blades = sorted(tx.records.blades(log.rotor), key=lambda one: one.id)
+
+    def groups() -> Iterator[list[Json]]:
+        for one in blades:
+            if blade not in (None, one.id):
+                continue
+            counting = [
+                (listed.body, moment(listed.received_at))
+                for some in pages_of(store, log, one.id)
+                for listed in some
+                if listed.status == "counts"
+            ]
+            yield entities.datastreams(log.rotor, network, one, counting)
+
+    return entities.text(groups())

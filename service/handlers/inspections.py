@@ -8,11 +8,12 @@ keep other writers waiting; blades are only ever added, so a check that passed s
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 from core.errors import InputError
-from core.observation import Inspection, faults
+from core.network import Network
+from core.observation import Covers, Inspection, faults
 from service.errors import FaultsError, NotFoundError
 from service.handlers.rotors import digest_of_json
 from service.ports import Appended, Event, Json, NewEvent, Store
@@ -61,6 +62,18 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         blades = {blade.id for blade in tx.records.blades(rotor_id)}
+    found = faults_of(items, card.network, card, blades, rotor_id)
+    if found:
+        raise FaultsError(found)
+    events = [_event(item.reading) for item in items]
+    with store.write() as tx:
+        return tx.log.append(rotor_id, events)
+
+
+def faults_of(
+    items: Sequence[Item], network: Network, model: Covers, blades: Collection[str], rotor_id: str
+) -> list[InputError]:
+    """Everything that keeps readings out of a rotor with these blades, each by its place."""
     found: list[InputError] = []
     for item in items:
         where, reading = item.where, item.reading
@@ -78,14 +91,10 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
             found.append(
                 InputError(f"{where}replaces", reading.id, "is the reading itself", "give a new id")
             )
-        for error in faults(reading, card.network, card, where):
+        for error in faults(reading, network, model, where):
             prefixed = error.what if error.what.startswith(where) else f"{where}{error.what}"
             found.append(type(error)(prefixed, error.value, error.problem, error.remedy))
-    if found:
-        raise FaultsError(found)
-    events = [_event(item.reading) for item in items]
-    with store.write() as tx:
-        return tx.log.append(rotor_id, events)
+    return found
 
 
 def _event(reading: Inspection) -> NewEvent:
@@ -155,23 +164,29 @@ def all_inspections(store: Store, rotor_id: str, blade: str | None) -> tuple[Log
 
     Entries that come while the pages are read are left out, so that status and readings fit.
     """
+    log = log_now(store, rotor_id)
+    return log, pages_of(store, log, blade)
+
+
+def log_now(store: Store, rotor_id: str) -> Log:
+    """The rotor's log as it stands."""
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
-    log = Log(rotor.id, rotor.model_id, rotor.head_seq, rotor.created_at)
+    return Log(rotor.id, rotor.model_id, rotor.head_seq, rotor.created_at)
 
-    def pages() -> Iterator[list[Listed]]:
-        after: int | None = None
-        while True:
-            with store.read() as tx:
-                events = tx.log.page(rotor_id, "inspection", after, PAGE, blade)
-                overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
-            here = [event for event in events if event.seq <= log.head_seq]
-            yield _listed(here, [event for event in overruling if event.seq <= log.head_seq])
-            if len(here) < PAGE:
-                return
-            after = here[-1].seq
 
-    return log, pages()
+def pages_of(store: Store, log: Log, blade: str | None) -> Pages:
+    """The readings of a log, or of one blade in it, up to its head."""
+    after: int | None = None
+    while True:
+        with store.read() as tx:
+            events = tx.log.page(log.rotor, "inspection", after, PAGE, blade)
+            overruling = tx.log.overruled(log.rotor, [event.event_id for event in events])
+        here = [event for event in events if event.seq <= log.head_seq]
+        yield _listed(here, [event for event in overruling if event.seq <= log.head_seq])
+        if len(here) < PAGE:
+            return
+        after = here[-1].seq
 
 
 def _listed(events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed]:

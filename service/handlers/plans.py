@@ -6,7 +6,7 @@ from core.errors import InputError, RangeError
 from core.observation import Inspection, effective
 from service.entries import entries_of
 from service.handlers.reads import Basis, health, question
-from service.ports import BladeRecord, Event, Json, PlanTarget, Science, Store
+from service.ports import BladeRecord, Event, Json, PlanTarget, Science, Store, Transaction
 
 PAGE = 2000
 MOST_READINGS = 5  # of a set
@@ -65,10 +65,7 @@ def plan(store: Store, science: Science, found: Basis, target: PlanTarget, count
     rotor, through = found.state.rotor_id, found.state.through_seq
     with store.read() as tx:
         blades = [b for b in tx.records.blades(rotor) if runs(b, through)]
-        events: list[Event] = []
-        while page := tx.log.entries(rotor, events[-1].seq if events else 0, through, PAGE):
-            events += page
-        readings: tuple[Inspection, ...] = effective(entries_of(events))
+        readings = counting(tx, rotor, through)
         told = science.plan(
             found.card,
             found.state.meta,
@@ -93,6 +90,14 @@ def plan(store: Store, science: Science, found: Basis, target: PlanTarget, count
         "set": told["set"],
         "health": health(found.state),
     }
+
+
+def counting(tx: Transaction, rotor: str, through: int) -> tuple[Inspection, ...]:
+    """The readings that count as of an entry of a rotor's log."""
+    events: list[Event] = []
+    while page := tx.log.entries(rotor, events[-1].seq if events else 0, through, PAGE):
+        events += page
+    return effective(entries_of(events))
 
 
 def runs(blade: BladeRecord, through: int) -> bool:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from core.network import Network
 from core.observation import Inspection
 from service.ports.records import BladeRecord, PlanTarget
@@ -84,6 +87,23 @@ class Science(Protocol):
         self, meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int
     ) -> JointDraws:
         """Draws of several blades with the same shared values in each, in random order."""
+        ...
+
+    def prior_draws(self, card: ModelCard, like: JointDraws) -> JointDraws:
+        """As many draws of the same parameters and blades, from their priors."""
+        ...
+
+    def replicated(
+        self,
+        card: ModelCard,
+        drawn: JointDraws,
+        readings: Sequence[Inspection],
+        known: Mapping[str, Mapping[str, float]],
+    ) -> list[NDArray[np.float64]]:
+        """What each reading would be again under each draw, with its errors: (n, k) of k values.
+
+        known   inputs of blades that are given, by blade
+        """
         ...
 
     def forward(

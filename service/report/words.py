@@ -172,5 +172,17 @@ def do_next(found: Json) -> str:
         "not separable": "Do not act on one of the names alone. The inspections below would tell "
         "them apart.",
         "unattributed": "Look at the residuals below: they show where the misfit is. Bands of the "
-        "model are too narrow there, and forecasts may be biased.",
+        "model are too narrow there, and forecasts may be biased." + _wider(found),
     }[found["verdict"]]
+
+
+def _wider(found: Json) -> str:
+    """Where a discrepancy without a name widens the bands."""
+    wide = found.get("widened")
+    if not wide or not wide["borne_out"]:
+        return ""
+    before, after = (number(wide["sd"][w], 3) for w in ("before", "after"))
+    return (
+        f" With a discrepancy of {wide['quantity']} that names no cause the sd of a forecast at "
+        f"{number(wide['time_h'])} h is {after} instead of {before}; it can be adopted."
+    )

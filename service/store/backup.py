@@ -29,12 +29,19 @@ from core.errors import InputError
 from service.errors import BackupError
 
 BUSY_S = 30.0
+HOLD = (
+    "UPDATE delivery SET status = 'dead', not_before = NULL, "
+    "last_error = 'held when a backup was restored' WHERE status = 'pending'"
+)
 SIDES = ("-wal", "-shm", "-journal")
 
 
 @dataclass(frozen=True, slots=True)
 class Copied:
-    """What a file holds: entries of all logs, rotors, and the revision of its schema."""
+    """What a file holds: entries of all logs, rotors, and the revision of its schema.
+
+    held   webhooks' deliveries that were pending and are not sent unasked
+    """
 
     file: str
     bytes: int
@@ -42,6 +49,7 @@ class Copied:
     schema: str | None
     rotors: int
     entries: int
+    held: int = 0
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -67,10 +75,13 @@ def backup_file(source: Path, target: Path) -> Copied:
     return _copied(source, target)
 
 
-def restore_file(backup: Path, target: Path, known: frozenset[str]) -> Copied:
+def restore_file(
+    backup: Path, target: Path, known: frozenset[str], *, hold: bool = False
+) -> Copied:
     """Make the database `target` from a backup; a database that is there is never touched.
 
     known   the revisions that this release can migrate from
+    hold    webhooks' deliveries that were pending then are dead here, to be sent on request
 
     BackupError: the target is taken, or the backup is not sound or of a newer release.
     """
@@ -90,7 +101,7 @@ def restore_file(backup: Path, target: Path, known: frozenset[str]) -> Copied:
         )
     for path in left:
         path.unlink(missing_ok=True)
-    return _copied(backup, target)
+    return _copied(backup, target, hold)
 
 
 @contextmanager
@@ -115,7 +126,7 @@ def _facts(connection: sqlite3.Connection, path: Path) -> tuple[str, int, int]:
     return (schema or ("none",))[0], rotors, entries
 
 
-def _copied(source: Path, target: Path) -> Copied:
+def _copied(source: Path, target: Path, hold: bool = False) -> Copied:
     part = target.with_name(f".{target.name}.{os.urandom(4).hex()}.part")
     try:
         os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
@@ -123,6 +134,7 @@ def _copied(source: Path, target: Path) -> Copied:
             copy_pages(opened, copy)
             # one file, without a write-ahead log beside it; whoever opens it chooses anew
             copy.execute("PRAGMA journal_mode=DELETE")
+            held = _held(copy) if hold else 0
             wrong = [row[0] for row in copy.execute("PRAGMA integrity_check")]
             if wrong != ["ok"]:
                 raise BackupError(f"{source} is damaged: {'; '.join(wrong[:3])}", "restore it")
@@ -145,7 +157,16 @@ def _copied(source: Path, target: Path) -> Copied:
     finally:
         for side in ("", *SIDES):
             Path(f"{part}{side}").unlink(missing_ok=True)
-    return Copied(str(target), target.stat().st_size, digest, *facts)
+    return Copied(str(target), target.stat().st_size, digest, *facts, held)
+
+
+def _held(copy: sqlite3.Connection) -> int:
+    """Make pending deliveries dead; a schema from before webhooks has none."""
+    names = copy.execute("SELECT count(*) FROM sqlite_master WHERE name = 'delivery'")
+    if not names.fetchone()[0]:
+        return 0
+    with copy:
+        return copy.execute(HOLD).rowcount
 
 
 def copy_pages(source: sqlite3.Connection, copy: sqlite3.Connection) -> None:
@@ -174,11 +195,17 @@ def restore_command(url: str, file: Path) -> str:
     return shlex.join([*words, "--single-transaction", f"--dbname={_libpq(url)}", str(file)])
 
 
-def for_postgres(command: str) -> InputError:
+def hold_command(url: str) -> str:
+    """The command line that holds a restored PostgreSQL database's pending deliveries."""
+    return shlex.join(["psql", f"--dbname={_libpq(url)}", f"--command={HOLD}"])
+
+
+def for_postgres(*commands: str) -> InputError:
     """What `backup` and `restore` answer for PostgreSQL."""
+    shown = ", then ".join(f"`{command}`" for command in commands)
     return InputError(
         "BLADETWIN_DATABASE_URL",
         "postgresql://…",
         "is PostgreSQL, which has its own tools",
-        f"run `{command}` (the password comes from PGPASSWORD or ~/.pgpass)",
+        f"run {shown} (the password comes from PGPASSWORD or ~/.pgpass)",
     )

@@ -6,6 +6,7 @@ PostgreSQL runs READ COMMITTED; rows are locked by name where order matters, and
 process says nothing for `SILENT_S` is ended by the server: a frozen process does not hold its locks
 for ever. (Not so right after an `executemany`, which psycopg sends as a pipeline: its last message
 ends the server's timer. Who waits for such locks is told so after twice `SILENT_S`.)
+What is said of a failed statement names its parameters nowhere: they are readings and digests.
 `now_s()` is the database's clock, the only clock that leases know.
 """
 
@@ -56,7 +57,9 @@ def open_engine(url: str) -> Engine:
     backend = parsed.get_backend_name()
     if backend == "postgresql":
         parsed = parsed.set(drivername="postgresql+psycopg")
-        engine = create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True)
+        engine = create_engine(
+            parsed, pool_size=20, max_overflow=40, pool_pre_ping=True, hide_parameters=True
+        )
         event.listen(engine, "connect", _prepare_postgres)
         return engine
     if backend != "sqlite" or not parsed.database or parsed.database == ":memory:":
@@ -71,6 +74,7 @@ def open_engine(url: str) -> Engine:
         connect_args={"isolation_level": None, "timeout": 30.0, "check_same_thread": False},
         pool_size=20,
         max_overflow=40,
+        hide_parameters=True,
     )
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)

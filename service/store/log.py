@@ -11,13 +11,14 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection, false, insert, or_, select, text, true, update
 
+from service import tracing
 from service.adopted import KINDS
 from service.errors import ConflictError, NotFoundError
 from service.ports import Appended, Event, NewEvent
 from service.store import tables as t
 from service.store.engine import now_s
 
-COLUMNS = [column for column in t.entry.c if column.name != "rotor_id"]
+COLUMNS = [c for c in t.entry.c if c.name not in ("rotor_id", "traceparent")]
 NAMES = [column.name for column in COLUMNS]
 CHUNK = 500
 
@@ -78,6 +79,7 @@ class SqlLog:
             raise ConflictError(events[0].kind, ", ".join(others), remedy)
         if rows:
             told = {"received_at": now_s(), "posted_by": self._posted_by}
+            told |= {"traceparent": tracing.current()}
             self._connection.execute(insert(t.entry).values(**told), rows)
             first = head + 1 if self.appended is None else self.appended[0]
             self.appended = (first, head + len(rows))

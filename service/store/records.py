@@ -11,6 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, RowMapping, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
+from service import tracing
 from service.errors import NotFoundError
 from service.ports import BladeRecord, JobRecord, Json, ModelCard, ResidualRecord, RotorRecord
 from service.store import tables as t
@@ -84,6 +85,7 @@ class SqlRecords:
             fence=0,
             created_at=now_s(),
             rotor_id=rotor_id,
+            traceparent=tracing.current(),
         )
         self._connection.execute(statement)
         notify(self._connection, "bladetwin_work")

@@ -10,7 +10,9 @@ each name, the row with the greatest version <= v. A row with an empty dtype say
 ended there.
 
 `job` is long work; `rotor_id` names the rotor of a job that belongs to one (a diagnosis), and
-`progress` is what its worker wrote last.
+`progress` is what its worker wrote last. `event.traceparent` and `job.traceparent` are those of the
+request that wrote the row, where it was traced (`service.tracing`); no digest covers them, and they
+stay behind where a rotor is exported.
 
 `residual` holds what a worker of the role `diagnose` made of the newest sealed version that it has
 looked at: every reading predicted before it was used, and tests. Versions newer than its own are
@@ -88,6 +90,7 @@ job = Table(
     Column("finished_at", Double),
     Column("rotor_id", NAME),
     Column("progress", Text),
+    Column("traceparent", String(60)),
     Index("ix_job_status_created_at", "status", "created_at"),
     Index("ix_job_rotor_id_id", "rotor_id", "id"),
 )
@@ -138,6 +141,7 @@ entry = Table(
     Column("digest", String(64), nullable=False),
     Column("received_at", Double, nullable=False),
     Column("posted_by", String(40)),
+    Column("traceparent", String(60)),
     UniqueConstraint("rotor_id", "event_id"),
     Index("ix_event_rotor_id_replaces", "rotor_id", "replaces"),
     Index("ix_event_received", "rotor_id", "received_at", "seq"),

@@ -19,6 +19,7 @@ from time import monotonic
 from sqlalchemy import ColumnElement, Connection, Engine, or_, select, update
 
 from core.errors import BladetwinError, FaultsError, InputError, ModelError
+from service import tracing
 from service.errors import AdoptionError, LostLeaseError, NotFoundError, StoreAwayError
 from service.handlers.adoptions import adopt_in
 from service.handlers.diagnoses import KIND as DIAGNOSE
@@ -55,6 +56,7 @@ class JobLease:
     fence: int
     attempts: int
     rotor_id: str | None
+    traceparent: str | None = None
 
 
 def takes(role: Role) -> ColumnElement[bool]:
@@ -91,10 +93,17 @@ def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") ->
                 lease_until=now_s() + lease_s,
             )
         )
-        told = take.returning(c.kind, c.request, c.fence, c.attempts, c.rotor_id)
+        told = take.returning(c.kind, c.request, c.fence, c.attempts, c.rotor_id, c.traceparent)
         row = connection.execute(told).one()
-        request = loads(row.request)
-        return JobLease(job_id, row.kind, request, row.fence, row.attempts, row.rotor_id)
+        return JobLease(
+            id=job_id,
+            kind=row.kind,
+            request=loads(row.request),
+            fence=row.fence,
+            attempts=row.attempts,
+            rotor_id=row.rotor_id,
+            traceparent=row.traceparent,
+        )
 
 
 def beat_job(engine: Engine, lease: JobLease, lease_s: float) -> bool:
@@ -145,13 +154,22 @@ class Jobs:
         lease = claim_job(self.store.engine, self.owner, self.settings.lease_s, self.role)
         if lease is None:
             return False
+        with tracing.span(
+            lease.kind, kind="consumer", parent=tracing.parent_of(lease.traceparent)
+        ) as span:
+            span.tell(job=lease.id, rotor=lease.rotor_id, attempt=lease.attempts)
+            self._run(lease, span)
+        return True
+
+    def _run(self, lease: JobLease, span: tracing.Span) -> None:
+        """Do the job and write what it came to."""
         try:
             if lease.attempts > self.settings.max_attempts:
                 raise NotFoundError(
                     "worker that survives job", lease.id, "see the log of the workers"
                 )
             with self.heartbeats(lease):
-                write = self.work(lease)
+                write = self.work(lease, span)
             with self.store.write() as tx:
                 result = write(tx)
                 _close(
@@ -164,14 +182,21 @@ class Jobs:
                     finished_at=now_s(),
                 )
         except LostLeaseError as error:
+            span.fail(type(error).__name__)
             log.warning("%s", error)
         except StoppedError:
+            span.event("given back")
             self._give_back(lease)
+        except StoreAwayError as error:
+            span.fail(type(error).__name__)
+            with suppress(StoreAwayError):
+                self._give_back(lease)
+            raise
         except Exception as error:
+            span.fail(type(error).__name__)
             self._failed(lease, error)
-        return True
 
-    def work(self, lease: JobLease) -> Outcome:
+    def work(self, lease: JobLease, span: tracing.Span = tracing.NOTHING) -> Outcome:
         """The result of a job, computed outside any transaction."""
         if lease.kind == "register-model":
             card = self.science.builtin(lease.request["builtin"])
@@ -183,11 +208,11 @@ class Jobs:
 
             return register
         if lease.kind == TRAIN:
-            told = self.progress(lease)
+            told = self.progress(lease, span)
             card, artefact = train(self.store, self.science, lease.request, told)
             return lambda tx: keep(tx, lease.id, lease.request, card, artefact)
         if lease.kind == DIAGNOSE and lease.rotor_id is not None:
-            told = self.progress(lease)
+            told = self.progress(lease, span)
             found = diagnose(self.store, self.science, lease.rotor_id, lease.request, told)
             return lambda tx: self.concluded(tx, lease, found)
         raise NotFoundError("kind of job", lease.kind, "run a worker of the release that wrote it")
@@ -211,13 +236,14 @@ class Jobs:
             return found | {"not_adopted": str(error)}
         return found
 
-    def progress(self, lease: JobLease) -> Progress:
+    def progress(self, lease: JobLease, span: tracing.Span = tracing.NOTHING) -> Progress:
         """Writes each step with the time left, judged by the steps before, and ends a lost job."""
         begun = monotonic()
 
         def tell(what: str, done: int, total: int) -> None:
             if self.stopping():
                 raise StoppedError(f"job {lease.id} goes back: its worker ends")
+            span.event(what)
             left = round((monotonic() - begun) * (total - done) / done, 1) if done else None
             told = {"what": what, "done": done, "total": total, "seconds_left": left}
             with suppress(StoreAwayError):

@@ -238,6 +238,14 @@ def give_back(engine: Engine, lease: Lease) -> None:
             notify(connection, "bladetwin_work")
 
 
+def return_unused(engine: Engine, lease: Lease) -> None:
+    """End a claim of which nothing came, through no fault of the rotor's: no attempt is counted."""
+    own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)
+    with transaction(engine, write=True) as connection:
+        freed = update(t.cursor).where(own)
+        connection.execute(freed.values(owner=None, lease_until=None, attempts=c.attempts - 1))
+
+
 def heartbeat(engine: Engine, lease: Lease, lease_s: float) -> bool:
     """Prolong the lease; False: the rotor is no longer the caller's."""
     own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)

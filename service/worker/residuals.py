@@ -20,7 +20,7 @@ from core.errors import InputError
 from core.observation import digest_of, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
-from service.errors import LostLeaseError
+from service.errors import LostLeaseError, StoreAwayError
 from service.ports import Json, RotorSpec, Science
 from service.settings import Settings
 from service.store import tables as t
@@ -127,6 +127,10 @@ class Residuals:
         except StoppedError:
             with suppress(LostLeaseError):
                 self._close(claim, attempts=r.attempts - 1)
+        except StoreAwayError:
+            with suppress(LostLeaseError, StoreAwayError):
+                self._close(claim, attempts=r.attempts - 1)
+            raise
         except Exception as error:
             self._failed(claim, error)
         return True

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import logging
 from collections import OrderedDict
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -26,7 +26,8 @@ from core.errors import CalibrationError
 from core.observation import Entry, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
-from service.errors import DamagedError, LostLeaseError
+from service.errors import DamagedError, LostLeaseError, StoreAwayError
+from service.kernels import CompiledError
 from service.ports import (
     ModelCard,
     RotorRecord,
@@ -42,10 +43,12 @@ from service.store.log import read_entries
 from service.store.outbox import trim
 from service.store.states import digests, thin, write_state
 from service.store.unit_of_work import SqlStore, SqlTransaction
+from service.tracing import span
 from service.worker import lease as leases
 from service.worker.alarm import alarm
 from service.worker.heartbeat import heartbeats
 from service.worker.lease import Lease
+from service.worker.traced import Told, told
 
 log = logging.getLogger("bladetwin.worker")
 THIN_EVERY = 16
@@ -128,24 +131,44 @@ class Updater:
             leases.fail(self.engine, lease, error, None, 0.0, block=True)
             trim(self.engine, lease.rotor_id, self.settings.keep_events)
             return True
+        with told(self.store, lease) as trace:
+            self._update(lease, trace)
+        return True
+
+    def _update(self, lease: Lease, trace: Told) -> None:
+        """Read, compute, commit; what fails is given back."""
         with self.heartbeats(lease):
             task: Task | None = None
             try:
                 begun = perf_counter()
                 task = self.read(lease)
                 read = perf_counter()
-                state = self.compute(task, quick=not lease.sealing)
-                change = self.change(task, state)
+                trace.begin(task.memory.through, task.through)
+                with span("compute"):
+                    state = self.compute(task, quick=not lease.sealing)
+                    change = self.change(task, state)
                 computed = perf_counter()
+            except (CompiledError, StoreAwayError) as error:
+                trace.failed(error)
+                self.return_unused(lease)
+                raise
             except Exception as error:
+                trace.failed(error)
                 self.give_back(lease, task, error)
-                return True
+                return
         try:
-            version = self.commit(lease, task, state, change)
+            with span("commit"):
+                version = self.commit(lease, task, state, change)
         except LostLeaseError as error:
+            trace.failed(error)
             self._memory.pop(lease.rotor_id, None)
             log.warning("%s", error)
-            return True
+            return
+        except StoreAwayError as error:
+            trace.failed(error)
+            self.return_unused(lease)
+            raise
+        trace.committed(version, sealed=bool(state.meta["sealed"]))
         log.debug(
             "rotor %s: through %d, %d new, sealed %s; read %.1f, update %.1f, commit %.1f ms",
             lease.rotor_id,
@@ -158,7 +181,6 @@ class Updater:
         )
         if state.meta["sealed"]:
             self.thin(lease.rotor_id, version)
-        return True
 
     def read(self, lease: Lease) -> Task:
         """The rotor, its entries up to the head, and the state before them."""
@@ -281,6 +303,13 @@ class Updater:
         while len(self._memory) > self.settings.rotors_in_memory:
             self._memory.popitem(last=False)
         return version
+
+    def return_unused(self, lease: Lease) -> None:
+        """A database that is away or full, or code still to be loaded, is not the rotor's fault:
+        it must not be blocked for it. Where even that cannot be written the lease runs out."""
+        self._memory.pop(lease.rotor_id, None)
+        with suppress(StoreAwayError):
+            leases.return_unused(self.engine, lease)
 
     def give_back(self, lease: Lease, task: Task | None, error: Exception) -> None:
         """Pause and try again, or block the rotor and name the entry that stops it."""

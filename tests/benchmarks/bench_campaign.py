@@ -1,6 +1,6 @@
 """The 66 training runs of the rotor blade, as `bladetwin model build` makes them.
 
-    python tests/benchmarks/bench_campaign.py FOLDER [RUNS] [WORKERS]
+    python tests/benchmarks/bench_campaign.py FOLDER [RUNS] [WORKERS] [MESH]
 
 FOLDER is that of a new model: the runs go to FOLDER/archive, so that `bladetwin model build
 rotor-blade --out FOLDER` goes on from there. Prints wall and processor time, the largest memory of
@@ -18,10 +18,10 @@ from core.builtin import rotor_blade
 from service.progress import bar
 
 
-def main(folder: Path, runs: int, workers: int) -> None:
+def main(folder: Path, runs: int, workers: int, mesh: str) -> None:
     """Run and print."""
     points = rotor_blade.design(rotor_blade.SEED, rotor_blade.TRAINING, rotor_blade.TEST)[:runs]
-    archive = rotor_blade.open_archive(folder / "archive")
+    archive = rotor_blade.open_archive(folder / "archive", mesh)
     before = len(archive.done())
     start = time.monotonic()
     with bar("runs", runs) as shown:
@@ -39,7 +39,9 @@ def main(folder: Path, runs: int, workers: int) -> None:
 
 
 if __name__ == "__main__":
-    words = [*sys.argv[1:], *["", "66", "2"][len(sys.argv) - 1 :]]
+    words = [*sys.argv[1:], *["", "66", "2", "default"][len(sys.argv) - 1 :]]
     if not words[0]:
-        raise SystemExit("bench_campaign.py FOLDER [RUNS] [WORKERS]: name a folder for the model")
-    main(Path(words[0]), int(words[1]), int(words[2]))
+        raise SystemExit(
+            "bench_campaign.py FOLDER [RUNS] [WORKERS] [MESH]: name a folder for the model"
+        )
+    main(Path(words[0]), int(words[1]), int(words[2]), words[3])

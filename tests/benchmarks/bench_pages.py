@@ -3,7 +3,9 @@
 A service on SQLite with the exact twin (BLADETWIN_SCIENCE=fake): so many rotors, and one of so many
 blades with so many readings, written to its log before the service starts. Each page is opened
 five times in headless Chromium; printed are the median and the longest time until it is drawn (aim:
-3 s), and the size of what its requests answered.
+3 s), and the size of what its requests answered. Then a page of the lists is scrolled through, a
+frame at a time, and turned to the next: printed are the median, the 95th percentile and the longest
+time between frames, and how long the next page took until it was drawn.
 """
 
 from __future__ import annotations
@@ -43,6 +45,34 @@ PAGES = {
     "operations": "/operations",
 }
 BATCH = 5000
+LISTS = {"rotors": "Next", "readings": "Older"}
+"""Pages of a list, and the button that leads on."""
+FRAMES = 240
+SCROLLED = """frames => new Promise(done => {
+  const boxes = [document.scrollingElement, ...document.querySelectorAll(".scroll")];
+  const times = [];
+  let last = null;
+  let way = 1;
+  const step = now => {
+    if (last !== null) times.push(now - last);
+    last = now;
+    for (const box of boxes) box.scrollBy(0, 40 * way);
+    if (times.length % 60 === 59) way = -way;
+    if (times.length < frames) requestAnimationFrame(step); else done(times);
+  };
+  requestAnimationFrame(step);
+})"""
+TURNED = """name => new Promise(done => {
+  const list = document.querySelector("tbody");
+  const begun = performance.now();
+  const watch = new MutationObserver(() => {
+    if (document.contains(list)) return;
+    watch.disconnect();
+    requestAnimationFrame(() => done(performance.now() - begun));
+  });
+  watch.observe(document.body, {childList: true, subtree: true});
+  [...document.querySelectorAll("button")].find(one => one.textContent === name).click();
+})"""
 
 
 def fill(url: str, rotors: int, readings: int, blades: int) -> None:
@@ -84,6 +114,19 @@ def look(url: str) -> None:
                 page.context.close()
             told = f"{median(times):6.2f} s {max(times):6.2f} s {sizes[0] / 1000:8.0f} kB"
             print(f"{name:12s} {told}", flush=True)
+        for name, button in LISTS.items():
+            page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
+            page.goto(url + PAGES[name])
+            page.wait_for_selector("body[data-state=ready]", state="attached")
+            frames = np.array(page.evaluate(SCROLLED, FRAMES))
+            turns = [page.evaluate(TURNED, button) for _ in range(10)]
+            middle, high = np.percentile(frames, [50, 95])
+            print(
+                f"{name:12s} frame {middle:.1f} ms, 95 %: {high:.1f}, longest {frames.max():.0f}; "
+                f"the next page {median(turns):.0f} ms, longest {max(turns):.0f}",
+                flush=True,
+            )
+            page.context.close()
         browser.close()
 
 

@@ -227,6 +227,11 @@ class Watched:
 
 @pytest.fixture
 def watched(browser: Browser, service: Running) -> Iterator[Watched]:
+    yield from watching(browser, service)
+
+
+def watching(browser: Browser, service: Running) -> Iterator[Watched]:
+    """A page of its own on a service, until the test ends."""
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     page = context.new_page()
     seen = Watched(page, service)

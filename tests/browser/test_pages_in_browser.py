@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.browser.conftest import HOSTILE, Running, Watched, reading
+from tests.browser.conftest import HOSTILE, Running, Watched, reading, scan
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text()
 PATHS = (
@@ -191,6 +191,54 @@ def test_the_blade_in_space_has_colours_and_turns_by_key(watched: Watched) -> No
     expect(page.get_by_text("scan", exact=True)).to_be_visible()
 
 
+def test_the_field_is_played_over_the_hours_in_the_same_colours(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/blades/B2/3d")
+    canvas = page.locator(".space canvas")
+    page.get_by_role("button", name="Play over the hours").click()
+    expect(page.get_by_text("instant 3 of 11, version")).to_be_visible(timeout=60_000)
+    bar = page.locator("svg.bar").first
+    legend, picture = bar.get_attribute("aria-label"), canvas.evaluate("c => c.toDataURL()")
+    expect(page.get_by_text("instant 9 of 11, version")).to_be_visible(timeout=20_000)
+    assert bar.get_attribute("aria-label") == legend
+    assert canvas.evaluate("c => c.toDataURL()") != picture, "another hour, another picture"
+    slider = page.get_by_role("slider")
+    assert float(slider.input_value()) > 30_000
+    page.get_by_role("button", name="Stop").click()
+    expect(page.get_by_role("button", name="Play over the hours")).to_be_visible()
+    expect(slider).to_have_value("50000")
+    assert watched.errors == []
+
+
+def test_a_scan_s_misfit_is_shown_at_its_nodes_and_its_hour(
+    watched: Watched, service: Running
+) -> None:
+    page = watched.open("/rotors/r1/blades/B2/3d?axis=2")
+    canvas = page.locator(".space canvas")
+    page.get_by_role("button", name="Show", exact=True).click()
+    expect(page.get_by_role("button", name="Hide")).to_be_visible()
+    expect(page.get_by_role("slider")).to_have_value("16000")
+    page.wait_for_timeout(300)
+    shown = canvas.evaluate("c => c.toDataURL()")
+    path = "/v1/rotors/r1/blades/B2/field?quantity=deformation&time_h=16000"
+    mean = service.client.get(path).json()["mean"]
+    told = scan()
+    off = [v[2] - mean[n][2] for n, v in zip(told["nodes"], told["values"], strict=True)]
+    page.get_by_text("Misfit at each node").click()
+    rows = page.get_by_role("region", name="Misfit").locator("tbody tr")
+    expect(rows).to_have_count(len(off))
+    cells = rows.locator("td:last-child").all_inner_texts()
+    assert [float(one.replace("−", "-")) for one in cells] == pytest.approx(off, rel=0.01)
+    rms = (sum(one**2 for one in off) / len(off)) ** 0.5
+    words = page.get_by_text("root mean square").inner_text()
+    assert float(words.split("root mean square ")[1].split()[0]) == pytest.approx(rms, rel=0.01)
+    assert serious(page) == []
+    page.get_by_role("button", name="Hide").click()
+    expect(page.get_by_text("root mean square")).to_have_count(0)
+    page.wait_for_timeout(300)
+    assert canvas.evaluate("c => c.toDataURL()") != shown
+    assert watched.errors == []
+
+
 def test_hostile_names_stay_text(watched: Watched, diagnosis: str) -> None:
     watched.page.on("dialog", lambda dialog: watched.errors.append(f"dialog {dialog.message}"))
     paths = ("/rotors/r1", "/rotors/r1/readings", f"/rotors/r1/diagnoses/{diagnosis}")
@@ -213,6 +261,7 @@ def test_a_table_is_sorted_by_keyboard(watched: Watched) -> None:
     means = [float(v) for v in table.locator("tbody td:nth-child(4)").all_inner_texts()]
     assert means == sorted(means)
     page.keyboard.press("Enter")
+    expect(head.locator("xpath=..")).to_have_attribute("aria-sort", "descending")
     means = [float(v) for v in table.locator("tbody td:nth-child(4)").all_inner_texts()]
     assert means == sorted(means, reverse=True)
     page.locator(".ring a").first.focus()

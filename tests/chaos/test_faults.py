@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.studies.chaos import faults
+from service.studies.chaos import faults, full_disk
 from tests.chaos import mutants
 
 SEED = 20310504
@@ -36,6 +36,32 @@ def test_a_fault_leaves_everything_whole(name: str, database_url: str) -> None:
     told = faults.tried(fault, kind, database_url, 1, SEED, shown)
     assert told["passed"], told
     assert sum(told["outcomes"].values()) == 1
+
+
+def test_a_full_disk_of_the_database_server_leaves_everything_whole() -> None:
+    try:
+        with full_disk.small_disk(1):
+            pass
+    except full_disk.NoDiskError as error:
+        pytest.skip(str(error))
+    told = faults.tried_on_full_disk(2, SEED, shown)
+    assert told["passed"], told
+    assert told["trials"] == 2
+    assert all("503" in outcome for outcome in told["outcomes"])
+
+
+def test_a_disk_is_filled_to_the_rest_asked_for(tmp_path: Path) -> None:
+    try:
+        with full_disk.small_disk(8) as folder:
+            ballast = full_disk.Ballast(folder)
+            ballast.fill(300_000)
+            (folder / "fits").write_bytes(bytes(200_000))
+            with pytest.raises(OSError, match="No space left"):
+                (folder / "does not").write_bytes(bytes(200_000))
+            ballast.drop()
+            (folder / "does").write_bytes(bytes(2_000_000))
+    except full_disk.NoDiskError as error:
+        pytest.skip(str(error))
 
 
 def test_a_fault_without_a_fence_is_not_called_whole(

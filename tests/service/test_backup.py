@@ -338,6 +338,48 @@ def test_nothing_is_restored_over_what_is_there(
 
 def test_the_password_of_postgresql_is_not_in_the_command_that_is_named() -> None:
     url = "postgresql+psycopg://u:hidden@h:5433/d?sslmode=require"
-    for named in (use.dump_command(url, Path("f")), use.restore_command(url, Path("f"))):
+    commands = (use.dump_command(url, Path("f")), use.restore_command(url, Path("f")))
+    for named in (*commands, use.hold_command(url)):
         assert "hidden" not in named
         assert "postgresql://u@h:5433/d?sslmode=require" in named
+
+
+@pytest.mark.parametrize("hold", [False, True])
+def test_pending_deliveries_of_a_restored_database_are_sent_again_or_held(
+    hold: bool, tmp_path: Path, sqlite_template: Path
+) -> None:
+    shutil.copy(sqlite_template, tmp_path / "old.db")
+    hook = "('w', 'https://a.example/', '[]', 's', 'f', 0, 0)"
+    with closing(sqlite3.connect(tmp_path / "old.db")) as old, old:
+        old.execute(
+            "INSERT INTO webhook (id, url, events, salt, fingerprint, created_at, fence) "
+            f"VALUES {hook}"
+        )
+        for message, status in (("m1", "pending"), ("m2", "delivered"), ("m3", "pending")):
+            old.execute(
+                "INSERT INTO delivery (message_id, webhook_id, rotor_id, event, body, status, "
+                "attempts, created_at, not_before) "
+                "VALUES (?, 'w', 'r', 'sealed', '{}', ?, 1, 0, 9)",
+                (message, status),
+            )
+    use.backup_file(tmp_path / "old.db", tmp_path / "kept")
+    url = f"sqlite:///{tmp_path / 'new.db'}"
+    words = ["restore", str(tmp_path / "kept"), "--json", *(["--hold-webhooks"] if hold else [])]
+    done = command(url, *words)
+    assert (done.exit_code, json.loads(done.stdout)["held"]) == (0, 2 if hold else 0)
+    with closing(sqlite3.connect(tmp_path / "new.db")) as new:
+        found = dict(new.execute("SELECT message_id, status FROM delivery").fetchall())
+    state = "dead" if hold else "pending"
+    assert found == {"m1": state, "m2": "delivered", "m3": state}
+
+
+def test_a_backup_from_before_webhooks_has_nothing_to_hold(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "first.db")) as first, first:
+        first.execute("CREATE TABLE alembic_version (version_num TEXT)")
+        first.execute("INSERT INTO alembic_version VALUES ('0001')")
+        for name in ("rotor", "event"):
+            first.execute(f"CREATE TABLE {name} (id TEXT)")
+    done = use.restore_file(
+        tmp_path / "first.db", tmp_path / "new.db", frozenset({"0001"}), hold=True
+    )
+    assert done.held == 0

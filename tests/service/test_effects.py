@@ -12,13 +12,16 @@ import numpy as np
 import pytest
 
 from core.builtin import creep_specimens
-from core.diagnosis import FAMILIES, Facts
+from core.calibration.state import RotorState
+from core.diagnosis import FAMILIES, Case, Diagnosis, Facts
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.grammar import Cell
+from core.diagnosis.verdict import judge
 from core.errors import InputError
 from core.model import Model, rotor_blade
 from core.observation import Inspection
 from core.prior import Prior
+from service import effects
 from service.bootstrap import make_worker
 from service.diagnose_command import lines_of
 from service.errors import FaultsError
@@ -29,6 +32,7 @@ from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, Json, Which
+from service.report.page import report
 from service.science import CoreScience
 from service.settings import Settings
 from service.store.engine import open_engine
@@ -147,6 +151,90 @@ def test_adopted_by_the_real_science_the_worker_s_model_is_the_diagnosed_one_and
     again = view_rotor(fleet, "r1").state
     assert again is not None
     assert again.digest == before.digest
+
+
+GROWTH = (0.0, 0.005, 0.02, 0.045, 0.08)  # of the elongation, in all blades alike
+
+
+def growing() -> list[Item]:
+    """Six blades at five visits, which run ever longer than they creep."""
+    rng = np.random.default_rng(20310505)
+    found = []
+    for b in range(BLADES):
+        x = np.array([[1.0 + 0.05 * rng.normal(), 0.87, 0.3 * rng.normal(), 0.3 * rng.normal()]])
+        for k, growth in enumerate(GROWTH):
+            hour = 6000.0 * (k + 1)
+            y = float(elongation(x, hour)[0]) * (1.0 + growth) + NOISE * rng.normal()
+            at = (f"{b}-{k}", f"B{b}", "elongation", hour, np.array([y]))
+            found.append(Item("", Inspection(*at, sigma=NOISE, campaign=f"visit {k}")))
+    return found
+
+
+@pytest.fixture
+def nameless(
+    fleet: SqlStore, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> tuple[SqlStore, str, Json]:
+    """A diagnosis of growing blades whose verdict is that no name will do."""
+
+    def no_name(model: Model, state: RotorState, case: Case, *_: Any) -> Diagnosis:
+        first = judge(case.scan(model, state), case.spec.seed, dealt=case.dealt)
+        nothing = replace(first, word="unattributed", names=(), reasons=("no name will do",))
+        return Diagnosis(nothing, first, (model, state), (model, state), (), 0.0, ())
+
+    monkeypatch.setattr(effects, "diagnose", no_name)
+    post_inspections(fleet, "r1", growing())
+    make_worker(fleet, formula_science(), settings).drain()
+    job, _ = request_diagnosis(fleet, formula_science(), "r1", (), compare=True, horizon_h=None)
+    make_worker(fleet, formula_science(), settings, "d", "diagnose").drain()
+    ended = find_diagnosis(fleet, "r1", job.id)
+    assert ended.status == "done", ended.error
+    assert ended.result is not None
+    return fleet, job.id, ended.result
+
+
+def test_a_lack_without_a_name_widens_the_bands_by_a_discrepancy_that_is_adopted_and_backs_out(
+    nameless: tuple[SqlStore, str, Json], settings: Settings
+) -> None:
+    fleet, job, found = nameless
+    wide = found["widened"]
+    assert (found["verdict"], found["claimed"], found["names"]) == ("unattributed", False, [])
+    assert wide["borne_out"]
+    assert 0.05 < wide["share"] < 1.0
+    assert wide["sd"]["after"] > wide["sd"]["before"]
+    assert f"{wide['share']:.0%} of the variance" in found["reasons"][-1]
+    assert "it names no cause" in found["reasons"][-1]
+    assert found["before_after"] is not None
+    before = view_rotor(fleet, "r1").state
+    change = adopt(fleet, formula_science(), "r1", job)
+    assert change.body["models"] == found["models"]
+    assert change.body["after"] == {
+        "quantities": {"elongation": {"discrepancy": wide["discrepancy"]}}
+    }
+    assert [one["name"] for one in change.body["effects"]] == ["discrepancy (elongation)"]
+    make_worker(fleet, formula_science(), settings).drain()
+    after = view_rotor(fleet, "r1").state
+    assert before is not None
+    assert after is not None
+    assert after.meta["model"] == found["models"]["after"] != before.meta["model"]
+    assert after.meta["log_evidence"] - before.meta["log_evidence"] == pytest.approx(
+        wide["gained_nat"], abs=0.3
+    )
+    back_out(fleet, formula_science(), "r1", job)
+    make_worker(fleet, formula_science(), settings).drain()
+    again = view_rotor(fleet, "r1").state
+    assert again is not None
+    assert again.digest == before.digest
+
+
+def test_the_report_says_how_much_wider_and_that_it_is_no_cause(
+    nameless: tuple[SqlStore, str, Json],
+) -> None:
+    _, job, found = nameless
+    page = report(found, "r1", job, None)
+    assert "that names no cause" in page
+    assert "can be adopted" in page
+    quiet = {**found, "widened": {**found["widened"], "borne_out": False}}
+    assert "can be adopted" not in report(quiet, "r1", job, None)
 
 
 def test_residuals_of_the_real_science_alarm_where_a_campaign_is_off(

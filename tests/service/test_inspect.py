@@ -106,3 +106,54 @@ def test_what_is_not_there_and_who_does_not_answer_are_said(url: str) -> None:
         run("r1", "--url", url, "--quantity", "temperature")
     with pytest.raises(BladetwinError, match="does not answer"):
         run("r1", "--url", "http://127.0.0.1:9")
+
+
+HEAD = "id,blade,quantity,time_h,value,unit\n"
+FILES = {
+    "good.csv": (HEAD + "i1,B1,elongation,8000,0.11,\nn1,B2,elongation,9000,0.2,mm\n", 1, 1, []),
+    "none.csv": ("", 0, 0, ["id", "blade", "quantity", "time_h", "value"]),
+    "bad.csv": (
+        HEAD + "i1,B1,elongation,8000,0.12,\nn2,B7,elongation,60000,77,m\nn3,B1,ceeq,1,0.1,\n"
+        "n3,B1,ceeq,1,0.2,\n",
+        2, 0, ["line 3.blade", "line 3.unit", "line 3.time_h", "line 3.values", "line 2.id",
+               "line 5.id"],
+    ),
+    "one.json": ('{"id": "n", "blade": "B1", "quantity": "ceeq", "time_h": 1, "value": 0.1}',
+                 1, 0, []),
+    "entities.json": ('[{"Datastream": {"@iot.id": "B1/ceeq"}, "components": ["id", "result"], '
+                      '"dataArray": [["n", 0.1]]}]', 0, 0, ["[0].dataArray[0].parameters.time_h"]),
+    "broken.json": ("{", 0, 0, ["file"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_checked_as_the_service_would_and_nothing_is_posted(
+    api: httpx.Client, url: str, tmp_path: Any, name: str
+) -> None:
+    text, new, same, fields = FILES[name]
+    file = tmp_path / name
+    file.write_text(text)
+    head = api.get("/v1/rotors/r1").json()["head_seq"]
+    done = CliRunner().invoke(app, ["inspect", "r1", "--file", str(file), "--url", url, "--json"])
+    told = json.loads(done.output)
+    assert done.exit_code == (3 if fields else 0)
+    assert (told["new"], told["same"]) == (new, same)
+    assert [one["field"] for one in told["faults"]][: len(fields)] == fields
+    assert all(one["remedy"] for one in told["faults"])
+    assert api.get("/v1/rotors/r1").json()["head_seq"] == head
+    if name.endswith(".csv") and name != "bad.csv":
+        sent = api.post("/v1/rotors/r1/inspections", content=text.encode(),
+                        headers={"content-type": "text/csv"})  # fmt: skip
+        assert (sent.status_code == 202) == (not fields), "the service says the same"
+
+
+def test_the_check_of_a_file_is_told_in_lines(url: str, tmp_path: Any) -> None:
+    file = tmp_path / "x.csv"
+    file.write_text(FILES["good.csv"][0])
+    assert run("r1", "--file", str(file), "--url", url).splitlines() == [
+        f"{file}: 2 readings, 1 of them new to rotor r1, 1 there already", "it can be posted",
+    ]  # fmt: skip
+    with pytest.raises(BladetwinError, match="cannot be read"):
+        run("r1", "--file", str(tmp_path / "none.csv"), "--url", url)
+    with pytest.raises(BladetwinError, match="beside a file"):
+        run("r1", "--file", str(file), "--limit", "0.9", "--url", url)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sqlalchemy import func, select, text
+from sqlalchemy import create_engine, func, select, text
+from sqlalchemy.exc import DBAPIError
 
 from core.digest import state_digest
 from core.errors import InputError, ModelError
@@ -197,6 +198,19 @@ def test_a_database_that_is_away_is_told_as_such(tmp_path: Path) -> None:
         with pytest.raises(StoreAwayError), transaction(engine, write=False):
             pass
         engine.dispose()
+
+
+def test_what_is_said_of_a_failed_statement_names_no_value(store: SqlStore) -> None:
+    secret, wrong = "0.123454321", text("SELECT 1 WHERE nothing = :value")
+    with pytest.raises(DBAPIError) as failed, store.engine.connect() as connection:
+        connection.execute(wrong, {"value": secret})
+    assert "nothing" in str(failed.value)
+    assert secret not in str(failed.value)
+    loud = create_engine(store.engine.url)  # the control: as SQLAlchemy has it
+    with pytest.raises(DBAPIError) as failed, loud.connect() as connection:
+        connection.execute(wrong, {"value": secret})
+    loud.dispose()
+    assert secret in str(failed.value)
 
 
 def test_the_readings_of_one_blade_are_found_by_an_index(store: SqlStore) -> None:

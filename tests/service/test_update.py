@@ -12,7 +12,7 @@ from sqlalchemy import select
 from core.errors import CalibrationError
 from core.observation import Inspection
 from service.bootstrap import make_worker
-from service.errors import FaultsError
+from service.errors import FaultsError, StoreAwayError
 from service.fake import FakeScience, FakeState
 from service.handlers.inspections import retract
 from service.handlers.rotors import add_blade, create_rotor, retire_blade, retry, view_rotor
@@ -20,6 +20,7 @@ from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
 from service.store import tables as t
 from service.store.unit_of_work import SqlStore
+from service.worker import update
 from service.worker.loop import Worker
 
 Make = Callable[..., Inspection]
@@ -230,6 +231,38 @@ def test_a_failed_update_pauses_before_it_is_tried_again(
     assert not worker.updater.run_once()
     retry(store, rotor)
     assert worker.updater.run_once()
+
+
+@pytest.mark.parametrize("where", ["write_state", "read_entries", "alarm"])
+def test_a_database_that_is_away_or_full_never_blocks_a_rotor(
+    where: str,
+    store: SqlStore,
+    settings: Settings,
+    worker: Worker,
+    rotor: str,
+    post: Post,
+    reading: Make,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Other errors do: `test_after_its_attempts_a_rotor_is_blocked…` is the control."""
+    post(rotor, reading("i1"))
+    right, left = getattr(update, where), [settings.max_attempts + 2]
+
+    def full(*given: Any, **more: Any) -> Any:
+        if left[0]:
+            left[0] -= 1
+            raise StoreAwayError("DiskFull")
+        return right(*given, **more)
+
+    monkeypatch.setattr(update, where, full)
+    for _ in range(settings.max_attempts + 2):
+        with pytest.raises(StoreAwayError):
+            worker.updater.run_once()
+        with store.read() as tx:
+            row = tx.connection.execute(select(t.cursor.c.owner, t.cursor.c.attempts)).one()
+        assert tuple(row) == (None, 0)
+    worker.drain()
+    assert view_rotor(store, rotor).has_applied(1)
 
 
 def test_an_entry_that_kills_every_worker_blocks_its_rotor(

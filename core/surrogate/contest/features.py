@@ -49,7 +49,7 @@ def targets(kept: Kept, which: str) -> dict[str, Target]:
         elif name == "elongation":
             made[name] = Target(name, "raw", time[1:], tip[:, :, None])
         elif made[name].form != "raw":
-            values = np.asarray(kept.values[name], dtype=float)
+            values = np.asarray(kept.arrays[name], dtype=float)
             made[name] = Target(name, "raw", time, values.reshape(*values.shape[:2], -1))
     return made
 

@@ -28,7 +28,7 @@ class Kept(Archive):
     """indices: of the runs; nodes: which are kept, the first `sampled` of them the sample.
 
     worst    (n,) position in `nodes` of each run's largest CEEQ at the end
-    x        inputs, (n, d);  values: of each quantity at the nodes kept, (n, T, …)
+    x        inputs, (n, d);  arrays: of each quantity at the nodes kept, (n, T, …)
     """
 
     indices: tuple[int, ...]
@@ -36,11 +36,11 @@ class Kept(Archive):
     sampled: int
     worst: NDArray[np.int64]
     x: Array
-    values: Mapping[str, NDArray[np.floating[Any]]]
+    arrays: Mapping[str, NDArray[np.floating[Any]]]
 
     def stack(self, quantity: str, indices: Sequence[int]) -> NDArray[np.floating[Any]]:
         """One quantity of several runs, (n, T, …)."""
-        return np.asarray(self.values[quantity][[self.indices.index(i) for i in indices]])
+        return np.asarray(self.arrays[quantity][[self.indices.index(i) for i in indices]])
 
     @property
     def z(self) -> Array:
@@ -58,7 +58,7 @@ class Kept(Archive):
         """Of runs (positions): tip elongation (n, T), CEEQ (n, T, R), deformation (n, T, 3 R)."""
 
         def of(quantity: str) -> Array:
-            return np.asarray(self.values[quantity][runs], dtype=float)
+            return np.asarray(self.arrays[quantity][runs], dtype=float)
 
         tip, ceeq = of("elongation")[:, 1:], of("ceeq")[:, 1:]
         moved = of("displacement")

@@ -114,7 +114,7 @@ def digest(kept: Kept, training: int, plan: Plan, seed: int) -> str:
     """SHA-256 of everything that the trials come of."""
     total = sha256(kept.declaration.to_json().encode())
     total.update(json.dumps([asdict(plan), kept.indices, training, seed]).encode())
-    for array in (kept.x, kept.nodes, *(kept.values[n] for n in sorted(kept.values))):
+    for array in (kept.x, kept.nodes, *(kept.arrays[n] for n in sorted(kept.arrays))):
         total.update(np.ascontiguousarray(array).data)
     for file in _sources():
         total.update(file.read_bytes())

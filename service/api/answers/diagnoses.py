@@ -115,7 +115,7 @@ ADOPTION = having(
     at=TEXT,
 )
 FOUND = having(
-    ("adds", "conditions", "not_adopted", "pictures", "separating"),
+    ("adds", "conditions", "not_adopted", "pictures", "separating", "widened"),
     verdict=VERDICT,
     names=each(TEXT),
     reasons=each(TEXT),
@@ -133,7 +133,26 @@ FOUND = having(
     readings=having(delivered=WHOLE, used=WHOLE),
     models=having(before=TEXT, after=TEXT),
     before_after=maybe(ANY),
-    adds=maybe(having(parameters=each(ANY), drifts=each(ANY), biases=each(ANY))),
+    adds=maybe(
+        having(
+            ("parameters", "drifts", "biases", "quantities"),
+            parameters=each(ANY),
+            drifts=each(ANY),
+            biases=each(ANY),
+            quantities=named(ANY),
+        )
+    ),
+    widened=maybe(
+        having(
+            quantity=TEXT,
+            discrepancy=ANY,
+            gained_nat=NUMBER,
+            borne_out=YES,
+            time_h=NUMBER,
+            share=NUMBER,
+            sd=having(before=NUMBER, after=NUMBER),
+        )
+    ),
     conditions=each(
         having(
             input=TEXT,

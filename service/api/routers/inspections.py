@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import JSONResponse, Response
 
 from service.api.csv_rows import CSV_EXAMPLE
-from service.api.files import CSV, PARQUET, file
+from service.api.files import CSV, PARQUET, SENSORTHINGS, file
 from service.api.problems import fault, invalid
 from service.api.schemas import READINGS, InspectionIn, Nothing, read_inspections
+from service.api.sensorthings import ARRAY_EXAMPLE, EXAMPLE
 from service.api.services import (
     Cursor,
     Limit,
@@ -26,7 +26,8 @@ from service.api.services import (
     tag_of,
     unchanged,
 )
-from service.export.readings import COLUMNS, Parquet, csv_header, csv_text
+from service.export.readings import COLUMNS
+from service.handlers import exports
 from service.handlers import inspections as use
 from service.names import ID_PATTERN
 
@@ -55,6 +56,16 @@ BODY = {
                 "schema": {"type": "string", "description": f"columns: {', '.join(COLUMNS)}"},
                 "example": CSV_EXAMPLE,
             },
+            SENSORTHINGS: {
+                "schema": {
+                    "oneOf": [{"type": "object"}, {"type": "array", "items": {"type": "object"}}],
+                    "description": "an Observation, data arrays, or Datastreams with Observations",
+                },
+                "examples": {
+                    "observation": {"value": EXAMPLE},
+                    "data array": {"value": ARRAY_EXAMPLE},
+                },
+            },
         },
     }
 }
@@ -82,7 +93,7 @@ def listed_out(item: use.Listed, *, full: bool) -> dict[str, Any]:
 @router.post(
     "",
     status_code=202,
-    summary="Post one reading, many, or CSV: all or nothing",
+    summary="Post one reading, many, CSV or SensorThings: all or nothing",
     openapi_extra=BODY,
 )
 def post_inspections(
@@ -106,8 +117,11 @@ def get_inspections(
     ] = None,
     newest: Annotated[bool, Query(description="the newest first")] = False,
     format: Annotated[
-        Literal["json", "csv", "parquet"],
-        Query(description="whole files: csv, those that count; parquet, all with their status"),
+        Literal["json", "csv", "parquet", "sensorthings"],
+        Query(
+            description="whole files: csv and sensorthings, those that count; parquet, all with "
+            "their status"
+        ),
     ] = "json",
 ) -> dict[str, Any] | Response:
     if format != "json":
@@ -129,19 +143,19 @@ def get_inspections(
 
 def _file(request: Request, services: Services, r: str, blade: str | None, form: str) -> Response:
     """The readings of a rotor, or of one blade, as the log stands now."""
-    log, pages = use.all_inspections(services.store, r, blade)
+    log = use.log_now(services.store, r)
     tag = tag_of(request, log.rotor, log.created_at, log.head_seq)
     if (same := unchanged(request, tag)) is not None:
         return same
     saved = (r, *([] if blade is None else [blade]), "readings", log.head_seq)
     if form == "csv":
-        counting = ([one.body for one in some if one.status == "counts"] for some in pages)
-        texts = chain([csv_header()], map(csv_text, counting))
-        return file(texts, CSV, saved, "csv", tag)
-    written = Parquet({"rotor": r, "model": log.model, "head_seq": str(log.head_seq)})
-    for some in pages:
-        written.add((o.body, o.seq, o.status, o.received_at, o.posted_by) for o in some)
-    return file(written.end(), PARQUET, saved, "parquet", tag)
+        return file(exports.readings_csv(services.store, log, blade), CSV, saved, "csv", tag)
+    if form == "sensorthings":
+        return file(
+            exports.sensorthings(services.store, log, blade), SENSORTHINGS, saved, "json", tag
+        )
+    table = exports.readings_parquet(services.store, log, blade)
+    return file(table, PARQUET, saved, "parquet", tag)
 
 
 @router.get("/{i}", summary="One reading with all its values")

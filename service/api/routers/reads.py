@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import re
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
-from service.api.files import CSV, file
+from service.api.files import CSV, SENSORTHINGS, file
 from service.api.problems import RequestError, fault
-from service.api.services import Name, Wired, tag_of_basis, tagged, unchanged
+from service.api.services import Name, Wired, moment, tag_of_basis, tagged, unchanged
 from service.api.which import Asked
+from service.export import sensorthings
 from service.export.tables import prediction_csv
 from service.handlers import reads as use
 from service.ports import Which
@@ -63,9 +65,10 @@ def get_prediction(
             description="whose noise a reading has, where noises are by it",
         ),
     ] = None,
-    format: Annotated[Literal["json", "csv"], Query(description="csv: a row for each hour")] = (
-        "json"
-    ),
+    format: Annotated[
+        Literal["json", "csv", "sensorthings"],
+        Query(description="csv: a row for each hour; sensorthings: an Observation for each"),
+    ] = "json",
 ) -> Response:
     found = use.basis(services.store, services.science, r, which, b)
     asked = use.question(found.card, quantity, read_times(times), node, probability, instrument)
@@ -74,9 +77,13 @@ def get_prediction(
         return same
     told = use.predict(services.store, services.science, found, asked)
     body = {"rotor": r} | told | {"rests_on": found.to_json()}
+    saved = (r, b, asked.quantity, f"v{found.state.version}")
     if format == "csv":
-        saved = (r, b, asked.quantity, f"v{found.state.version}")
         return file(prediction_csv(body), CSV, saved, "csv", tag, found)
+    if format == "sensorthings":
+        made = sensorthings.predicted(body, moment(found.state.created_at))
+        written = json.dumps(made, ensure_ascii=False).encode()
+        return file(written, SENSORTHINGS, saved, "json", tag, found)
     return tagged(body, tag)
 
 

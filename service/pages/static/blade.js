@@ -16,6 +16,7 @@ const own = path`/v1/rotors/${rotor}/blades/${blade}`;
 const chosen = { quantity: asked("quantity"), limit: asked("limit"), component: Number(asked("component") ?? 2) };
 const SOURCES = [["parameters", "line"], ["surrogate", "dash"], ["discrepancy", "dot"], ["noise", "dash"], ["total", "line"]];
 const AXES = ["x", "y", "z"];
+const ROWS = 200; // of readings in the table; the chart has them all
 const [bands, bandsLegend, bandsTable, sources, sourcesTable, figures, list, history, prior, pairs, controls] =
   Array.from({ length: 11 }, () => h("div"));
 controls.className = "controls";
@@ -91,9 +92,7 @@ function drawFigures(found, mean, sd, bladeSd, limit) {
   show(figures, parts);
 }
 
-async function drawHistory(found) {
-  const kept = await get(`${url}/versions`, { limit: 8 });
-  const came = await get(`${url}/inspections`, { newest: true, limit: 200 });
+async function drawHistory(found, kept, came) {
   const last = found.time_h.at(-1);
   const told = await Promise.all(kept.items.map((v) =>
     get(`${own}/prediction`, { version: v.version, quantity: found.quantity, times: last, node: found.node }).catch(() => null)));
@@ -129,6 +128,10 @@ async function drawHistory(found) {
 }
 
 async function draw() {
+  const rest = Promise.all([
+    get(`${own}/prediction`, { quantity: chosen.quantity }), pages(`${url}/inspections`, { blade }, 2000),
+    get(`${own}/draws`, { count: 1000 }), get(`${url}/versions`, { limit: 8 }), get(`${url}/inspections`, { newest: true, limit: 200 })]);
+  rest.catch(() => {}); // what went wrong is told where it is waited for
   const now = await get(url);
   drawn.version = now.version;
   const me = now.blades.find((b) => b.id === blade);
@@ -137,18 +140,17 @@ async function draw() {
   if (me) states.push(h("span", { class: "soft" }, [me.slot && `slot ${me.slot}`, me.lot && `lot ${me.lot}`, me.coating_lot && `coating ${me.coating_lot}`].filter(Boolean).join(" · ")));
   show($("states"), states);
   model ??= await get(path`/v1/models/${now.model}`);
-  const found = await get(`${own}/prediction`, { quantity: chosen.quantity });
-  const all = await pages(`${url}/inspections`, { blade }, 2000);
+  const [found, all, draws, kept, came] = await rest;
   const readings = kindsOf(all.items);
   notices([...warningsOf(now), readings.length === 0 && ["wait", "No reading of this blade yet: what is shown is what the rotor tells of it."],
     all.more && ["wait", "Only the first 2 000 readings of this blade are drawn."]]);
   drawControls(found);
   drawBands(found, readings);
-  show(list, readings.length ? readingsTable(rotor, readings, { blade: false }) : h("p", { class: "soft" }, "None yet."));
-  const draws = await get(`${own}/draws`, { count: 1000 });
+  show(list, readings.length ? readingsTable(rotor, readings.slice(-ROWS), { blade: false }) : h("p", { class: "soft" }, "None yet."),
+    readings.length > ROWS ? h("p", { class: "small" }, `The last ${ROWS} to arrive of ${all.more ? "more than " : ""}${fixed(readings.length, 0)}. `, h("a", { href: `${path`/rotors/${rotor}/readings`}?blade=${encodeURIComponent(blade)}` }, "All of them, page by page")) : null);
   marginals(prior, draws, model.network);
   corner(pairs, draws);
-  await drawHistory(found);
+  await drawHistory(found, kept, came);
 }
 
 show($("page"),

@@ -1,13 +1,14 @@
 // One diagnosis: how far it is, what was found, what was tried, before and after.
 
-import { Problem, ask, get, offers, path, post, remove } from "./api.js";
+import { Problem, ask, get, offers, pages, path, post, remove } from "./api.js";
 import { $, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
 import { axis, fixed, moment, number, plain, withSd, words } from "./format.js";
-import { keep } from "./live.js";
+import { drawn, follow, keep } from "./live.js";
 import { progress } from "./progress.js";
 import { badge, notices } from "./states.js";
 import { stateOf, verdictOf } from "./verdict.js";
 
+const rotor = path`/v1/rotors/${names.r}`;
 const url = path`/v1/rotors/${names.r}/diagnoses/${names.d}`;
 const TEMPLATE = "/v1/rotors/{r}/diagnoses/{d}";
 const said = h("p", { role: "status", class: "small" });
@@ -99,15 +100,42 @@ function result(found, unitName) {
   ];
 }
 
+/** What of this diagnosis is in the rotor's model: when it was adopted, and since which version. */
+function standing(history, now) {
+  const last = history.at(-1);
+  if (!last) return h("p", {}, "Not in the model.");
+  const inForce = last.what === "adoption";
+  const state = now.posterior;
+  const computed = state !== null && state.through_seq >= last.seq;
+  const what = inForce ? "the effect" : "the network before it";
+  return [
+    h("p", {}, h("strong", {}, inForce ? "Adopted." : "Backed out."), " ",
+      computed ? `Version ${fixed(state.version, 0)} of the posterior has ${what}${state.sealed ? "" : "; it is provisional, the sealed one follows"}.`
+        : `The next version will have ${what}; a worker has yet to compute it.`),
+    table([
+      { name: "What happened", value: (one) => (one.what === "adoption" ? "adopted" : "backed out") },
+      { name: "Entry", value: (one) => fixed(one.seq, 0), number: true },
+      { name: "When", value: (one) => moment(one.at) },
+      { name: "By key", value: (one) => (one.unasked ? "the rotor itself" : one.posted_by ?? "–") },
+      { name: "Readings since the diagnosis", value: (one) => (one.readings_since === null ? "–" : fixed(one.readings_since, 0)), number: true },
+    ], history),
+  ];
+}
+
 async function draw() {
   const [d, canReport, canAdopt, canBackOut, canCancel] = await Promise.all([get(url),
     offers("get", `${TEMPLATE}/report`), offers("post", `${TEMPLATE}/adoption`), offers("delete", `${TEMPLATE}/adoption`), offers("delete", TEMPLATE)]);
+  const [now, adoptions] = await Promise.all([get(rotor), pages(`${rotor}/adoptions`)]);
+  drawn.version = now.version;
+  const history = adoptions.items.filter((one) => one.diagnosis === names.d);
+  const inForce = history.at(-1)?.what === "adoption";
   const going = d.status === "queued" || d.status === "running";
   show($("states"), badge(...stateOf(d)));
   notices([d.status === "failed" && ["bad", `It failed after ${number(d.attempts, "attempt")}.`, d.error],
     d.status === "cancelled" && ["warn", "It was cancelled: there is no result."]]);
   const button = (text, how, quiet) => h("button", { type: "button", class: quiet ? null : "main", onclick: how }, text);
   const done = d.status === "done";
+  const claimed = done && d.result.claimed;
   const model = done ? await get(path`/v1/models/${d.result.rests_on.model}`) : null;
   const unitName = model?.outputs[d.result.before_after?.quantity]?.unit ?? "";
   show($("page"),
@@ -116,10 +144,12 @@ async function draw() {
     h("div", { class: "controls actions" },
       going && canCancel ? button("Cancel", () => act("Cancel", () => remove(url)), true) : null,
       done && canReport ? button("Save the report", () => act("Report", report), true) : null,
-      done && canAdopt && d.result.claimed ? button("Adopt into the model", () => confirm("Put the effect into this rotor's model?") && act("Adopt", () => post(`${url}/adoption`))) : null,
-      done && canBackOut && d.result.claimed ? button("Back out", () => confirm("Take the effect out of this rotor's model again?") && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
+      claimed && canAdopt && !inForce ? button("Adopt into the model", () => confirm("Put the effect into this rotor's model?") && act("Adopt", () => post(`${url}/adoption`))) : null,
+      claimed && canBackOut && inForce ? button("Back out", () => confirm("Take the effect out of this rotor's model again?") && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
+    claimed || history.length ? panel("In the model", standing(history, now)) : null,
     done ? h("div", { class: "columns halves" }, result(d.result, unitName)) : null);
   if (going) setTimeout(redraw, 1000);
 }
 
 const redraw = keep(draw);
+follow(names.r, redraw);

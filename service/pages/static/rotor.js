@@ -120,14 +120,16 @@ async function draw() {
   show($("states"), badges(statesOf(now)));
   drawState(now);
   notices(warningsOf(now));
-  model ??= await get(path`/v1/models/${now.model}`);
+  const known = model ?? get(path`/v1/models/${now.model}`);
   if (now.version === 0) {
+    model = await known;
     show(glance, h("p", { class: "wait" }, "No posterior yet."));
     show(list, h("p", { class: "wait" }, `${number(now.blades.length, "blade")}; their predictions come with the first posterior.`));
     return;
   }
   const { quantity, time_h } = chosen;
-  const first = await get(`${url}/blades`, { quantity, time_h, limit: 200 });
+  const [told, first] = await Promise.all([known, get(`${url}/blades`, { quantity, time_h, limit: 200 })]);
+  model = told;
   if (first.next !== null) {
     const rest = await pages(`${url}/blades`, { quantity, time_h, cursor: first.next }, 2000);
     first.items.push(...rest.items);

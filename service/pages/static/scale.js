@@ -14,6 +14,15 @@ export function rgb(share) {
 
 export const css = (share) => `rgb(${rgb(share).map(Math.round).join(", ")})`;
 
+const APART = [[33, 102, 172], [146, 197, 222], [247, 247, 247], [244, 165, 130], [178, 24, 43]];
+
+/** [r, g, b] for a share 0 … 1 of a span around zero: blue below, nearly white at it, red above. */
+export function apart(share) {
+  const at = Math.min(1, Math.max(0, Number.isFinite(share) ? share : 0.5)) * (APART.length - 1);
+  const i = Math.min(APART.length - 2, Math.floor(at));
+  return APART[i].map((low, k) => low + (at - i) * (APART[i + 1][k] - low));
+}
+
 /** Whether dark writing is read better than light on a colour of the scale. */
 export const dark = (share) => share > 0.5;
 

@@ -99,13 +99,22 @@ export class View {
     this.draw();
   }
 
-  /** Mark nodes: those that a scan measured. */
-  mark(nodes) {
+  /** Mark nodes: those that a scan measured, in one colour or each in its own ([r, g, b]). */
+  mark(nodes, colours = null) {
     const position = this.geometry.getAttribute("position");
     this.dots.geometry.dispose();
     this.dots.geometry = new THREE.BufferGeometry();
     this.dots.geometry.setAttribute("position", new THREE.Float32BufferAttribute(
       nodes.flatMap((n) => [position.getX(n), position.getY(n), position.getZ(n)]), 3));
+    const seen = new THREE.Color();
+    if (colours) {
+      this.dots.geometry.setAttribute("color", new THREE.Float32BufferAttribute(
+        colours.flatMap(([r, g, b]) => seen.setRGB(r / 255, g / 255, b / 255, THREE.SRGBColorSpace).toArray()), 3));
+    }
+    this.dots.material.vertexColors = Boolean(colours);
+    this.dots.material.color.set(colours ? 0xffffff : 0xd55e00);
+    this.dots.material.size = colours ? 11 : 7;
+    this.dots.material.needsUpdate = true;
     this.draw();
   }
 

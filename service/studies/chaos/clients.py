@@ -102,13 +102,17 @@ def create(url: str, traffic: Traffic, ledger: Ledger, particles: int, seed: int
 
 
 class Crowd:
-    """`size` clients that share the batches out among themselves, whoever is free the next one."""
+    """`size` clients that share the batches out among themselves, whoever is free the next one;
+    each rests for `pause_s` after a batch."""
 
-    def __init__(self, url: str, batches: list[Batch], size: int, ledger: Ledger) -> None:
+    def __init__(
+        self, url: str, batches: list[Batch], size: int, ledger: Ledger, pause_s: float = 0.0
+    ) -> None:
         self._left: queue.SimpleQueue[Batch] = queue.SimpleQueue()
         for batch in batches:
             self._left.put(batch)
         self._give_up = threading.Event()
+        self._pause_s = pause_s
         self._threads = [
             threading.Thread(target=self._work, args=(url, ledger), daemon=True)
             for _ in range(size)
@@ -119,6 +123,7 @@ class Crowd:
         try:
             while not self._give_up.is_set():
                 poster.post(self._left.get_nowait())
+                self._give_up.wait(self._pause_s)
         except queue.Empty:
             return
         except Exception as error:

@@ -86,7 +86,8 @@ def chaos(
     began_on, made_by = machine(), commit()
     made = traffic.make(rotors, readings, blades, seed)
     lease_s = 2.0 if science == "fake" else 6.0
-    plan = study.Plan(made, kills, clients, seed, particles, science, lease_s)
+    pause_s = 0.0 if science == "fake" else 4.0
+    plan = study.Plan(made, kills, clients, seed, particles, science, lease_s, pause_s=pause_s)
     results: dict[str, Any] = {}
     with databases(database) as chosen:
         for name, (wild, calm) in chosen:
@@ -147,6 +148,8 @@ def faults(
                 with study.database(kind, server) as url, bar(name[:24], trials) as step:
                     if fault is not None:
                         rows.append(study.tried(fault, kind, url, trials, seed, step))
+                    elif name == study.FULL_DISK:
+                        rows.append(study.tried_on_full_disk(trials, seed, step))
                     elif server is not None:
                         rows.append(study.tried_under_load(name, server, url, trials, seed))
                 if out is not None:  # a study that is cut leaves what it has

@@ -14,7 +14,7 @@ from itertools import count
 from pathlib import Path
 
 from service.ports import Json
-from service.studies.chaos import cuts, damage, deaths, traps
+from service.studies.chaos import cuts, damage, deaths, full_disk, traps
 from service.studies.chaos.bench import Bench, in_turn
 from service.studies.chaos.postgres import Server
 
@@ -60,7 +60,8 @@ ON_SERVER: dict[str, Callable[[Server], str]] = {
     "connections ended by the database, under load": cuts.cut_off,
     "database server killed and restarted, under load": cuts.crash,
 }
-NAMES = (*FAULTS, *ON_SERVER)
+FULL_DISK = "disk of the database server full"
+NAMES = (*FAULTS, *ON_SERVER, FULL_DISK)
 
 
 @contextmanager
@@ -88,12 +89,15 @@ def tried(fault: Fault, kind: str, url: str, trials: int, seed: int, progress: P
             faults.pop("wrong_versions", None)
         return row(fault.name, kind, outcomes, faults, time.monotonic() - begun)
     except Exception as error:  # one fault that ends the study would hide all others
-        where = traceback.extract_tb(error.__traceback__)
-        lines = ", ".join(f"{Path(one.filename).name}:{one.lineno}" for one in where[-6:])
-        ended = [f"NOT FINISHED: {error} ({lines})"]
-        return row(fault.name, kind, ended, {}, time.monotonic() - begun)
+        return row(fault.name, kind, [_ended(error)], {}, time.monotonic() - begun)
     finally:
         bench.close()
+
+
+def _ended(error: Exception) -> str:
+    where = traceback.extract_tb(error.__traceback__)
+    lines = ", ".join(f"{Path(one.filename).name}:{one.lineno}" for one in where[-6:])
+    return f"NOT FINISHED: {error} ({lines})"
 
 
 def tried_under_load(name: str, server: Server, url: str, trials: int, seed: int) -> Json:
@@ -101,6 +105,16 @@ def tried_under_load(name: str, server: Server, url: str, trials: int, seed: int
     disturb = ON_SERVER[name]
     outcomes = cuts.under_load(url, trials, seed, lambda: disturb(server))
     return row(name, "postgresql", outcomes, {}, time.monotonic() - begun)
+
+
+def tried_on_full_disk(trials: int, seed: int, progress: Progress) -> Json:
+    """PostgreSQL on a disk of its own that fills up; it brings its own server."""
+    begun = time.monotonic()
+    try:
+        outcomes, found = full_disk.run(trials, seed, progress)
+        return row(FULL_DISK, "postgresql", outcomes, found.faults, time.monotonic() - begun)
+    except Exception as error:
+        return row(FULL_DISK, "postgresql", [_ended(error)], {}, time.monotonic() - begun)
 
 
 def row(

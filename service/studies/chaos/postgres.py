@@ -43,8 +43,14 @@ def binary(name: str) -> str:
 class Server:
     """One server on a Unix socket in a folder of its own, which goes with it."""
 
-    def __init__(self, settings: tuple[str, ...] = SAFE, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        settings: tuple[str, ...] = SAFE,
+        folder: Path | None = None,
+        initdb: tuple[str, ...] = (),
+    ) -> None:
         self.folder = folder or Path(tempfile.mkdtemp(prefix="bladetwin-pg-"))
+        self.folder.mkdir(exist_ok=True)
         self._options = [part for one in (*settings, *ALWAYS) for part in ("-c", one)]
         self._process: subprocess.Popen[bytes] | None = None
         user = None
@@ -54,7 +60,7 @@ class Server:
         env = {**os.environ, "HOME": str(self.folder), "LC_ALL": "C"}
         self._home: dict[str, Any] = {"env": env, "cwd": self.folder, "user": user}
         made = subprocess.run(
-            [binary("initdb"), "-D", self.folder / "data", *INITDB],
+            [binary("initdb"), "-D", self.folder / "data", *INITDB, *initdb],
             capture_output=True,
             text=True,
             check=False,
@@ -100,9 +106,14 @@ class Server:
                 return
         raise NoServerError(f"postgres did not start: {log.read_text()[-2000:]}")
 
+    @property
+    def runs(self) -> bool:
+        """Whether it has not ended."""
+        return self._process is not None and self._process.poll() is None
+
     def stop(self, signum: int) -> None:
         """SIGINT: fast; SIGQUIT: at once, without a checkpoint, as after a crash."""
-        if self._process is not None and self._process.poll() is None:
+        if self._process is not None and self.runs:
             self._process.send_signal(signum)
             self._process.wait(60)
 

@@ -127,6 +127,7 @@ class Processes:
         outside = {k: v for k, v in os.environ.items() if not k.startswith(PREFIX)}
         self._environ = outside | self.settings.environ()
         self.children: list[Child] = []
+        self.owners: list[str] = []
 
     def __enter__(self) -> Self:
         self.children = [self._begin("api")]
@@ -150,12 +151,20 @@ class Processes:
                 child.kill()
 
     def _begin(self, kind: Kind) -> Child:
-        return self._start(kind, owner_name(), self._environ)
+        self.owners.append(owner_name())
+        return self._start(kind, self.owners[-1], self._environ)
 
     def kill(self, chosen: random.Random, share_of_api: float) -> Kind:
         """Kill one with −9, the API with this probability, and start it again; which it was."""
         workers = range(1, len(self.kinds))
-        i = 0 if chosen.random() < share_of_api else chosen.choice(workers)
+        return self._kill(0 if chosen.random() < share_of_api else chosen.choice(workers))
+
+    def kill_owner(self, owner: str) -> Kind | None:
+        """The same for the worker that claims under this name; None: it is none of these."""
+        return self._kill(self.owners.index(owner)) if owner in self.owners[1:] else None
+
+    def _kill(self, i: int) -> Kind:
         self.children[i].kill()
         self.children[i] = self._begin(self.kinds[i])
+        self.owners[i] = self.owners.pop()
         return self.kinds[i]

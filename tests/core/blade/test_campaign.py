@@ -1,10 +1,18 @@
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from core.archive.claims import started
 from core.blade import BladeRun, Properties, run_campaign, simulate
 from core.errors import InputError, ModelError, RangeError
 
@@ -108,3 +116,152 @@ def test_a_bad_point_is_refused_before_any_process_starts(points: list[dict[str,
 def test_a_campaign_with_nothing_left_starts_nothing(points: list[dict[str, float]]) -> None:
     result = run_campaign(points, lambda i, run: None, done={0, 1, 2, 3})
     assert result.completed == result.failures == ()
+
+
+class Shared:
+    """A list of runs of which another campaign finishes one meanwhile."""
+
+    elsewhere = 0
+
+    def __init__(self) -> None:
+        self.left = [3, 1]
+        self.held_elsewhere = 2
+
+    def take(self) -> int | None:
+        return self.left.pop() if self.left else None
+
+    def waiting(self) -> bool:
+        self.held_elsewhere -= 1
+        self.elsewhere = 1 if self.held_elsewhere <= 0 else 0
+        return self.held_elsewhere > 0
+
+    def failed(self, index: int, reason: str) -> None:
+        raise AssertionError(reason)
+
+
+def test_a_shared_campaign_computes_what_it_is_given_and_waits_for_the_others(
+    points: list[dict[str, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("core.blade.campaign.LOOK_S", 0.01)
+    got: dict[int, BladeRun] = {}
+    told: list[tuple[int, int]] = []
+    todo = Shared()
+    result = run_campaign(
+        points,
+        got.__setitem__,
+        mesh="coarse",
+        done={0},
+        todo=todo,
+        processes=1,
+        progress=lambda done, total, left: told.append((done, total)),
+        time_h=INSTANTS[:2],
+    )
+    assert result.completed == (1, 3)
+    assert {k: run.inputs for k, run in got.items()} == {k: points[k] for k in (1, 3)}
+    assert told[-1] == (4, 4)
+
+
+ORPHANS = """
+import sys, time
+from core.blade import spread
+if sys.argv[1] == "left":
+    spread._end_with_parent = id  # any function of one argument that does nothing
+def main():
+    with spread.spread(1) as pool:
+        import os
+        print(pool.submit(os.getpid).result(), flush=True)
+        pool.submit(time.sleep, 60)
+        time.sleep(60)
+if __name__ == "__main__":
+    main()
+"""
+
+
+@pytest.mark.parametrize("kind", ["watched", "left"])
+def test_a_process_ends_when_its_parent_is_killed(tmp_path: Path, kind: str) -> None:
+    """`left` is the negative control: without the watch it lives on."""
+    script = tmp_path / "parent.py"
+    script.write_text(ORPHANS)
+    parent = subprocess.Popen([sys.executable, script, kind], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    until = time.monotonic() + (20 if kind == "watched" else 2)
+    while (alive := started(child) is not None) and time.monotonic() < until:
+        time.sleep(0.05)
+    if alive:
+        os.kill(child, signal.SIGKILL)
+    assert alive == (kind == "left")
+
+
+DASK = """
+import sys
+import numpy as np
+from core.blade import run_campaign
+from core.builtin.rotor_blade import blade_digest
+from core.errors import BladetwinError
+
+def main():
+    points = [{"tbc_thickness": 1.0, "t1t_rate": r, "creep_transient": 0.0, "creep_steady": 0.0}
+              for r in (0.82, 0.97)]
+    code = blade_digest if sys.argv[2] == "same" else Other()
+    try:
+        done = run_campaign(points, lambda k, run: print(k, run.elongation[-1].hex()),
+                            mesh="coarse", dask=sys.argv[1], code=code, time_h=[0.0, 5.0, 50.0])
+    except BladetwinError as error:
+        print(error)
+    else:
+        print(len(done.completed))
+
+class Other:
+    def __init__(self):
+        import os
+        self.home = os.getpid()
+    def __call__(self):
+        import os
+        return "a" * 64 if os.getpid() == self.home else "b" * 64
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+def through_dask(tmp_path: Path, address: str, code: str = "same") -> list[str]:
+    script = tmp_path / "campaign.py"
+    script.write_text(DASK)
+    words = [sys.executable, script, address, code]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="Dask (extra dask) is not installed")
+def test_a_dask_cluster_computes_the_same_runs(
+    tmp_path: Path, points: list[dict[str, float]]
+) -> None:
+    *runs, count = through_dask(tmp_path, "local:2")
+    alone = [
+        simulate({**points[0], "t1t_rate": rate}, "coarse", time_h=INSTANTS).elongation[-1].hex()
+        for rate in (0.82, 0.97)
+    ]
+    assert sorted(runs) == [f"{k} {value}" for k, value in enumerate(alone)]
+    assert count == "2"
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="Dask (extra dask) is not installed")
+def test_a_dask_worker_with_other_code_is_refused(tmp_path: Path) -> None:
+    (said,) = through_dask(tmp_path, "local:1", "other")
+    assert "has other finite-element code: bbbbbbbbbbbb there, aaaaaaaaaaaa here" in said
+
+
+def test_an_address_that_is_none_or_answers_nothing_is_refused(
+    points: list[dict[str, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if find_spec("distributed") is None:
+        with pytest.raises(InputError, match="install bladetwin"):
+            run_campaign(points, lambda k, run: None, dask="local:2")
+        return
+    with pytest.raises(InputError, match=r"give tcp://host:port or local:2"):
+        run_campaign(points, lambda k, run: None, dask="here")

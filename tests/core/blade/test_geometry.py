@@ -14,7 +14,7 @@ from core.blade.geometry import NAMED_POINTS, brick, jacobians
 from core.blade.properties import Geometry
 from core.errors import InputError, RangeError
 
-COUNTS = {"coarse": 1536, "default": 5600, "fine": 12048, "full": 27360}
+COUNTS = {"coarse": 1536, "default": 5600, "fine": 12048, "paper": 27360}
 
 
 def volumes_of(mesh: meshio.Mesh) -> np.ndarray:
@@ -92,7 +92,7 @@ def test_interpolation_onto_the_own_nodes_changes_nothing() -> None:
 
 
 def test_interpolated_places_converge_with_the_third_power_of_the_element() -> None:
-    geometry, target = Geometry(), build_mesh("full")
+    geometry, target = Geometry(), build_mesh("paper")
     gaps = []
     for n in (12, 24, 48):
         mesh = build_mesh((n, 1, 16), geometry)
@@ -119,7 +119,7 @@ def test_a_place_outside_the_blade_or_a_field_of_another_mesh_is_refused() -> No
 
 
 def test_an_unknown_or_unfit_mesh_is_refused_with_the_choices() -> None:
-    with pytest.raises(InputError, match="coarse, default, fine, full"):
+    with pytest.raises(InputError, match="coarse, default, fine, paper"):
         build_mesh("huge")
     with pytest.raises(InputError, match="no node at critical"):
         build_mesh((18, 1, 8))

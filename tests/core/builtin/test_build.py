@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import core.builtin.rotor_blade as built
 from core.archive import Archive
+from core.archive.shared import SharedRuns
 from core.blade import BOUNDS, DORMANT, build_mesh, output_times
 from core.errors import ModelError
 from core.surrogate import load
@@ -54,24 +55,25 @@ def campaign(
         inputs: Sequence[Mapping[str, float]],
         sink: Callable[[int, Any], None],
         *,
-        done: frozenset[int],
+        todo: SharedRuns,
         progress: Callable[[int, int, float], None] | None,
         **options: Any,
     ) -> SimpleNamespace:
         failures = []
-        for index, point in enumerate(inputs):
-            if index in done:
-                continue
+        while (index := todo.take()) is not None:
+            point = inputs[index]
             if len(calls) == cut_after:
                 raise Cut
             calls.append(index)
             if index == failing:
                 failures.append(SimpleNamespace(index=index, inputs=point, reason="exploded"))
+                todo.failed(index, "exploded")
                 continue
             sink(index, formula(point))
             if progress is not None:
                 progress(index + 1, len(inputs), 0.0)
-        return SimpleNamespace(failures=tuple(failures))
+        done = tuple(k for k in calls if k != failing)
+        return SimpleNamespace(failures=tuple(failures), completed=done, seconds=0.0)
 
     return run
 

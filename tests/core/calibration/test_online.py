@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.calibration import online
+from core.calibration import step
 from core.calibration.message import BladeMessage
 from core.calibration.online import RotorSpec, RotorState, Workspace, update
 from core.calibration.smooth import NEARLY
@@ -146,7 +146,7 @@ def test_draws_that_a_workspace_keeps_from_a_quick_step_are_not_sealed_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The quick step has as many draws here, of a column that it knows only nearly."""
-    few = replace(SPEC, particles=online.PROVISIONAL // 2)
+    few = replace(SPEC, particles=step.PROVISIONAL // 2)
     readings = [*READINGS, replace(LATE, sigma=0.5)]
     first, alone = update(MODEL, few, READINGS), update(MODEL, few, readings)
 
@@ -157,7 +157,7 @@ def test_draws_that_a_workspace_keeps_from_a_quick_step_are_not_sealed_in(
         return update(MODEL, few, readings, quick, workspace=work)
 
     assert sealed_over_a_quick_step().digest == alone.digest
-    monkeypatch.setattr(online, "array_digest", lambda column: "")
+    monkeypatch.setattr(step, "array_digest", lambda column: "")
     assert sealed_over_a_quick_step().digest != alone.digest, "mutant"
 
 
@@ -177,7 +177,7 @@ def test_a_surprising_reading_tempers_the_shared_level_until_it_is_sealed(
     assert not state.sealed
     health = state.meta["health"]
     assert 0.2 <= health["tempered"] < 1.0
-    assert health["ess_ratio"] == pytest.approx(online.QUICK_ESS, abs=0.01)
+    assert health["ess_ratio"] == pytest.approx(step.QUICK_ESS, abs=0.01)
     exact = update(MODEL, SPEC, readings)
     assert exact.meta["health"]["tempered"] == 1.0
     assert update(MODEL, SPEC, readings, state).digest == exact.digest
@@ -212,7 +212,7 @@ def test_particles_are_at_least_as_many_as_asked_for(before: RotorState) -> None
     assert k * m == before.meta["particles"] >= SPEC.particles
     quick = update(MODEL, SPEC, [*READINGS, LATE], before, quick=True)
     k, m, _ = quick.arrays[f"blade/{LATE.blade}/local"].shape
-    assert online.PROVISIONAL <= k * m < SPEC.particles
+    assert step.PROVISIONAL <= k * m < SPEC.particles
 
 
 def test_a_reading_of_an_unknown_blade_is_refused() -> None:

@@ -1,0 +1,144 @@
+"""Where a posterior is expected: the first place at which its shared nodes are tried.
+
+A posterior is found from nothing by a descent from the whole box (`smc.placement`), and has to be
+where it is served: it must not depend on what was known before. A diagnosis calibrates one rotor a
+dozen times, with one effect more or some readings fewer, and each of these posteriors is nearly
+known from another. With s normal about (m, C), an effect of amplitude a ~ N(ā, A) that moves s by
+T a, and a part of s held at given values,
+
+    (s, a)       mean (m + T ā, ā),   covariance [[C + T A Tᵀ, T A], [A Tᵀ, A]]
+    s_1 | s_2    mean m_1 + C_12 C_22⁻¹ (s_2 − m_2),   covariance C_11 − C_12 C_22⁻¹ C_21
+
+Only the nodes' places follow from it. Their weights are exact wherever they stand, and where too
+few of them carry the weight the descent is made after all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import truncnorm
+
+from core.calibration.state import RotorState
+from core.calibration.target import SharedSpace, shared_prior
+from core.model import Model
+from core.smc.particles import normalised
+from core.smc.placement import Proposal, moments, rounded
+
+Array = NDArray[np.float64]
+LEAST = 1e-6  # of the box: no spread is smaller
+TAIL = 8.0  # sds
+FAR = 4.0  # sds from a bound that is not felt
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Expected moments of shared parameters, each on its prior's working scale.
+
+    names (d,), mean (d,), covariance (d, d)
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
+
+    @staticmethod
+    def of(model: Model, state: RotorState) -> Start:
+        """The moments of a state's shared nodes."""
+        names, x = tuple(state.meta["shared"]), state.arrays["shared/x"]
+        u = [shared_prior(model, n).to_u(x[:, j]) for j, n in enumerate(names)]
+        found = moments(np.stack(u, axis=1), normalised(state.arrays["shared/log_w"]))
+        return Start(names, *found)
+
+    def joined(self, names: Sequence[str], turn: Array, mean: Array, covariance: Array) -> Start:
+        """With amplitudes of these names, of N(mean (k,), covariance (k, k)).
+
+        turn  (d, k): by how much the parameters move for an amplitude of one
+
+        >>> one = Start(("T",), np.array([5.0]), np.array([[4.0]]))
+        >>> two = one.joined(["a"], np.array([[-2.0]]), np.array([1.0]), np.array([[0.25]]))
+        >>> two.mean.tolist(), two.covariance.tolist()
+        ([3.0, 1.0], [[5.0, -0.5], [-0.5, 0.25]])
+        """
+        across = turn @ covariance
+        whole = np.block(
+            [[self.covariance + across @ turn.T, across], [across.T, np.asarray(covariance)]]
+        )
+        return Start((*self.names, *names), np.r_[self.mean + turn @ mean, mean], whole)
+
+    def held(self, values: Mapping[str, float]) -> Start:
+        """Without these parameters, which have these values.
+
+        >>> two = Start(("T", "a"), np.array([3.0, 1.0]), np.array([[5.0, -0.5], [-0.5, 0.25]]))
+        >>> one = two.held({"a": 0.0})
+        >>> one.names, one.mean.round(9).tolist(), one.covariance.round(9).tolist()
+        (('T',), [5.0], [[4.0]])
+        """
+        out = [j for j, n in enumerate(self.names) if n in values]
+        left = [j for j, n in enumerate(self.names) if n not in values]
+        if not out:
+            return self
+        across, own = self.covariance[np.ix_(left, out)], self.covariance[np.ix_(out, out)]
+        gain = np.linalg.solve(own + 1e-14 * np.trace(own) * np.eye(len(out)), across.T).T
+        off = np.array([values[self.names[j]] for j in out]) - self.mean[out]
+        return Start(
+            tuple(self.names[j] for j in left),
+            self.mean[left] + gain @ off,
+            self.covariance[np.ix_(left, left)] - gain @ across.T,
+        )
+
+    def wider(self, factor: float) -> Start:
+        """With `factor` times the variances, as of fewer readings."""
+        return replace(self, covariance=factor * self.covariance)
+
+    def on(self, space: SharedSpace) -> Proposal | None:
+        """The proposal on the unit box of a space; None where it has other parameters."""
+        if sorted(self.names) != sorted(space.names):
+            return None
+        order = [self.names.index(n) for n in space.names]
+        low, high = np.array([prior.box for prior in space.priors]).T
+        width = high - low
+        mean = (self.mean[order] - low) / width
+        covariance = self.covariance[np.ix_(order, order)] / np.outer(width, width)
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            return None
+        mean, covariance = cut(mean, covariance + LEAST**2 * np.eye(len(mean)))
+        return rounded(np.clip(mean, 0.0, 1.0), covariance)
+
+
+def cut(mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Moments (d,), (d, d) of a normal cut at the unit box, one coordinate after the other.
+
+    Where one is cut, the others move with it as far as they go with it.
+
+    >>> mean, covariance = cut(np.array([0.5, 3.0]), np.array([[0.02, 0.1], [0.1, 1.0]]))
+    >>> mean.round(3).tolist(), covariance.round(4).tolist()
+    ([0.269, 0.685], [[0.0106, 0.0061], [0.0061, 0.0614]])
+    """
+    mean, covariance = mean.copy(), covariance.copy()
+    for j in range(len(mean)):
+        sd = np.sqrt(covariance[j, j])
+        ends = (0.0 - mean[j]) / sd, (1.0 - mean[j]) / sd
+        if ends[0] < -FAR and ends[1] > FAR:
+            continue
+        middle, variance = _inside(*ends)
+        gain = covariance[:, j] / sd**2
+        mean = mean + gain * middle * sd
+        covariance = covariance - np.outer(gain, gain) * sd**2 * (1.0 - variance)
+    return mean, covariance
+
+
+def _inside(low: float, high: float) -> tuple[float, float]:
+    """Mean and variance of a standard normal cut to (low, high); beyond `TAIL`, as an exponential.
+
+    >>> [round(v, 6) for v in _inside(9.0, 1e3)], [round(v, 3) for v in _inside(-1e3, -7.999)]
+    ([9.111111, 0.012346], [-8.12, 0.014])
+    """
+    for near, sign in ((low, 1.0), (-high, -1.0)):
+        if near > TAIL:
+            return sign * (near + 1.0 / near), 1.0 / near**2
+    mean, variance = truncnorm.stats(low, high, moments="mv")
+    return float(mean), float(variance)

@@ -1,0 +1,114 @@
+"""``bladetwin inspect ROTOR --file FILE``: what would become of a file of readings that is posted.
+
+The file is read as the service reads it, and its readings are held against the rotor's model, its
+blades and the readings that are there already. Nothing is posted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from core.errors import InputError
+from core.network import Network
+from core.observation import Inspection
+from service.api.problems import RequestError, fault, fault_of
+from service.api.schemas import InspectionIn, read_inspections
+from service.client import Client, ProblemError
+from service.export.sensorthings import MEDIA
+from service.handlers.inspections import faults_of
+from service.progress import bar
+
+Told = dict[str, Any]
+SHOWN = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """What of a model bounds a reading."""
+
+    horizon_h: float
+    node_count: int
+
+
+def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
+    """``{"rotor", "file", "readings", "new", "same", "faults"}``; InputError: it cannot be read."""
+    try:
+        body = file.read_bytes()
+    except OSError as error:
+        raise InputError(
+            "--file", str(file), f"cannot be read: {error.strerror}", "name another"
+        ) from None
+    now = twin.rotor(rotor)
+    model = twin.model(now["model"])
+    told: Told = {"rotor": rotor, "file": str(file), "readings": 0, "new": 0, "same": 0}
+    try:
+        items = read_inspections(body, media_type(file, body))
+    except RequestError as error:
+        unread = [fault("file", file.name, error.detail, "correct it, or save it as CSV in UTF-8")]
+        return told | {"faults": error.faults or unread}
+    reach = Reach(model["horizon_h"], model["node_count"])
+    network, blades = Network.from_json(model["network"]), {one["id"] for one in now["blades"]}
+    faults = [fault_of(one) for one in faults_of(items, network, reach, blades, rotor)]
+    seen: dict[str, str] = {}
+    with bar("looking at the rotor", len(items), quiet=quiet) as shown:
+        for done, item in enumerate(items, start=1):
+            there = seen.get(item.reading.id) or _there(twin, rotor, item.reading.id)
+            own = seen[item.reading.id] = item.reading.digest()
+            told["same" if there == own else "new"] += there in (None, own)
+            if there not in (None, own):
+                problem = "is an id that exists with another content"
+                remedy = "choose a new id, and name this one in `replaces` to correct it"
+                faults.append(fault(f"{item.where}id", item.reading.id, problem, remedy))
+            shown(done)
+    return told | {"readings": len(items), "faults": faults}
+
+
+def _there(twin: Client, rotor: str, name: str) -> str | None:
+    """The digest of a reading of the rotor; None: it has none of this id."""
+    try:
+        found = twin.inspection(rotor, name)
+    except ProblemError as error:
+        if error.status != 404:
+            raise
+        return None
+    known = InspectionIn.model_fields.keys() - {"value"}
+    return Inspection.from_json({k: v for k, v in found.items() if k in known}).digest()
+
+
+def media_type(file: Path, body: bytes) -> str:
+    """By its ending, and JSON by what it holds.
+
+    >>> media_type(Path("x.json"), b'[{"components": []}]') == MEDIA
+    True
+    >>> media_type(Path("x.json"), b'{"inspections": []}'), media_type(Path("x.txt"), b"id,blade")
+    ('application/json', 'text/csv')
+    """
+    if file.suffix.lower() != ".json":
+        return "text/csv"
+    try:
+        data = json.loads(body)
+    except ValueError:
+        return "application/json"
+    entity = isinstance(data, list) or (
+        isinstance(data, dict)
+        and ("result" in data or "Datastream" in data or isinstance(data.get("value"), list))
+    )
+    return MEDIA if entity else "application/json"
+
+
+def lines_of(told: Told) -> Iterator[str]:
+    """The check for people."""
+    faults = told["faults"]
+    yield (
+        f"{told['file']}: {told['readings']} readings, {told['new']} of them new to rotor "
+        f"{told['rotor']}, {told['same']} there already"
+    )
+    for one in faults[:SHOWN]:
+        yield f"  {one['field']} = {one['value']!r} {one['problem']}. To mend it: {one['remedy']}."
+    if len(faults) > SHOWN:
+        yield f"  and {len(faults) - SHOWN} more"
+    yield "nothing of it can be posted: a file is all or nothing" if faults else "it can be posted"

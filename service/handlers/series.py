@@ -1,0 +1,153 @@
+"""Fields of a blade, or of a rotor, over hours, as files that are computed while they are sent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from core.errors import InputError, RangeError
+from service.errors import FaultsError, NotFoundError
+from service.export import series as files
+from service.export.vtu import vtu
+from service.handlers.exports import facts_of
+from service.handlers.glance import field, field_question
+from service.handlers.reads import Basis
+from service.handlers.rotors import blades_at
+from service.ports import BladeRecord, Json, Mesh, Science, Store
+
+MOST_FILES = 400
+MOST_VALUES = 8_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Fields that were asked for: a quantity of some blades at rising hours [h]."""
+
+    quantity: str
+    hours: tuple[float, ...]
+    blades: tuple[BladeRecord, ...]
+
+
+def asked(found: Basis, quantity: str | None, times: Sequence[float] | None) -> Series:
+    """A series of the blade that the basis names, checked; hours: by default the model's instants.
+
+    FaultsError: no field, hours outside the model's horizon, or hours that do not rise.
+    """
+    assert found.blade is not None
+    return _checked(found, quantity, times, [found.blade])
+
+
+def of_rotor(
+    store: Store,
+    found: Basis,
+    quantity: str | None,
+    times: Sequence[float] | None,
+    names: Sequence[str] | None,
+) -> Series:
+    """A series of the rotor's blades that run in this version, or of those named."""
+    state = found.state
+    with store.read() as tx:
+        blades = blades_at(tx.records.blades(state.rotor_id), state.through_seq)
+    there = {blade.id: blade for blade in sorted(blades, key=lambda blade: blade.id)}
+    if names is None:
+        return _checked(found, quantity, times, [b for b in there.values() if not b.retired_seq])
+    if twice := sorted({name for name in names if list(names).count(name) > 1}):
+        raise InputError("blades", ", ".join(twice), "is named twice", "name each blade once")
+    for name in names:
+        if name not in there:
+            remedy = f"GET /v1/rotors/{state.rotor_id}/blades lists them"
+            raise NotFoundError(f"blade in version {state.version}", name, remedy)
+    return _checked(found, quantity, times, [there[name] for name in sorted(names)])
+
+
+def _checked(
+    found: Basis,
+    quantity: str | None,
+    times: Sequence[float] | None,
+    blades: Sequence[BladeRecord],
+) -> Series:
+    hours = found.card.time_h if times is None else tuple(times)
+    name, _ = field_question(found.card, quantity, None)
+    faults: list[InputError] = []
+    horizon = found.card.horizon_h
+    if outside := [t for t in hours if not 0 <= t <= horizon]:
+        problem = f"lies outside 0 … {horizon:g} h, which the model covers"
+        faults.append(RangeError("times", outside[0], problem, "ask for hours inside"))
+    if any(b <= a for a, b in pairwise(hours)):
+        faults.append(
+            InputError("times", list(hours), "do not rise", "give each hour once, sorted")
+        )
+    if not 1 <= len(hours) * len(blades) <= MOST_FILES:
+        problem = f"are {len(hours)} hours of {len(blades)} blades"
+        remedy = f"ask for 1 … {MOST_FILES} fields at once: fewer `times`, or some `blades`"
+        faults.append(RangeError("times", len(hours) * len(blades), problem, remedy))
+    if faults:
+        raise FaultsError(faults)
+    return Series(name, hours, tuple(blades))
+
+
+def mesh_of(science: Science, found: Basis) -> Mesh:
+    """The model's mesh. NotFoundError: it has none that is known."""
+    mesh = science.mesh(found.card)
+    if mesh is None:
+        remedy = "its fields are not on a mesh that is known here: use format=npz"
+        raise NotFoundError("mesh of model", found.card.id, remedy)
+    return mesh
+
+
+def pvd(
+    store: Store, science: Science, found: Basis, wanted: Series, mesh: Mesh, *, ring: bool
+) -> Iterator[bytes]:
+    """A zip of a PVD and its VTU files.
+
+    ring   the blades stand around the rotor's axis, else where the model has its one blade
+    """
+    names = [blade.id for blade in wanted.blades]
+    places = files.angles(wanted.blades) if ring else [None] * len(names)
+
+    def written() -> Iterable[tuple[str, bytes]]:
+        yield "field.pvd", files.pvd(names, wanted.hours)
+        for part, (blade, angle) in enumerate(zip(wanted.blades, places, strict=True)):
+            of_blade = replace(found, blade=blade)
+            placed = (
+                mesh if angle is None else replace(mesh, points=files.turned(mesh.points, angle))
+            )
+            for step, hour in enumerate(wanted.hours):
+                told = field(store, science, of_blade, wanted.quantity, hour)
+                body = _vtu(placed, told, of_blade, angle)
+                yield files.vtu_name(part, blade.id, step), body
+
+    return files.zipped(written())
+
+
+def _vtu(mesh: Mesh, told: Json, found: Basis, angle: float | None) -> bytes:
+    """The answer of ``GET …/field`` on a mesh; vectors turned with the blade."""
+    name, unit = told["quantity"], told["unit"]
+    mean, sd = np.array(told["mean"]), np.array(told["sd"])
+    facts: dict[str, Any] = {name: told[name] for name in ("blade", "quantity", "time_h")}
+    facts |= facts_of(found)
+    if angle is not None:
+        facts |= {"turned_rad": angle, "sd_axes": "the blade's own"}
+        mean = files.turned(mean, angle) if mean.ndim == 2 else mean
+    data = {f"{name} mean [{unit}]": mean, f"{name} sd [{unit}]": sd}
+    return vtu(mesh, data, float(told["time_h"]), facts)
+
+
+def npz(store: Store, science: Science, found: Basis, wanted: Series) -> Iterator[bytes]:
+    """A zip of arrays: `time_h` (T,), `mean` and `sd` (T, N[, 3]); RangeError: too many values."""
+    (blade,) = wanted.blades
+    output = found.card.outputs[wanted.quantity]
+    each = 2 * found.card.node_count * (3 if output.kind == "vector" else 1)
+    if len(wanted.hours) * each > MOST_VALUES:
+        problem = f"hours of {each} values each are more than {MOST_VALUES} values"
+        remedy = f"ask for {max(MOST_VALUES // each, 1)} hours at once"
+        raise RangeError("times", len(wanted.hours), problem, remedy)
+    told = [field(store, science, found, wanted.quantity, hour) for hour in wanted.hours]
+    arrays = {"time_h": np.array(wanted.hours)}
+    arrays |= {what: np.array([one[what] for one in told]) for what in ("mean", "sd")}
+    facts = {"blade": blade.id, "quantity": wanted.quantity} | facts_of(found)
+    return files.npz(arrays, output.unit, facts)

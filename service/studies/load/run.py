@@ -1,0 +1,267 @@
+"""A real server with its workers under load, sampled window by window; and a backlog worked off."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import numpy as np
+
+from core.errors import BladetwinError
+from core.observation import Inspection
+from service.client import Client
+from service.ports import Json
+from service.settings import PREFIX, Settings
+from service.store.engine import open_engine
+from service.store.unit_of_work import SqlStore
+from service.studies.chaos.processes import free_port
+from service.studies.load import demand, watch
+from service.studies.load.crowd import Answered, Crowd
+from service.studies.load.trend import summary, trends
+from service.worker.supervise import same_code
+
+READY_S = 180.0
+DRAIN_S = 300.0
+LOCKED = "database is locked"
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How much is asked of what for how long."""
+
+    minutes: float
+    rate: float
+    reads: float
+    rotors: int
+    blades: int
+    workers: int
+    science: str
+    particles: int
+    window_s: float
+    seed: int
+
+    def settings(self, database_url: str) -> Settings:
+        return Settings.load(
+            {},
+            database_url=database_url,
+            science=self.science,
+            migrate="always",
+            workers=self.workers,
+            diagnosers=0,
+            port=free_port(),
+            particles=self.particles,
+            log_level="warning",
+        )
+
+
+@contextmanager
+def serving(settings: Settings, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """`bladetwin serve` by its command line; ended in order."""
+    outside = {k: v for k, v in os.environ.items() if not k.startswith(PREFIX)}
+    with log.open("wb") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "service.cli", "serve"],
+            env=same_code(outside | settings.environ()),
+            stdout=subprocess.DEVNULL,
+            stderr=out,
+        )
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(30)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def loaded(
+    plan: Plan, database_url: str, files: Path | None, log: Path, progress: Progress
+) -> Json:
+    """One run: samples of each window, the whole, and what grew.
+
+    files   folder of the database, whose size is sampled; None: it lies elsewhere
+    """
+    settings = plan.settings(database_url)
+    url, seconds = f"http://127.0.0.1:{settings.port}", 60 * plan.minutes
+    size = (max(4, round(plan.rate / 2)), max(4, round(plan.reads / 4)))
+    with serving(settings, log) as process, httpx.Client(base_url=url, timeout=60) as probe:
+        with Client(url) as client:
+            client.ready(READY_S)
+            for number in range(plan.rotors):
+                blades = [demand.blade_name(i) for i in range(plan.blades)]
+                client.create_rotor(demand.rotor_name(number), blades=blades)
+        _drained(probe)
+        known = (seconds, plan.rotors, plan.blades, plan.seed)
+        begun = time.monotonic() + 1.0
+        crowds = [
+            Crowd(url, demand.posts(plan.rate, *known), min(size[0], 64), begun),
+            Crowd(url, demand.reads(plan.reads, *known), min(size[1], 64), begun),
+        ]
+        samples: list[Json] = []
+        everything: list[Answered] = []
+        used: dict[int, float] = {}
+        try:
+            while any(crowd.busy for crowd in crowds):
+                end = begun + (len(samples) + 1) * plan.window_s
+                while time.monotonic() < end and any(crowd.busy for crowd in crowds):
+                    time.sleep(0.05)
+                    progress(min(int(seconds), max(0, int(time.monotonic() - begun))))
+                taken = [one for crowd in crowds for one in crowd.taken()]
+                everything += taken
+                at = time.monotonic() - begun
+                samples.append(_sample(at, taken, process.pid, probe, files, used, plan.window_s))
+        finally:
+            for crowd in crowds:
+                crowd.stop()
+        left = _drained(probe)
+        last = watch.gauges(probe)
+    text = log.read_text(errors="replace")
+    posted = sum(one.good for one in everything if one.kind == "post")
+    whole = summary(everything)
+    late = [one.late_s for one in everything]
+    told: Json = {
+        "asked": {"posts": plan.rate, "reads": plan.reads},
+        "answered_per_s": round(len(everything) / max(seconds, 1e-9), 1),
+        **whole,
+        "late_ms_p99": round(1e3 * float(np.percentile(late, 99)), 1) if late else None,
+        "posted": posted,
+        "applied": int(last.get("entries_applied_total", -1)),
+        "versions": int(last.get("versions_total", -1)),
+        "sealed_versions": int(last.get("versions_sealed_total", -1)),
+        "drained_after_s": left,
+        "locked": LOCKED in text or any(LOCKED in one.problem for one in everything),
+        "lines_in_the_log": text.count("\n"),
+        "trends": trends(samples[:-1]),
+        "samples": samples,
+    }
+    return told | {"passed": passed(told)}
+
+
+def passed(told: Json) -> bool:
+    """Whether everything was answered as it should be, applied, and nothing grew."""
+    grew = [name for name, one in told["trends"].items() if one["verdict"] == "grows"]
+    whole = told["posted"] == told["applied"]
+    return whole and not (told["not_good"] or told["locked"] or grew)
+
+
+def _sample(
+    at: float,
+    taken: list[Answered],
+    pid: int,
+    probe: httpx.Client,
+    files: Path | None,
+    used: dict[int, float],
+    window_s: float,
+) -> Json:
+    memory, processors = dict[str, float](), dict[str, float]()
+    for name, own in watch.family(pid).items():
+        if (mb := watch.memory_mb(own)) is not None:
+            memory[name] = mb
+        if (spent := watch.processor_s(own)) is not None:
+            if own in used:
+                processors[name] = round((spent - used[own]) / window_s, 3)
+            used[own] = spent
+    told = summary(taken)
+    return {
+        "at_s": round(at, 1),
+        "posts": told["posts"],
+        "reads": told["reads"],
+        "gauges": watch.gauges(probe),
+        "memory_mb": memory,
+        "processors": processors,
+        "database_mb": None if files is None else watch.files_mb(files),
+    }
+
+
+def _drained(probe: httpx.Client) -> float | None:
+    """Seconds until nothing is left to apply or to seal; None: it was not to be waited for."""
+    begun = time.monotonic()
+    while time.monotonic() < begun + DRAIN_S:
+        found = watch.gauges(probe)
+        if found and found["backlog_entries"] == found["dirty_rotors"] == 0:
+            return round(time.monotonic() - begun, 1)
+        time.sleep(0.1)
+    return None
+
+
+def worked_off(plan: Plan, database_url: str, workers: int, entries: int, log: Path) -> Json:
+    """Entries a second that a backlog is sealed at by so many worker processes.
+
+    Every rotor has the same number of readings, waiting before a worker starts. The clock runs
+    from the first version to the last seal, so that starting Python does not count.
+    """
+    from service.bootstrap import make_science, prepare
+    from service.handlers.inspections import Item, post_inspections
+    from service.handlers.models import register_builtins
+    from service.handlers.rotors import create_rotor
+    from service.ports import BladeRecord
+
+    settings = plan.settings(database_url)
+    store = SqlStore(open_engine(database_url))
+    prepare(store, settings)
+    register_builtins(store, make_science(settings, store))
+    each = max(1, entries // plan.rotors)
+    for number in range(plan.rotors):
+        name = demand.rotor_name(number)
+        blades = [BladeRecord(demand.blade_name(i)) for i in range(plan.blades)]
+        create_rotor(store, name, "rotor-blade", blades, plan.particles, plan.seed)
+        readings = [
+            Inspection(
+                f"i{i}", blades[i % plan.blades].id, "elongation", 1000.0 + i, np.array([0.1])
+            )
+            for i in range(each)
+        ]
+        post_inspections(store, name, [Item("", one) for one in readings])
+    outside = {k: v for k, v in os.environ.items() if not k.startswith(PREFIX)}
+    command = [sys.executable, "-P", "-m", "service.cli", "worker"]
+    environ = same_code(outside | settings.environ())
+    with log.open("ab") as out:
+        children = [subprocess.Popen(command, env=environ, stderr=out) for _ in range(workers)]
+        try:
+            first, last = _versions(store, plan.rotors)
+        finally:
+            for child in children:
+                child.send_signal(signal.SIGTERM)
+            for child in children:
+                with suppress(subprocess.TimeoutExpired):
+                    child.wait(30)
+                if child.poll() is None:
+                    child.kill()
+            store.close()
+    seconds = max(last - first, 1e-9)
+    return {
+        "workers": workers,
+        "entries": each * plan.rotors,
+        "seconds": round(seconds, 2),
+        "entries_per_s": round(each * plan.rotors / seconds, 1),
+        "rotors_per_s": round(plan.rotors / seconds, 2),
+    }
+
+
+def _versions(store: SqlStore, rotors: int) -> tuple[float, float]:
+    """When the first version was written and when the last rotor was sealed, by the database."""
+    from sqlalchemy import func, select
+
+    from service.store import tables as t
+
+    end = time.monotonic() + 3600
+    while time.monotonic() < end:
+        with store.read() as tx:
+            left = select(func.count()).select_from(t.cursor).where(t.cursor.c.dirty)
+            if tx.connection.execute(left).scalar() == 0:
+                when = select(func.min(t.outbox.c.at), func.max(t.outbox.c.at))
+                first, last = tx.connection.execute(when).one()
+                return float(first), float(last)
+        time.sleep(0.2)
+    raise BladetwinError(f"a backlog of {rotors} rotors was not worked off within an hour")

@@ -1,0 +1,67 @@
+"""The table of an hour of load, in markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def table(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> str:
+    """Latencies, what was applied, what grew, and what more workers bring."""
+    machine = head["machine"]
+    lines = [
+        "# Load",
+        "",
+        f"{head['minutes']:g} minutes, {head['rotors']} rotors of {head['blades']} blades, "
+        f"{head['rate']:g} posts and {head['reads']:g} reads a second at random moments, science "
+        f"{head['science']}, {head['workers']} worker(s) and a sealer; load generator, server and "
+        f"database share {machine['processors']} processors. Latencies count from the moment at "
+        "which a request was due.",
+        "",
+        "| database | | p50 [ms] | p95 [ms] | p99 [ms] | largest [ms] | as it should be |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, one in results.items():
+        for what in ("posts", "reads"):
+            part = one[what]
+            good = f"{part['good']} of {part['answered']}"
+            cells = [name, what, *(_shown(part[k]) for k in ("p50", "p95", "p99", "max")), good]
+            lines.append(f"| {' | '.join(cells)} |")
+    for name, one in results.items():
+        lines += [
+            "",
+            f"On {name}: {one['posted']} posted, {one['applied']} applied, {one['versions']} "
+            f"versions, {one['sealed_versions']} of them sealed; nothing left "
+            f"{_shown(one['drained_after_s'])} s after the last post; database locked: "
+            f"{'yes' if one['locked'] else 'never'}.",
+            "",
+            "| course | median | slope per hour | 95 % interval | |",
+            "|---|---|---|---|---|",
+        ]
+        for course, found in one["trends"].items():
+            interval = found.get("interval")
+            shown = "" if interval is None else f"{interval[0]:g} … {interval[1]:g}"
+            cells = [course, _shown(found.get("median")), _shown(found.get("per_hour")), shown]
+            lines.append(f"| {' | '.join([*cells, found['verdict']])} |")
+        if one["not_good"]:
+            lines += [
+                "",
+                "Not as it should be: "
+                + "; ".join(f"{count} × {what}" for what, count in one["not_good"].items()),
+            ]
+        if one.get("scaling"):
+            lines += [
+                "",
+                "| workers | entries | seconds | rotors sealed a second | entries a second |",
+                "|---|---|---|---|---|",
+            ]
+            for row in one["scaling"]:
+                lines.append(
+                    f"| {row['workers']} | {row['entries']} | {row['seconds']:g} | "
+                    f"{row['rotors_per_s']:g} | {row['entries_per_s']:g} |"
+                )
+    return "\n".join(lines) + "\n"
+
+
+def _shown(value: float | None) -> str:
+    return "–" if value is None else f"{value:g}"

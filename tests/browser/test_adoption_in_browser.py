@@ -1,0 +1,163 @@
+"""From the question to the model and out of it again, by the buttons of the diagnosis' page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Locator, Page, expect
+
+from core.observation import Inspection
+from service.bootstrap import make_worker
+from service.handlers.inspections import Item, post_inspections
+from service.handlers.models import register_builtins
+from service.handlers.rotors import create_rotor
+from service.ports import BladeRecord
+from service.settings import Settings
+from service.store.engine import open_engine
+from service.store.migrate import migrate
+from service.store.unit_of_work import SqlStore
+from service.worker.loop import Worker
+from tests.browser.conftest import Running, Watched, watching
+from tests.browser.test_pages_in_browser import serious
+from tests.service.adopting import Offsets
+from tests.service.conftest import RunningServer, served
+from tests.service.test_adoption import NAME, OFF, visits
+
+expect.set_options(timeout=20_000)
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A service whose twin can name an effect; its workers run when the test lets them."""
+
+    client: httpx.Client
+    worker: Worker
+    diagnoser: Worker
+
+    def rotor(self) -> dict[str, Any]:
+        told: dict[str, Any] = self.client.get("/v1/rotors/r1").json()
+        return told
+
+    def digest(self) -> str:
+        return str(self.rotor()["posterior"]["state_digest"])
+
+
+def reading(name: str, *, value: float, **given: Any) -> Inspection:
+    return Inspection(id=name, quantity="elongation", values=np.array([value]), **given)
+
+
+@pytest.fixture
+def twin(tmp_path: Path) -> Iterator[Twin]:
+    settings = Settings(
+        database_url=f"sqlite:///{tmp_path / 'x.db'}", science="fake", seal_after_s=0.0
+    )
+    store, science, server = (
+        SqlStore(open_engine(settings.database_url)),
+        Offsets(),
+        RunningServer(),
+    )
+    migrate(store.engine)
+    register_builtins(store, science)
+    create_rotor(store, "r1", "rotor-blade", [BladeRecord(f"B{i}") for i in (1, 2, 3)], 64, 7)
+    post_inspections(store, "r1", [Item("", one) for one in visits(reading, OFF)])
+    worker = make_worker(store, science, settings, "worker-1")
+    diagnoser = make_worker(store, science, settings, "diagnoser-1", "diagnose")
+    worker.drain()
+    with served(store, science, settings, server) as client:
+        yield Twin(client, worker, diagnoser)
+    server.stop()
+    store.close()
+
+
+@pytest.fixture
+def seen(browser: Browser, twin: Twin) -> Iterator[Watched]:
+    yield from watching(browser, Running(str(twin.client.base_url).rstrip("/"), "", twin.client))
+
+
+def said(page: Page) -> Locator:
+    """Where the page tells what became of a button."""
+    return page.locator("main").get_by_role("status")
+
+
+def press(page: Page, button: str, *, sure: bool) -> None:
+    """A button that asks whether one is sure."""
+    page.once("dialog", lambda asked: asked.accept() if sure else asked.dismiss())
+    page.get_by_role("button", name=button).click()
+
+
+def test_what_a_diagnosis_named_is_adopted_and_backed_out_by_its_page(
+    seen: Watched, twin: Twin
+) -> None:
+    page = seen.open("/rotors/r1/diagnoses")
+    page.get_by_role("button", name="Look for what the model lacks").click()
+    page.wait_for_url("**/diagnoses/*")
+    expect(page.locator("#states")).to_contain_text("queued")
+    page.evaluate("window.same = true")
+    twin.diagnoser.drain()
+    expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible(timeout=20_000)
+    expect(page.locator("main")).to_contain_text(NAME)
+    standing = page.locator("section", has=page.get_by_role("heading", name="In the model"))
+    expect(standing).to_contain_text("Not in the model.")
+    expect(page.get_by_role("button", name="Back out")).to_have_count(0)
+    before = twin.digest()
+
+    press(page, "Adopt into the model", sure=False)
+    page.wait_for_timeout(200)
+    assert twin.rotor()["head_seq"] == 12, "negative control: nothing without a yes"
+
+    press(page, "Adopt into the model", sure=True)
+    expect(said(page)).to_contain_text("Adopt: done.")
+    expect(standing).to_contain_text("Adopted. The next version will have the effect")
+    expect(page.get_by_role("button", name="Adopt into the model")).to_have_count(0)
+    assert twin.rotor()["head_seq"] == 13
+    twin.worker.drain()
+    expect(standing).to_contain_text("Version 2 of the posterior has the effect")
+    assert [one["name"] for one in twin.rotor()["effects"]] == [NAME]
+    assert twin.digest() != before
+    assert serious(page) == []
+
+    press(page, "Back out", sure=True)
+    expect(said(page)).to_contain_text("Back out: done.")
+    expect(standing).to_contain_text("Backed out. The next version will have the network before")
+    twin.worker.drain()
+    expect(standing).to_contain_text("Version 3 of the posterior has the network before it")
+    rows = standing.locator("tbody tr")
+    expect(rows).to_have_count(2)
+    expect(rows.first).to_contain_text("adopted")
+    expect(rows.last).to_contain_text("backed out")
+    assert twin.digest() == before, "the bit-identical state of before"
+    expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible()
+    assert page.evaluate("window.same") is True, "never reloaded"
+    assert (seen.errors, seen.outside) == ([], [])
+
+
+def test_the_report_is_saved_and_a_refusal_is_told_where_the_button_is(
+    seen: Watched, twin: Twin, tmp_path: Path
+) -> None:
+    made = twin.client.post("/v1/rotors/r1/diagnoses", json={"compare": False}).json()
+    name = made["diagnosis"]["id"]
+    twin.diagnoser.drain()
+    page = seen.open(f"/rotors/r1/diagnoses/{name}")
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save the report").click()
+    file = tmp_path / saved.value.suggested_filename
+    saved.value.save_as(file)
+    assert file.name == f"diagnosis-r1-{name}.html"
+    report = twin.client.get(f"/v1/rotors/r1/diagnoses/{name}/report")
+    assert file.read_bytes() == report.content
+
+    twin.client.post("/v1/rotors/r1/inspections/B1-c1/retraction").raise_for_status()
+    press(page, "Adopt into the model", sure=True)
+    expect(said(page)).to_contain_text("Adopt: ")
+    expect(said(page)).not_to_contain_text("done")
+    refused = twin.client.post(f"/v1/rotors/r1/diagnoses/{name}/adoption").json()
+    expect(said(page)).to_contain_text(refused["detail"][:40])
+    expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible()
+    refusal = "Failed to load resource: the server responded with a status of 409 (Conflict)"
+    assert seen.errors == [refusal], "the browser's own line, and nothing else"

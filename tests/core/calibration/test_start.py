@@ -1,0 +1,84 @@
+"""A posterior that is nearly known from another: found in fewer steps, and the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.calibration.online import RotorSpec, Workspace, begun, update
+from core.calibration.start import Start
+from core.calibration.state import shared_posterior
+from core.calibration.step import Step
+from tests.core.calibration.bar import bar, measured
+
+MODEL = bar()
+READINGS = measured(14, (0.6e4, 1.5e4), seed=5)
+SPEC = RotorSpec("r", tuple(f"b{b}" for b in range(14)), 1000, 3)
+
+
+def made(start: Start | None = None) -> tuple[Step, int]:
+    """The update, its nodes weighed, and how many columns that took."""
+    work = Workspace()
+    step = begun(MODEL, SPEC, READINGS, workspace=work, start=start)
+    step.weighed  # noqa: B018
+    return step, work.columns.computed
+
+
+def test_from_where_it_is_expected_the_same_posterior_is_found_in_a_quarter_of_the_columns() -> (
+    None
+):
+    alone, many = made()
+    known = Start.of(MODEL, alone.sealed())
+    again, few = made(known.wider(2.0))
+    assert again.log_evidence == pytest.approx(alone.log_evidence, abs=0.05)
+    mine, other = (
+        shared_posterior(one.meta, one.arrays.__getitem__).particles
+        for one in (again.sealed(), alone.sealed())
+    )
+    sd = np.sqrt(other.w @ (other.psi - other.mean) ** 2)
+    assert np.all(np.abs(mine.mean - other.mean) < 0.05 * sd)
+    assert 4 * few <= many
+
+
+def test_a_start_that_is_far_off_costs_time_and_changes_nothing() -> None:
+    alone, _ = made()
+    known = Start.of(MODEL, alone.sealed())
+    sd = np.sqrt(np.diag(known.covariance))
+    off = replace(known, mean=known.mean + np.array([-12.0, 8.0]) * sd)
+    assert made(off)[0].log_evidence == pytest.approx(alone.log_evidence, abs=0.1)
+
+
+def test_a_start_for_other_parameters_is_none() -> None:
+    alone, many = made()
+    known = Start.of(MODEL, alone.sealed())
+    other = replace(known, names=("rate", "sigma_obs.z"))
+    assert other.on(alone.space) is None
+    step, columns = made(other)
+    assert columns == many
+    assert step.log_evidence == pytest.approx(alone.log_evidence, abs=0.1)
+
+
+def test_the_moments_are_those_of_the_particles_on_the_scale_of_the_prior() -> None:
+    state = update(MODEL, SPEC, READINGS)
+    known, shared = Start.of(MODEL, state), shared_posterior(state.meta, state.arrays.__getitem__)
+    w, x = shared.particles.w, shared.particles.psi.copy()
+    noise = shared.names.index("sigma_obs.y")
+    x[:, noise] = np.log(x[:, noise])
+    assert known.mean == pytest.approx(w @ x, rel=1e-12)
+    off = x - w @ x
+    assert known.covariance == pytest.approx((off * w[:, None]).T @ off, rel=1e-9)
+
+
+def test_a_parameter_that_is_held_leaves_the_others_as_they_are_given_it() -> None:
+    """Three normal ones, two held: against the joint precision matrix."""
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(3, 3))
+    whole = Start(("a", "b", "c"), np.array([0.3, -1.1, 2.0]), root @ root.T)
+    left = whole.held({"a": 0.7, "c": 1.4})
+    precision = np.linalg.inv(root @ root.T)
+    pull = precision[1, [0, 2]] @ (np.array([0.7, 1.4]) - whole.mean[[0, 2]])
+    assert left.names == ("b",)
+    assert left.covariance[0, 0] == pytest.approx(1 / precision[1, 1], rel=1e-9)
+    assert left.mean[0] == pytest.approx(-1.1 - pull / precision[1, 1], rel=1e-9)

@@ -1,0 +1,90 @@
+"""Where the scan expects a posterior with an effect, and what it then costs to find it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.calibration.online import RotorSpec, Workspace, begun, update
+from core.calibration.start import Start
+from core.diagnosis import Case, Facts
+from core.diagnosis.adopt import amplitude, with_effects
+from core.diagnosis.expected import joined, without
+from core.diagnosis.scan import Scan
+from tests.core.calibration.bar import bar, measured
+from tests.core.diagnosis.test_diagnose import OFFSET
+
+MODEL, BLADES = bar(), 14
+SPEC = RotorSpec("r", tuple(f"b{b}" for b in range(BLADES)), 1000, 3)
+ADDED, NOISE = 0.012, 0.004
+
+
+def torn() -> Case:
+    """Every second blade is read by a gauge that reads three noises too much, late readings too."""
+    clean = measured(BLADES, (0.6e4, 1.1e4, 1.5e4), seed=5, sd=NOISE)
+    data = [
+        replace(r, instrument=gauge, values=r.values + ADDED * (gauge == "g1"))
+        for i, r in enumerate(clean)
+        for gauge in [f"g{(i // 3 + i) % 2}"]
+    ]
+    return Case(SPEC, tuple(data), {b: Facts() for b in SPEC.blades}, (OFFSET,))
+
+
+@pytest.fixture(scope="module")
+def scanned() -> tuple[Case, Scan, int]:
+    case = torn()
+    state = update(MODEL, SPEC, case.readings)
+    scan = case.scan(MODEL, state)
+    return case, scan, next(i for i, c in enumerate(scan.cells) if c.value == "g1")
+
+
+def test_amplitude_rate_and_noise_with_an_effect_are_foreseen(
+    scanned: tuple[Case, Scan, int],
+) -> None:
+    """The noise falls by several of its sds, which tells most of where the effect's place is."""
+    case, scan, i = scanned
+    state = update(MODEL, SPEC, case.readings)
+    noise = case.noise(MODEL, state)
+    expected = joined(MODEL, state, scan, [i], MODEL, noise)
+    bigger = with_effects(MODEL, [scan.cells[i]], case.facts, noise)
+    alone = begun(bigger, SPEC, case.readings)
+    found = Start.of(bigger, alone.sealed())
+    order = [found.names.index(n) for n in expected.names]
+    sd = np.sqrt(np.diag(found.covariance))[order]
+    assert np.all(np.abs(expected.mean - found.mean[order]) < 1.5 * sd)
+    before, name = Start.of(MODEL, state), "sigma_obs.y"
+    fall = before.mean[before.names.index(name)] - found.mean[found.names.index(name)]
+    assert fall > 3 * sd[expected.names.index(name)]
+    assert expected.mean[-1] == pytest.approx(ADDED, abs=3 * sd[-1])
+
+
+def test_it_is_found_there_with_the_same_evidence_and_few_columns(
+    scanned: tuple[Case, Scan, int],
+) -> None:
+    case, scan, i = scanned
+    state = update(MODEL, SPEC, case.readings)
+    noise = case.noise(MODEL, state)
+    bigger = with_effects(MODEL, [scan.cells[i]], case.facts, noise)
+    work, other = Workspace(), Workspace()
+    alone = begun(bigger, SPEC, case.readings, workspace=other)
+    expected = joined(MODEL, state, scan, [i], MODEL, noise)
+    near = begun(bigger, SPEC, case.readings, workspace=work, start=expected)
+    assert near.log_evidence == pytest.approx(alone.log_evidence, abs=0.15)
+    assert 3 * work.columns.computed <= other.columns.computed
+
+
+def test_without_the_effect_the_model_as_it_was_is_expected(
+    scanned: tuple[Case, Scan, int],
+) -> None:
+    case, scan, i = scanned
+    state = update(MODEL, SPEC, case.readings)
+    bigger = with_effects(MODEL, [scan.cells[i]], case.facts, case.noise(MODEL, state))
+    made = update(bigger, SPEC, case.readings)
+    back = without(bigger, made, [scan.cells[i]], MODEL)
+    known = Start.of(MODEL, state)
+    assert back.names == known.names
+    assert amplitude(scan.cells[i], MODEL.network)[0] not in back.names
+    rate = known.names.index("rate")
+    assert abs(back.mean[rate] - known.mean[rate]) < 1.0 * np.sqrt(known.covariance[rate, rate])
