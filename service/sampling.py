@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -21,13 +22,14 @@ from core.archive import Archive, Input, Mesh, Quantity, Run
 from core.archive.check import DEFORMATION, DISPLACEMENT, KINDS
 from core.design import maximin_lhs
 from core.errors import InputError, ModelError
-from core.network import Network
+from core.network import Network, Parameter
 from core.rng import seed_of
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
 PROTOCOL = 1.0
 TRIES = 3
+ENDS = ("low", "high")
 
 
 class Served:
@@ -115,27 +117,9 @@ def sample(
 
     Raises InputError where the served model does not fit the network and the instants.
     """
-    parameters = [p for p in network.parameters if p.level != "dormant"]
-    if sum(served.input_sizes) != len(parameters):
-        names = ", ".join(p.name for p in parameters)
-        problem = f"inputs are not the {len(parameters)} parameters of the network ({names})"
-        remedy = "declare one parameter for each input, in their order"
-        raise InputError(f"model {served.name}", sum(served.input_sizes), problem, remedy)
-    quantities, nodes = _quantities(served, network, len(time_h))
-    low, high = (np.array([getattr(p.prior, end) for p in parameters]) for end in ("low", "high"))
-    archive = Archive.create(
-        archive_dir,
-        inputs=[Input(p.name, p.prior.low, p.prior.high) for p in parameters],
-        time_h=time_h,
-        mesh=Mesh(
-            "own", np.full((nodes, 3), np.nan), np.zeros((0, 0), np.int64), np.zeros((nodes, 3)), {}
-        )
-        if nodes
-        else Mesh.none(),
-        seed=seed,
-        command=f"bladetwin model sample, UM-Bridge model {served.name}, {design} points",
-        quantities=quantities,
-    )
+    told = f"bladetwin model sample, UM-Bridge model {served.name}, {design} points"
+    archive = begin(served, network, archive_dir, time_h, seed, told)
+    low, high = (np.array([getattr(i, e) for i in archive.declaration.inputs]) for e in ENDS)
     points = maximin_lhs(design, low, high, seed_of(seed, "sample", served.name, design))
     there, failed = set(archive.done()), []
     progress(len(there))
@@ -143,14 +127,7 @@ def sample(
         if k in there:
             continue
         try:
-            values = served(x)
-            archive.write(
-                k,
-                Run(
-                    dict(zip((p.name for p in parameters), map(float, x), strict=True)),
-                    _split(values, archive),
-                ),
-            )
+            run_one(served, archive, k, x)
         except (ModelError, InputError) as error:
             failed.append((k, str(error)))
         else:
@@ -159,12 +136,78 @@ def sample(
     return Sampled(len(there), tuple(failed))
 
 
-def _quantities(served: Served, network: Network, instants: int) -> tuple[list[Quantity], int]:
-    """What the outputs are, and the number of nodes; InputError where their sizes do not fit."""
-    quantities = [
+def begin(
+    served: Served,
+    network: Network,
+    archive_dir: str | Path,
+    time_h: Sequence[float],
+    seed: int,
+    command: str,
+) -> Archive:
+    """The archive of a served model's runs, new or gone on with.
+
+    Raises InputError where the served model does not fit the network and the instants.
+    """
+    parameters = inputs_of(network)
+    if sum(served.input_sizes) != len(parameters):
+        names = ", ".join(p.name for p in parameters)
+        problem = f"inputs are not the {len(parameters)} parameters of the network ({names})"
+        remedy = "declare one parameter for each input, in their order"
+        raise InputError(f"model {served.name}", sum(served.input_sizes), problem, remedy)
+    nodes = _nodes(served, network, len(time_h))
+    return archive_of(network, archive_dir, time_h, nodes, seed, command)
+
+
+def inputs_of(network: Network) -> list[Parameter]:
+    """The parameters that are inputs of a run."""
+    return [p for p in network.parameters if p.level != "dormant"]
+
+
+def quantities_of(network: Network) -> list[Quantity]:
+    """What a run gives, as an archive declares it."""
+    return [
         Quantity(DISPLACEMENT if q.name == DEFORMATION else q.name, q.unit, KINDS[q.kind])
         for q in network.quantities
     ]
+
+
+def told_name(quantity: str, network: Network) -> str:
+    """The network's name of an archive's quantity."""
+    known = {q.name for q in network.quantities}
+    return DEFORMATION if quantity == DISPLACEMENT and quantity not in known else quantity
+
+
+def archive_of(
+    network: Network,
+    archive_dir: str | Path,
+    time_h: Sequence[float],
+    nodes: int,
+    seed: int,
+    command: str,
+) -> Archive:
+    """An archive of a network's inputs and quantities, on `nodes` nodes without a known mesh."""
+    shape = np.full((nodes, 3), np.nan), np.zeros((0, 0), np.int64), np.zeros((nodes, 3))
+    return Archive.create(
+        archive_dir,
+        inputs=[Input(p.name, p.prior.low, p.prior.high) for p in inputs_of(network)],
+        time_h=time_h,
+        mesh=Mesh("own", *shape, {}) if nodes else Mesh.none(),
+        seed=seed,
+        command=command,
+        quantities=quantities_of(network),
+    )
+
+
+def run_one(served: Served, archive: Archive, index: int, x: Array) -> None:
+    """Run the served model at x (d,) and keep it as run `index`."""
+    names = (one.name for one in archive.declaration.inputs)
+    inputs = dict(zip(names, map(float, x), strict=True))
+    archive.write(index, Run(inputs, _split(served(x), archive)))
+
+
+def _nodes(served: Served, network: Network, instants: int) -> int:
+    """The number of nodes of the outputs; InputError where their sizes do not fit."""
+    quantities = quantities_of(network)
     width = {"scalar": 0, "field": 1, "vector field": 3}
     total = sum(served.output_sizes)
     scalars = sum(q.kind == "scalar" for q in quantities)
@@ -178,7 +221,7 @@ def _quantities(served: Served, network: Network, instants: int) -> tuple[list[Q
         problem = f"are not the sizes of {shown} at {instants} instants"
         remedy = "let each quantity be a block over the instants of --times, in the network's order"
         raise InputError(f"outputs of {served.name}", served.output_sizes, problem, remedy)
-    return quantities, nodes
+    return nodes
 
 
 def _split(values: Array, archive: Archive) -> dict[str, Array]:

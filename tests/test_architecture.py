@@ -28,7 +28,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.model",),
     ("core.discrepancy",),
     ("core.calibration",),
-    ("core.prediction", "core.planning", "core.diagnosis"),
+    ("core.prediction", "core.planning", "core.diagnosis", "core.posterior_region"),
     ("core.validation",),
 )
 """From the ground up: a module imports its own room and lower floors; within the second floor

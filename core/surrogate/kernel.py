@@ -159,6 +159,18 @@ class SharedGP:
         alike = (1.0 + self.hyper.nugget) * prior
         return own[0], own[1], alike - between(half, half1) + between(u, u1)
 
+    def cross_covariance(self, z: Array, other: Array) -> Array:
+        """Posterior covariance of the errors at every pair of z (n, d), z' (m, d): (n, m).
+
+        Relative to sigma_j^2 as v is, without the nugget: c(z, z) = v(z) - nugget.
+        """
+        lengths, seen = np.array(self.hyper.lengths), []
+        for at in (z, other):
+            k, h = correlation(at, self.z, lengths), monomials(at, self.hyper.trend)
+            seen.append((k @ self.whiten.T, (h - k @ self.h_solve) @ self.trend.T))
+        (half, u), (half1, u1) = seen
+        return np.asarray(correlation(z, other, lengths) - half @ half1.T + u @ u1.T)
+
     def left_out(self) -> tuple[Array, Array]:
         """Leave-one-out residuals e (n, J) and their relative variances v (n,)."""
         q = self.whiten.T @ self.whiten

@@ -1,5 +1,7 @@
 """`bladetwin model …` for runs of a user's own: convert, check, train, register, upload, sample.
 
+`refine` has a module of its own.
+
 What is wrong with runs is listed fault by fault on stderr, and the exit status is 1; warnings go
 there as well. With ``--json`` both are in the one object on stdout.
 """
@@ -37,7 +39,9 @@ ROW = "{:<22} {:<8} {:>10} {:>10} {:>10} {:>10} {:>8}  {}"
 
 def add(models: typer.Typer) -> None:
     """Put the commands below ``bladetwin model``."""
-    for command in (convert, check, train, register, upload, sample):
+    from service.commands.refine import refine
+
+    for command in (convert, check, train, register, upload, sample, refine):
         models.command()(command)
 
 

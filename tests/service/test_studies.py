@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-from core.validation import schedule_study
+from core.validation import adaptive, schedule_study
 from service.cli import app
 
 
@@ -57,3 +60,36 @@ def test_a_schedule_study_compares_arms_with_the_joint_posterior(
     assert kept["coverage"]["joint"]["t1t_rate"]["sd_ratio"] == 1
     assert kept["coverage"]["offline"]["creep_steady"]["truths"] == 6
     assert kept["joint_online_is_offline"] == 0
+
+
+def test_a_study_of_adaptive_designs_keeps_curves_ratios_and_a_plot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The runs are made up here; tests/core/validation/test_adaptive.py makes some."""
+
+    def made(chosen: adaptive.Study, *_: object, **__: object) -> list[dict[str, Any]]:
+        def points(sizes: Sequence[int], power: float, seed: int) -> list[adaptive.Point]:
+            return [adaptive.Point(n, 0.03 * (16 / n) ** (power + 0.1 * seed), 0.05) for n in sizes]
+
+        rows = []
+        for k in range(chosen.seeds):
+            shots = points(chosen.sizes, 2.0, k)
+            curve = points(range(16, 39, 4), 4.6, k)
+            control = points(range(16, 39, 4), 1.6, k)
+            found = {"one_shot": shots, "adaptive": curve, "uniform": control}
+            row: dict[str, Any] = {n: [asdict(p) for p in own] for n, own in found.items()}
+            row |= {"rotor": k, "region": {"mean": [1.0, 0.83 + 0.03 * k, 0.0, 0.0]}}
+            row["ratios"] = adaptive.ratios(curve, shots)
+            rows.append(row | {"uniform_ratios": adaptive.ratios(control, shots)})
+        return rows
+
+    monkeypatch.setattr(adaptive, "run", made)
+    kept = json.loads(invoke("study", "adaptive", "--seeds", "3", "--out", tmp_path))
+    assert kept["study"]["sizes"] == [16, 26, 40, 54]
+    told = kept["summary"]
+    assert told["ratios"]["at_size"]["40"] == pytest.approx((16 / 40) ** (1 - 2.1 / 4.7), rel=0.02)
+    assert told["met_by_mean"] is True
+    assert told["seeds_met"] == 3
+    assert told["uniform_ratios"]["reached"] == 0, "the control does not get there"
+    assert len(kept["seeds"]) == 3
+    assert len((tmp_path / "error.png").read_bytes()) > 20_000
