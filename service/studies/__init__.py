@@ -18,7 +18,8 @@ from service.studies import effects as effects  # noqa: E402
 from service.studies import reduction as reduction  # noqa: E402
 from service.studies import references as references  # noqa: E402
 from service.studies.chaos import commands as chaos  # noqa: E402
+from service.studies.contest import commands as contest  # noqa: E402
 from service.studies.load import commands as load  # noqa: E402
 from service.studies.paper import commands as paper  # noqa: E402
 
-__all__ = ["adaptive", "app", "chaos", "commit", "effects", "load", "paper", "reduction"]
+__all__ = ["adaptive", "app", "chaos", "commit", "contest", "effects", "load", "paper", "reduction"]

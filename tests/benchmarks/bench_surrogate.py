@@ -2,7 +2,9 @@
 
 python tests/benchmarks/bench_surrogate.py        (OMP_NUM_THREADS=1 for one thread)
 
-Medians of several calls, in milliseconds of processor time.
+Medians of several calls, in milliseconds of processor time; of one quantity at one node and
+instant as a compiled polynomial (`core.surrogate.contest.row`) values per second of one processor,
+and how far they are from the surrogate itself.
 """
 
 from __future__ import annotations
@@ -18,6 +20,9 @@ import numpy as np
 
 from core.builtin.rotor_blade import MODEL
 from core.surrogate import load
+from core.surrogate.contest.row import Row
+
+VALUES = 1_000_000
 
 
 def milliseconds(call: Callable[[], object], repeats: int = 9) -> float:
@@ -56,6 +61,18 @@ def main(directory: Path = MODEL) -> dict[str, float]:
     )
     response = model.response("elongation", time)
     found["evaluate the response at 10,000 x"] = milliseconds(lambda: response.evaluate(x))
+    many = np.random.default_rng(1).uniform(model.low, model.high, (VALUES, len(model.inputs)))
+    last = float(model.horizon_h)
+    for quantity, place in (("elongation", None), ("ceeq", node[0])):
+        row = Row.of(model, quantity, last, place)
+        row(many[:100])
+        spent = milliseconds(lambda row=row: row(many), 15) / 1000.0  # type: ignore[misc]
+        found[f"values per second, {quantity} at one node and instant"] = round(VALUES / spent)
+        exact, _ = model.predict(x, quantity, [last], None if place is None else [place])
+        off = np.abs(row(x) / exact.reshape(-1) - 1.0)
+        found[f"of that {quantity}, % off, 95th percentile"] = round(
+            100 * float(np.quantile(off, 0.95)), 4
+        )
     return found
 
 
