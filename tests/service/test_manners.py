@@ -180,6 +180,7 @@ READS = {
     "/v1/rotors/r1/draws": "reading",
     "/v1/rotors/r1/blades/B1/draws": "reading",
     "/v1/rotors/r1/blades/B1/field": "reading",
+    "/v1/rotors/r1/field": "reading",
     "/v1/rotors/r1/versions": "reading",
     "/v1/models/rotor-blade/surface": None,
     "/v1/rotors/r1/diagnoses": "diagnosis",

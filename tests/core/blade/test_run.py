@@ -205,7 +205,7 @@ def test_instants_that_do_not_increase_from_zero_are_refused(
 
 
 def test_an_unknown_mesh_is_refused(base: dict[str, float]) -> None:
-    with pytest.raises(InputError, match="choose one of coarse, default, fine, full"):
+    with pytest.raises(InputError, match="choose one of coarse, default, fine, paper"):
         simulate(base, "medium")
 
 
