@@ -165,6 +165,10 @@ def mixture_quantiles(mean: Array, sd: Array, w: Array, p: Array) -> Array:
     >>> one = mixture_quantiles(np.zeros((1, 1)), np.ones((1, 1)), np.ones(1), np.array([0.975]))
     >>> round(float(one[0, 0]), 4)
     1.96
+    >>> middles, half = np.array([[1.0], [3.0]]), np.array([0.5, 0.5])
+    >>> sure = mixture_quantiles(middles, np.zeros((2, 1)), half, np.array([0.9]))
+    >>> round(float(sure[0, 0]), 9)
+    3.0
     """
     n, t = mean.shape
     if n > GROUPS:
@@ -191,7 +195,9 @@ def mixture_quantiles(mean: Array, sd: Array, w: Array, p: Array) -> Array:
     high = np.tile(np.max(np.where(here, mean + 9 * sd, -np.inf), axis=0), (len(p), 1))
     for _ in range(32):
         mid = 0.5 * (low + high)
-        f = np.einsum("pgt,gt->pt", ndtr((mid[:, None, :] - mean) / sd), mass)
+        with np.errstate(over="ignore"):  # far from a component without a width, ndtr is 0 or 1
+            z = (mid[:, None, :] - mean) / sd
+        f = np.einsum("pgt,gt->pt", ndtr(z), mass)
         above = f < p[:, None]
         low, high = np.where(above, mid, low), np.where(above, high, mid)
     return np.asarray(0.5 * (low + high))

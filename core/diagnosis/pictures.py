@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.state import RotorState, blade_posterior, shared_posterior
+from core.calibration.state import Posterior, RotorState, blade_posterior, shared_posterior
 from core.calibration.target import shared_prior
 from core.diagnosis.adopt import amplitude
 from core.diagnosis.case import Case
@@ -28,11 +28,13 @@ from core.model import Model
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
+from core.rng import stream
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
 SCHEMA = 1
 HOURS = 21  # of a course
+ENOUGH = 512  # equally weighted particles of a blade for its course: the sd errs by 3 %
 POINTS = 61  # of a density, over its prior and again over its posterior
 EDGE = 0.05  # of the prior's range: so near at its bound …
 NEAR = 3.0  # … and not so many of its own sds away, a posterior leans on it
@@ -129,6 +131,9 @@ def _courses(model: Model, state: RotorState, case: Case, quantity: str, hours: 
     told: Json = {"mean": [], "sd": [], "low": [], "median": [], "high": []}
     for blade in case.spec.blades:
         posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
+        if len(posterior.particles.log_w) > ENOUGH:
+            drawn = posterior.particles.resampled(ENOUGH, stream(0, "courses"))
+            posterior = Posterior(posterior.names, drawn)
         known = (case.spec.known or {}).get(blade)
         got = predict(model.for_blade(blade), posterior, quantity, hours, noise=False, known=known)
         rows = (got.mean, got.sd["total"], *(got.quantiles[p] for p in LEVELS))

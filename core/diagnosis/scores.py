@@ -156,8 +156,8 @@ class Scores:
 
     def cross(self, g: Array) -> Array:
         """Information matrix (C, C) of signatures (B, n, C)."""
-        shared = np.einsum("bnk,bnc->kc", self.deviation, g)
-        own = np.einsum("bic,bid->cd", g, self.information @ g)
+        shared = np.tensordot(self.deviation, g, axes=((0, 1), (0, 1)))
+        own = np.tensordot(g, self.information @ g, axes=((0, 1), (0, 1)))
         return np.asarray(own - shared.T @ shared)
 
     def including(self, g: Array, amplitude: Array) -> Scores:

@@ -9,7 +9,7 @@ whom it concerns is a mask over blades or readings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ PARTS = 6  # of a ramp
 NOISES = 3.0  # size of an offset, in noises
 BINS = 6  # of hours, for what has no name
 PROPORTION = 0.1  # its size, of the answer
+Held = dict[tuple[object, ...], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,28 +60,36 @@ def directed(cell: Cell) -> float:
     return (cell.family.size or 1.0) * (cell.family.sign or 1)
 
 
-def concerns(cell: Cell, blade: str, facts: Facts, reading: Inspection) -> bool:
-    """Whether the cell's effect is on this reading of this blade."""
-    own = {
-        "all": None,
-        "lot": facts.lot,
-        "coating_lot": facts.coating_lot,
-        "blade": blade,
-        "instrument": reading.instrument,
-        "campaign": reading.campaign,
-    }[cell.whom]
-    return own == cell.value
+WHOM = ("all", "lot", "coating_lot", "blade", "instrument", "campaign", "quantity")
+
+
+def labelled(whom: str, blade: str, facts: Facts, reading: Inspection) -> str | None:
+    """What a reading is called by in a way of grouping; an effect is on those of its own value."""
+    match whom:
+        case "lot" | "coating_lot":
+            found: str | None = getattr(facts, whom)
+        case "blade":
+            found = blade
+        case "instrument" | "campaign" | "quantity":
+            found = getattr(reading, whom)
+        case _:
+            found = None
+    return found
 
 
 def masks(cells: Sequence[Cell], seen: Scores, facts: Mapping[str, Facts]) -> Array:
     """Which rows each cell concerns, (B, n, C), 0 or 1; of a sensor's, those of its quantity."""
-    out = np.zeros((*seen.place.shape, len(cells)))
+    labels = {whom: np.full(seen.place.shape, None, object) for whom in WHOM}
     for b, i in np.argwhere(seen.real):
         blade, reading = seen.blades[b], seen.reading(b, i)
-        for c, cell in enumerate(cells):
-            if cell.family.target == "reading" and reading.quantity != cell.family.of:
-                continue
-            out[b, i, c] = concerns(cell, blade, facts[blade], reading)
+        for whom, own in labels.items():
+            own[b, i] = labelled(whom, blade, facts[blade], reading)
+    out = np.zeros((*seen.place.shape, len(cells)))
+    for c, cell in enumerate(cells):
+        concerned = seen.real & (labels[cell.whom] == cell.value)
+        if cell.family.target == "reading":
+            concerned &= labels["quantity"] == cell.family.of
+        out[:, :, c] = concerned
     return out
 
 
@@ -116,6 +125,7 @@ def signatures(
     if isinstance(model.surrogate, Stacked):
         raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
     physics = physics or Physics(model.surrogate, {})
+    held: Held = {}
     found: dict[_Course, tuple[Array, Array]] = {}
     parts: list[tuple[Array, Array]] = []
     for cell in cells:
@@ -125,7 +135,7 @@ def signatures(
             continue
         key = _Course(family.of, family.how, directed(cell), cell.course, family.clock == "rotor")
         if key not in found:
-            found[key] = seen.over(_change(physics, seen, facts, key))
+            found[key] = seen.over(_change(physics, seen, facts, key, held))
         parts.append(found[key])
     return Signatures.of(parts, masks(cells, seen, facts))
 
@@ -143,8 +153,13 @@ def _reading(
     return seen.in_proportion(size * s) if cell.family.how == "times" else (size * s, 0.0 * s)
 
 
-def _change(physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: _Course) -> Array:
-    """(B, K, n): the rows with the effect less those without, at the points of every blade."""
+def _change(
+    physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: _Course, held: Held
+) -> Array:
+    """(B, K, n): the rows with the effect less those without, at the points of every blade.
+
+    held  rows without, by the group of readings; filled
+    """
     out = np.zeros(seen.answers.shape)
     groups: dict[object, list[tuple[int, int]]] = {}
     for b, i in np.argwhere(seen.real):
@@ -160,13 +175,14 @@ def _change(physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: 
         place = int(seen.place[b0, i0])
         if place in rows.mixings:
             hours = np.array([reading.time_h])
-            moved = _follow(physics, seen, facts, effect, [b0], hours, rows.mixings[place], None)
+            mixing = rows.mixings[place]
+            moved = _follow(physics, seen, facts, effect, [b0], hours, mixing, None, held)
             for b, i in members:
                 out[b, :, i] = moved[0, :, 0, i - i0]
             continue
         blades = sorted({b for b, _ in members})
         hours = np.unique([seen.reading(b, i).time_h for b, i in members])
-        moved = _follow(physics, seen, facts, effect, blades, hours, None, reading)
+        moved = _follow(physics, seen, facts, effect, blades, hours, None, reading, held)
         for b, i in members:
             at = int(np.searchsorted(hours, seen.reading(b, i).time_h))
             out[b, :, i] = moved[blades.index(b), :, at, 0]
@@ -182,8 +198,12 @@ def _follow(
     hours: Array,
     mixing: Array | None,
     reading: Inspection | None,
+    known: Held,
 ) -> Array:
-    """Change of the rows (n, K, T, R) at the points of these blades at hours (T,)."""
+    """Change of the rows (n, K, T, R) at the points of these blades at hours (T,).
+
+    What is without the effect is the same for all effects, and is computed once (`known`).
+    """
     answers, points = physics.answers, seen.answers.shape[1]
     base, drifts = (answers.base, answers.drifts) if isinstance(answers, Driven) else (answers, ())
     names = [i.name for i in base.inputs]
@@ -193,35 +213,50 @@ def _follow(
         return flat.reshape(len(blades), points, *flat.shape[1:])
     clock = [facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades]
     offset = np.repeat(clock, points)
-    cuts = {h - o for h in effect.course.cuts(PARTS) for o in set(clock)}
-    cuts |= {h for d in drifts for h in d.shape.cuts(PARTS)}
-    edges = np.array([0.0, *sorted(h for h in cuts if 0 < h < hours.max())])
+    steps = {h for d in drifts for h in d.shape.cuts(PARTS)}
+    cuts = steps | {h - o for h in effect.course.cuts(PARTS) for o in set(clock)}
     marks = hours[hours > 0]
-    starts = edges[np.searchsorted(edges, marks) - 1]
-    ends = np.r_[edges[1:], marks]
-    middle = 0.5 * (np.r_[edges[:-1], starts] + ends)  # of the pieces, then of those to the marks
-    held = np.repeat(x[:, None], len(middle), axis=1)
-    for d in drifts:
-        j, a = names.index(d.input), np.concatenate([seen.points[b][d.name] for b in blades])
-        for p, hour in enumerate(middle):
-            held[:, p, j] = d.moved(held[:, p, j], a, float(d.shape.at(hour)))
-    changed = held.copy()
-    j = names.index(effect.input)
-    for o in set(clock):
-        s, own = effect.course.at(middle + o), offset == o
-        changed[own, :, j] = effect.moved(held[own, :, j], s)
     low, high = np.array([(i.low, i.high) for i in base.inputs]).T
     what = (
         Followed.mixed(base, mixing)
         if mixing is not None
         else Followed.of(base, *_asked(base, reading))
     )
-    out = np.zeros((len(x), len(hours), what.curves.forms.shape[2]))
-    for sign, inputs in ((1.0, changed), (-1.0, held)):
-        inside = np.clip(inputs, low, high)
+
+    def held(middle: Array) -> Array:
+        """The inputs (n K, P, d) in the middle of pieces, without the effect."""
+        found = np.repeat(x[:, None], len(middle), axis=1)
+        for d in drifts:
+            j, a = names.index(d.input), np.concatenate([seen.points[b][d.name] for b in blades])
+            for p, hour in enumerate(middle):
+                found[:, p, j] = d.moved(found[:, p, j], a, float(d.shape.at(hour)))
+        return found
+
+    def changed(middle: Array) -> Array:
+        """The same with it."""
+        found, j = held(middle), names.index(effect.input)
+        for o in set(clock):
+            s, own = effect.course.at(middle + o), offset == o
+            found[own, :, j] = effect.moved(found[own, :, j], s)
+        return found
+
+    def along(hours_of: set[float], inputs: Callable[[Array], Array]) -> Array:
+        """Rows (n K, marks, R) where inputs run piece by piece."""
+        edges = np.array([0.0, *sorted(h for h in hours_of if 0 < h < hours.max())])
+        starts = edges[np.searchsorted(edges, marks) - 1]
+        ends = np.r_[edges[1:], marks]
+        middle = 0.5 * (np.r_[edges[:-1], starts] + ends)  # of the pieces, then those to the marks
+        inside = np.clip(inputs(middle), low, high)
         pieces, last = inside[:, : len(edges) - 1], inside[:, len(edges) - 1 :]
         mean, _, _ = follow(base, edges, pieces, marks, last, what, doubt=False)
-        out[:, hours > 0] += sign * mean
+        return np.asarray(mean)
+
+    key = (tuple(blades), hours.tobytes(), None if mixing is None else mixing.tobytes())
+    asked = (*key, "" if reading is None else repr(_asked(base, reading)))
+    if asked not in known:
+        known[asked] = along(steps, held)
+    out = np.zeros((len(x), len(hours), what.curves.forms.shape[2]))
+    out[:, hours > 0] = along(cuts, changed) - known[asked]
     return out.reshape(len(blades), points, *out.shape[1:])
 
 
