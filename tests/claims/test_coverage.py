@@ -23,7 +23,7 @@ KEPT = [
 # studies that missed .68 ± .05, kept as they came out: two shared parameters at a standard error of
 # .031 miss by chance one time in four; ranks are inside their bands
 MISSED = {("rotor-100", 200, 7)}
-# one rotor of 500 ended below its floor (0.0159 of its nodes carry it): it is counted like all others
+# one rotor of 500 ended below its floor (0.0159 of its nodes carry it); it is counted as well
 BELOW = {("rotor-100", 500, 8): 0.01}
 SHORT = plan("rotor-20", blades=4)
 ROTORS, SEED, PARTICLES = 32, 20, 1000
