@@ -10,9 +10,12 @@ Where the quadratic leaves too much (few readings of each blade, small noise), t
 with the exact messages of all. At the end the exact messages at the nodes must give even weights,
 seen by a surface that looks beyond them (`surface.foreseen`): nodes beside the posterior can have
 even weights, too. Where messages are cheap (a closed form's) and that is not reached, the nodes of
-further placements are pooled (`placement.pooled`). Everything is a function of the set of readings;
-the columns are kept, so that a new reading costs one blade's columns as long as the nodes stay.
-Where a posterior is nearly known from another (`start`), the nodes are tried there first.
+further placements are pooled (`placement.pooled`). The few blades may lead astray: with as many
+parameters of their own as readings each, they fit at no noise at all, in a corner of the box. Where
+no placement is found from there, the descent is made with all blades from the whole box, by as many
+scouts as there will be nodes. Everything is a function of the set of readings; the columns are
+kept, so that a new reading costs one blade's columns as long as the nodes stay. Where a posterior
+is nearly known from another (`start`), the nodes are tried there first.
 """
 
 from __future__ import annotations
@@ -204,13 +207,15 @@ def weigh(
             out = out + count * found[blade]
         return out
 
-    def exactly(start: Proposal, blades: Iterable[str]) -> Proposal:
+    def exactly(
+        start: Proposal, blades: Iterable[str], scouting: Array = base[:scouts]
+    ) -> Proposal:
         """Where a descent on the exact messages of some blades ends."""
         alike = dict.fromkeys(blades, 1.0)
         return descend(
             lambda unit: space.log_prior(unit) + seen(unit, "exact", alike),
             start,
-            base[:scouts],
+            scouting,
             enough=fitting,
         )
 
@@ -267,6 +272,11 @@ def weigh(
         if best[0] < enough:
             turns = CHEAP_TURNS if cheap else rounds
             best = max(best, settled(exactly(place, everyone), turns), key=lambda one: one[0])
+        if (
+            best[0] < ASTRAY
+        ):  # a few blades lead astray where their own parameters fit every reading
+            place = exactly(start_of(space, messages), everyone, base[:n])
+            best = max(best, settled(place, turns), key=lambda one: one[0])
         return best
 
     best = nowhere = (-1.0, Proposal(np.zeros(d), None))
