@@ -235,6 +235,12 @@ def weigh(
             max_levels=6,
         )
 
+    def carried(place: Proposal) -> float:
+        """The share of its nodes that are effective, whatever a surface believes beyond them: a
+        hard edge fits no surface, and is no sign of having been led astray."""
+        unit, log_q = place.nodes(base[:n])
+        return ess(space.log_prior(unit) + seen(unit, "near", everyone) - log_q) / n
+
     def settled(start: Proposal, turns: int, least: float = 0.0) -> tuple[float, Proposal]:
         """The best share of effective nodes on the way from `start`, and its proposal."""
         best, idle, tried = (-1.0, start), 0, dict[bytes, Tried]()
@@ -272,9 +278,7 @@ def weigh(
         if best[0] < enough:
             turns = CHEAP_TURNS if cheap else rounds
             best = max(best, settled(exactly(place, everyone), turns), key=lambda one: one[0])
-        if (
-            best[0] < ASTRAY
-        ):  # a few blades lead astray where their own parameters fit every reading
+        if best[0] < ASTRAY and carried(best[1]) < ASTRAY:
             place = exactly(start_of(space, messages), everyone, base[:n])
             best = max(best, settled(place, turns), key=lambda one: one[0])
         return best
