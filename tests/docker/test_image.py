@@ -36,6 +36,17 @@ PATIENCE_S = 180.0
 LONG_S = 1800.0  # installing and compiling, on a machine that others keep busy
 
 
+@pytest.fixture(autouse=True, scope="module")
+def a_python(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What the base image has, and a machine with python3 alone has not: a `python`."""
+    folder = tmp_path_factory.mktemp("base")
+    (folder / "python").symlink_to(Path(sys.executable).resolve())
+    with pytest.MonkeyPatch.context() as patch:
+        if shutil.which("python") is None:
+            patch.setenv("PATH", f"{os.environ['PATH']}{os.pathsep}{folder}")
+        yield
+
+
 def hadolint(source: str) -> subprocess.CompletedProcess[str]:
     own = Path(sys.executable).parent  # not on the PATH where the environment is not activated
     found = shutil.which("hadolint", path=f"{own}{os.pathsep}{os.environ['PATH']}")
