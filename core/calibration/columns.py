@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.alike import AlikeMessage, Family, gathered
 from core.calibration.message import PARTS, POOL, BladeMessage
 from core.calibration.smooth import NEARLY, TOLERANCE, Column, smoothly
 from core.errors import CalibrationError
@@ -25,10 +26,25 @@ MANY = 64  # nodes from which on a column is computed at a part of them
 
 
 def columns(messages: Sequence[BladeMessage], unit: Array, *, rough: bool) -> list[Array]:
-    """The columns of several blades, one blade beside the other; of a single one, its nodes."""
-    if len(messages) < PARTS:
-        return [m.column(unit, rough) for m in messages]
-    return list(POOL.map(lambda m: m.column(unit, rough, parts=1), messages))
+    """The columns of several blades, one blade beside the other; of a single one, its nodes.
+
+    Those of alike blades come family by family (`alike`).
+    """
+    found = dict[int, Array]()
+    families = dict[int, list[AlikeMessage]]()
+    for m in messages:
+        if isinstance(m, AlikeMessage) and not rough:
+            families.setdefault(id(m.family), []).append(m)
+    for alike in families.values():
+        made = alike[0].family.columns(alike, unit)
+        found |= {id(m): column for m, column in zip(alike, made, strict=True)}
+    others = [m for m in messages if id(m) not in found]
+    if len(others) < PARTS:
+        found |= {id(m): m.column(unit, rough) for m in others}
+    else:
+        made = list(POOL.map(lambda m: m.column(unit, rough, parts=1), others))
+        found |= {id(m): column for m, column in zip(others, made, strict=True)}
+    return [found[id(m)] for m in messages]
 
 
 def smooth_columns(
@@ -55,6 +71,11 @@ class Columns:
     kept: dict[tuple[str, bool, bytes], Column] = field(default_factory=dict)
     limit: int = 20_000
     computed: int = 0
+    families: dict[bytes, Family] = field(default_factory=dict)
+
+    def gathered(self, messages: Mapping[str, BladeMessage]) -> dict[str, BladeMessage]:
+        """The messages, those of many blades alike from tables that are kept."""
+        return gathered(messages, self.families)
 
     def of(self, message: BladeMessage, unit: Array, how: How) -> Array:
         return self.all({"": message}, unit, how)[""]

@@ -189,6 +189,7 @@ def weigh(
 
     start  where they are tried first; none, for what must depend on the messages alone
     """
+    messages = known.gathered(messages)
     d, n = space.dim, max(node_count(space.dim), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
     fitting, cheap = min(0.3, 1.2 / d), all(m.cheap for m in messages.values())

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.alike import family_key
 from core.calibration.columns import Columns, How
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
@@ -204,6 +205,7 @@ class Step:
             size = previous.meta["particles"]
             if size == count * len(log_w) and previous.meta["placement"] == weighed.key.hex():
                 stays = self.unread(previous) - set(previous.meta["provisional"])
+                stays -= self.otherwise_known(previous, weighed)
         kept = {f"blade/{b}/{part}" for b in stays for part in ("local", "log_w")}
         for blade in self.rotor.blades:
             if blade not in stays:
@@ -223,6 +225,17 @@ class Step:
             thin=set(),
             surface=surface_error,
         )
+
+    def otherwise_known(self, previous: RotorState, weighed: Weighed) -> set[str]:
+        """Blades whose column was a table's before and no longer is, or the other way round.
+
+        Their draws, which the column weighs, are drawn anew: whether there are enough blades alike
+        (`alike`) changes with other blades' readings. Only those read once can be among them.
+        """
+        unread = self.unread(previous)
+        once = [b for b, m in self.messages.items() if b in unread and family_key(m) is not None]
+        old = previous.arrays
+        return {b for b in once if not np.array_equal(old[f"column/{b}"], weighed.columns[b])}
 
     def draws(
         self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
