@@ -16,7 +16,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.vector import fast_exp
+from core.calibration.vector import fast_exp, fast_log
 from core.compiled import compiled
 
 SHARPEST = 0.6  # of a bin's width: the least standard deviation that a sum over bins resolves
@@ -84,16 +84,18 @@ def answers(a, b, v, exponents, factors, ka2, kb2, y, s2):  # type: ignore[no-un
 
 @compiled
 def histogram(y, s2, step, corners, low, width, share, variance):  # type: ignore[no-untyped-def]
-    """Shares of the box by bins of Y, and the mean of V in each: share and variance (K,).
+    """Shares of the box by classes of V and bins of Y, and the mean of V in each: (C, K) both.
 
     y, s2   on the grid's points, of which every `step`-th one is a corner of cells
     low     where the first bin begins, `width` the width of all; no answer lies outside
     """
     share[:], variance[:] = 0.0, 0.0
+    least = max(s2.min(), 1e-300)
+    classes = len(share) / (np.log(max(s2.max() / least, 1.0)) + 1e-9)
     cells = 1.0
     for n in y.shape:
         cells *= (n - 1) // step
-    part, last_bin = 1.0 / (6.0 * cells), len(share) - 1
+    part, last_bin = 1.0 / (6.0 * cells), share.shape[1] - 1
     for i in range(0, y.shape[0] - step, step):
         for j in range(0, y.shape[1] - step, step):
             for k in range(0, y.shape[2] - step, step):
@@ -115,6 +117,8 @@ def histogram(y, s2, step, corners, low, width, share, variance):  # type: ignor
                         b, d = d, b
                     if b > c:
                         b, c = c, b
+                    q = int(classes * fast_log(max(s / least, 1.0)))
+                    q = min(max(q, 0), len(share) - 1)
                     n = min(max(int((a - low) / width), 0), last_bin)
                     edge, before = low + (n + 1) * width, 0.0
                     if edge < d:
@@ -125,8 +129,8 @@ def histogram(y, s2, step, corners, low, width, share, variance):  # type: ignor
                         while edge < b and n < last_bin:
                             u = edge - a
                             below = u * u * u * first
-                            share[n] += below - before
-                            variance[n] += (below - before) * s
+                            share[q, n] += below - before
+                            variance[q, n] += (below - before) * s
                             before = below
                             n += 1
                             edge += width
@@ -134,46 +138,46 @@ def histogram(y, s2, step, corners, low, width, share, variance):  # type: ignor
                         while edge < c and n < last_bin:
                             u = edge - b
                             below = (ba * (ba + 3.0 * u) + (3.0 - bend * u) * u * u) * middle
-                            share[n] += below - before
-                            variance[n] += (below - before) * s
+                            share[q, n] += below - before
+                            variance[q, n] += (below - before) * s
                             before = below
                             n += 1
                             edge += width
                         while edge < d and n < last_bin:
                             u = d - edge
                             below = 1.0 - u * u * u * final
-                            share[n] += below - before
-                            variance[n] += (below - before) * s
+                            share[q, n] += below - before
+                            variance[q, n] += (below - before) * s
                             before = below
                             n += 1
                             edge += width
-                    share[n] += 1.0 - before
-                    variance[n] += (1.0 - before) * s
-    for n in range(len(share)):
-        if share[n] > 0.0:
-            variance[n] /= share[n]
-        share[n] *= part
+                    share[q, n] += 1.0 - before
+                    variance[q, n] += (1.0 - before) * s
+    for q in range(share.shape[0]):
+        for n in range(share.shape[1]):
+            if share[q, n] > 0.0:
+                variance[q, n] /= share[q, n]
+            share[q, n] *= part
 
 
 @compiled
-def seen(share, variance, low, width, y, s2, out):  # type: ignore[no-untyped-def]
-    """log Σ_k share_k N(y | middle of bin k, s2 + variance_k) for readings y (B,), out (B,).
+def seen(bins, width, y, s2, out):  # type: ignore[no-untyped-def]
+    """log Σ_k share_k N(y | middle_k, s2 + variance_k) for readings y (B,), out (B,).
 
-    A bin's own width widens what is seen by width² / 12, which is taken off the variance.
+    bins (3, N): middle, variance and share of those that are not empty. A bin's own width widens
+    what is seen by width² / 12, which is taken off the variance.
     """
-    least, peak = (SHARPEST * width) ** 2, np.empty(len(share))
-    scale = np.empty(len(share))
+    least, own, number = (SHARPEST * width) ** 2, width * width / 12.0, bins.shape[1]
+    peak, scale = np.empty(number), np.empty(number)
     for b in range(len(y)):
-        for k in range(len(share)):
-            total = max(s2[b] + variance[k] - width * width / 12.0, least)
-            off = y[b] - (low + (k + 0.5) * width)
-            scale[k], peak[k] = 1.0 / total, -0.5 * off * off / total
         top = LOWEST
-        for k in range(len(share)):
-            if share[k] > 0.0:
-                top = max(top, peak[k])
+        for k in range(number):
+            scale[k] = 1.0 / max(s2[b] + bins[1, k] - own, least)
+            off = y[b] - bins[0, k]
+            peak[k] = -0.5 * off * off * scale[k]
+            top = max(top, peak[k])
         value = 0.0
-        for k in range(len(share)):
-            if peak[k] > top - 45.0:
-                value += share[k] * np.sqrt(scale[k]) * fast_exp(min(peak[k] - top, 0.0))
+        for k in range(number):
+            if peak[k] > top - 30.0:
+                value += bins[2, k] * np.sqrt(scale[k]) * fast_exp(peak[k] - top)
         out[b] = top + np.log(value) - 0.5 * np.log(2.0 * np.pi)

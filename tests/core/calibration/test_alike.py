@@ -11,8 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from core.calibration.alike import (
-    BINS,
-    CELLS,
     DOUBT,
     MANY_ALIKE,
     AlikeMessage,
@@ -23,7 +21,7 @@ from core.calibration.alike import (
 from core.calibration.columns import Columns, columns
 from core.calibration.message import BladeMessage, monomials_of
 from core.calibration.online import RotorSpec, RotorState, Workspace, begun, update
-from core.calibration.tetrahedra import CORNERS, answers, histogram, seen
+from core.calibration.tetrahedra import CORNERS, histogram
 from core.model import Model, rotor_blade
 from core.observation import Inspection
 
@@ -68,11 +66,11 @@ def read_as(message: BladeMessage, value: float) -> BladeMessage:
 
 def shares(y: Array, bins: int, step: int = 1) -> tuple[Array, Array]:
     """Of answers on a grid: shares by bins, and the bins' edges."""
-    out, variance = np.empty(bins), np.empty(bins)
+    out, variance = np.empty((3, bins)), np.empty((3, bins))
     low, width = float(y.min()), float(np.ptp(y)) / bins or 1.0
     histogram(y, np.full(y.shape, 0.5), step, CORNERS, low, width, out, variance)
     np.testing.assert_allclose(variance[out > 0], 0.5, rtol=1e-9)
-    return out, low + width * np.arange(bins + 1)
+    return out.sum(axis=0), low + width * np.arange(bins + 1)
 
 
 def grid(*cells: int) -> list[Array]:
@@ -221,23 +219,30 @@ def test_columns_by_table_and_by_quadrature_are_kept_apart() -> None:
     assert next(iter(known.families.values())).tables.keys() == {u.tobytes() for u in unit}
 
 
-def test_a_table_resolves_what_its_bins_are_made_for() -> None:
-    """Variances of the surrogate are those about the answer, not of the whole box."""
-    family = Family(next(iter(blades(2).values())))
-    p, shape = family.of.packed, tuple(n + 1 for n in CELLS)
-    y, s2 = np.empty(shape), np.empty(shape)
-    (factors,) = factors_of(family, nodes([(0.55, 0.01)]))
-    answers(p.a[0], p.b[0], p.v[0], p.exponents, factors, p.ka2[0], p.kb2[0], y, s2)
-    (table,) = family._tables(nodes([(0.55, 0.01)]))
-    assert table.share.sum() == pytest.approx(1.0)
-    at = table.low + (np.arange(BINS) + 0.5) * table.width
-    for k in range(100, 600, 100):
-        close = np.abs(y - at[k]) < 5 * table.width
-        assert s2[close].min() < table.variance[k] < s2[close].max()
-    out = np.empty(1)
-    far = np.array([at[-1] + 100.0])
-    seen(table.share, table.variance, table.low, table.width, far, np.array([0.01]), out)
-    assert out[0] == pytest.approx(-0.5e6, rel=0.1)
+def test_variances_of_the_surrogate_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a few places of a bin are far less certain than the others, their mean misleads."""
+    unit = nodes([(0.02, 0.004)])
+    reading = read_as(next(iter(blades(2).values())), 0.27)
+    right = dense(reading, unit, (60, 300, 160))
+    (found,) = AlikeMessage(reading, Family(reading)).column(unit)
+    assert found == pytest.approx(right, abs=0.003)
+    monkeypatch.setattr("core.calibration.alike.CLASSES", 1)
+    monkeypatch.setattr("core.calibration.alike.DOUBT", np.inf)
+    (misled,) = AlikeMessage(reading, Family(reading)).column(unit)
+    assert abs(misled - right) > 0.01
+
+
+def test_a_histogram_keeps_mean_and_variance_by_class() -> None:
+    a, b, c = grid(8, 8, 8)
+    s2 = np.exp(2.0 * c)
+    y, share, variance = a + 0.1 * b, np.empty((4, 20)), np.empty((4, 20))
+    histogram(y, s2, 1, CORNERS, -1.1, 0.11, share, variance)
+    assert share.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(share.sum(axis=1), 0.25, atol=0.05)
+    middle = np.exp(np.linspace(-1.5, 1.5, 4))
+    np.testing.assert_allclose(
+        np.sum(share * variance, axis=1) / share.sum(axis=1), middle, rtol=0.2
+    )
 
 
 @lru_cache
