@@ -14,7 +14,7 @@ from core.errors import InputError
 
 Shape = Literal["constant", "early", "linear", "late", "step"]
 Whom = Literal["all", "lot", "coating_lot", "blade", "instrument", "campaign"]
-Clock = Literal["blade", "rotor"]
+Clock = Literal["blade", "rotor", "event"]
 How = Literal["plus", "times"]
 SHAPES = ("constant", "early", "linear", "late", "step")
 WHOM = ("all", "lot", "coating_lot", "blade", "instrument", "campaign")
@@ -32,6 +32,8 @@ class Family:
     size      expected size, of what `how` says; for a reading with ``plus``, None: three times
               the noise
     sign      −1, 1, or 0: either
+    clock     the blade's own hours, or the rotor's; ``event``: a step by the rotor's, of the blades
+              that were on it then and of none that came later
     kind      physics, operation, material or sensor
     cause     what it has in common with families that differ in their course alone: where readings
               do not tell these apart, the cause is what is named; by default its own name
@@ -56,7 +58,7 @@ class Family:
             ("whom", self.whom, WHOM),
             ("how", (self.how,), ("plus", "times")),
             ("target", (self.target,), ("input", "reading")),
-            ("clock", (self.clock,), ("blade", "rotor")),
+            ("clock", (self.clock,), ("blade", "rotor", "event")),
             ("sign", (self.sign,), (-1, 0, 1)),
             ("kind", (self.kind,), ("physics", "operation", "material", "sensor")),
         ):
@@ -70,6 +72,10 @@ class Family:
         if self.size is not None and not self.size > 0:
             raise InputError(
                 f"size of the effect {self.name!r}", self.size, "is not positive", "give one > 0"
+            )
+        if self.clock == "event" and self.shapes != ("step",):
+            raise InputError(
+                f"shapes of the effect {self.name!r}", [*self.shapes], "is no event", "use step"
             )
         seen_by_hand = {"instrument", "campaign"} & set(self.whom)
         if self.target == "input" and seen_by_hand:

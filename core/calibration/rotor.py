@@ -84,6 +84,11 @@ WELL = 0.4  # share of effective nodes that is enough then
 POOLED = 512  # nodes of a round of those
 EXPECTED = 4  # placements tried from where the posterior is expected
 COMPARED = 0.3  # share of effective nodes that is enough there: 0.13 nat of evidence by 128 nodes
+MORE = (
+    0.35  # share that is enough where more than four are shared, above the floor of what is served
+)
+PASSABLE = 0.1  # share from which no other place is looked for there: 0.27 nat by 128 nodes
+FEW_TURNS = 4  # of the search after that, where no placement there was enough
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
 
@@ -187,11 +192,12 @@ def weigh(
 ) -> Weighed:
     """Place and weight the shared nodes for these messages.
 
-    start  where they are tried first; none, for what must depend on the messages alone
+    start  where they are tried first; none, for what must depend on the messages alone. With one
+           a posterior is wanted for a comparison, and less is done to find it where it is not there
     """
     messages = known.gathered(messages)
     d, n = space.dim, max(node_count(space.dim), 64 * space.tails)
-    scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, 0.25)
+    scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, MORE)
     fitting, cheap = min(0.3, 1.2 / d), all(m.cheap for m in messages.values())
     if cheap:
         enough = max(enough, WELL)
@@ -277,9 +283,9 @@ def weigh(
             if nearer is not None:
                 best = settled(nearer, 3, ASTRAY)
         if best[0] < enough:
-            turns = CHEAP_TURNS if cheap else rounds
+            turns = CHEAP_TURNS if cheap else rounds if start is None else FEW_TURNS
             best = max(best, settled(exactly(place, everyone), turns), key=lambda one: one[0])
-        if best[0] < ASTRAY and carried(best[1]) < ASTRAY:
+        if best[0] < ASTRAY and start is None and carried(best[1]) < ASTRAY:
             place = exactly(start_of(space, messages), everyone, base[:n])
             best = max(best, settled(place, turns), key=lambda one: one[0])
         return best
@@ -287,7 +293,7 @@ def weigh(
     best = nowhere = (-1.0, Proposal(np.zeros(d), None))
     if start is not None and (expected := start.on(space)) is not None:
         best = settled(expected, EXPECTED)
-    if best[0] < enough:
+    if best[0] < (enough if start is None else PASSABLE):
         best = max(best, found(), key=lambda one: one[0])
     if best[0] < enough and cheap:
         place = pooled(

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from core.course import Bias, Course, Drift
-from core.diagnosis.grammar import REFERENCE_H, Cell, Facts
+from core.diagnosis.grammar import REFERENCE_H, Cell, Facts, there
 from core.diagnosis.signature import NOISES
 from core.errors import InputError
 from core.model import Model
@@ -106,7 +106,7 @@ def _with(
     course = _bounded(cell, sign)
     blades = _blades(cell, facts)
     since: tuple[tuple[str, float], ...] = ()
-    if family.clock == "rotor" and any(f.offset_h for f in facts.values()):
+    if family.clock != "blade" and any(f.offset_h for f in facts.values()):
         since = tuple(sorted((b, f.offset_h) for b, f in facts.items()))
     size = expected(cell, noise)
     low, high = (0.0 if family.sign else -WIDTH * size), WIDTH * size
@@ -144,13 +144,16 @@ def _bounded(cell: Cell, sign: int) -> Course:
 
 
 def _blades(cell: Cell, facts: Mapping[str, Facts]) -> tuple[str, ...] | None:
+    """Whom a cell concerns; none: all, whoever joins later among them."""
     if cell.whom == "blade":
         return (cell.value or "",)
-    if cell.whom == "lot":
-        return tuple(sorted(b for b, f in facts.items() if f.lot == cell.value))
-    if cell.whom == "coating_lot":
-        return tuple(sorted(b for b, f in facts.items() if f.coating_lot == cell.value))
-    return None
+    found = {
+        "lot": [b for b, f in facts.items() if f.lot == cell.value],
+        "coating_lot": [b for b, f in facts.items() if f.coating_lot == cell.value],
+    }.get(cell.whom)
+    if cell.family.clock == "event":
+        found = [b for b in (facts if found is None else found) if there(cell, facts[b])]
+    return None if found is None else tuple(sorted(found))
 
 
 def _room(model: Model, drift: Drift, low: float, high: float, size: float) -> tuple[float, float]:

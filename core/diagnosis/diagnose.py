@@ -42,12 +42,13 @@ from core.model import Model
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
-RIVALS = 3
+RIVALS = 6
 MOST = 3
 EARNED = 2.0
 SIBLINGS = 5
 STEPS = 3 + MOST * (RIVALS + SIBLINGS + 2)  # at most; few more where effects leave again
-NOTICEABLE = 0.03  # share of the evidence from which a rival is calibrated
+LOST = 0.05  # share of effective nodes below which a posterior counts as not found
+NOTICEABLE = 0.01  # share of the evidence from which a rival is calibrated
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +131,14 @@ class _Search:
                     start=start() if start is not None else None,
                 )
                 gained = made.log_evidence - self.state.meta["log_evidence"]
+                share = made.weighed.ess_ratio
+                if share < LOST:
+                    raise InputError(
+                        "posterior",
+                        f"{share:.1%} of its nodes carry it",
+                        "is not found well enough to be compared",
+                        "the scan's word stands",
+                    )
             except InputError as error:  # together they may leave the runs, in one blade alone
                 self.refused[names] = str(error)
                 return None

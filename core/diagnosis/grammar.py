@@ -5,7 +5,7 @@
     shape    constant | early | linear | late | step at an unknown hour
     whom     all blades | one lot | one coating lot | one blade | one instrument | one campaign
     clock    the blade's own hours, or the rotor's: what happens to the machine happens to old and
-             new blades on one day
+             new blades on one day; an event happens to those that are there on that day
 
 A `Family` is a physical effect with a name and a sentence; it spans several cells of the grammar,
 for how wear runs in time is not what it is called. `cells` lists those that a rotor's readings
@@ -96,20 +96,21 @@ FAMILIES = (
     ),
     Family(
         "root settling",
-        "every reading of a blade is longer by the same length, from the first one on",
-        "reading", "elongation", "plus", None, 0, ("constant",), ("all", "blade"), "blade",
+        "every reading of a blade is longer by the same length, from the first one on: the root "
+        "moved outward in its slot",
+        "reading", "elongation", "plus", None, 1, ("constant",), ("all", "blade"), "blade",
         "physics",
     ),
     Family(
         "tip rub",
-        "length is lost at the tip at once",
-        "reading", "elongation", "plus", None, -1, ("step",), ("all", "blade"), "rotor", "physics",
+        "length is lost at the tip at once, by all blades that were there",
+        "reading", "elongation", "plus", None, -1, ("step",), ("all", "blade"), "event", "physics",
     ),
     Family(
         "instrument offset",
         "an instrument reads too much or too little, always by the same",
         "reading", "elongation", "plus", None, 0, ("constant",), ("instrument",), "rotor",
-        "sensor",
+        "sensor", "wrong zero",
     ),
     Family(
         "instrument gain",
@@ -121,6 +122,7 @@ FAMILIES = (
         "instrument drift",
         "an instrument's offset grows in time",
         "reading", "elongation", "plus", None, 0, ("linear",), ("instrument",), "rotor", "sensor",
+        "wrong zero",
     ),
     Family(
         "campaign offset",
@@ -201,6 +203,16 @@ class Facts:
     lot: str | None = None
     coating_lot: str | None = None
     offset_h: float = 0.0
+
+
+def there(cell: Cell, own: Facts) -> bool:
+    """Whether a blade was on the rotor when a cell's step happened.
+
+    >>> rub = next(f for f in FAMILIES if f.name == "tip rub")
+    >>> [there(Cell(rub, "step", "all", None, 1e4), Facts(offset_h=h)) for h in (0.0, 2e4)]
+    [True, False]
+    """
+    return cell.step_h is None or own.offset_h < cell.step_h
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,8 @@ Array = NDArray[np.float64]
 class Scored:
     """How a model predicts readings that it did not use.
 
-    bias, rmse, width [unit] (width: of the 95 % band, mean); log_score per reading; z (n,)
+    bias, rmse, width [unit] (width: of the 95 % band, mean); log_score per reading; z and the
+    predicted means [unit], (n,)
     """
 
     count: int
@@ -40,6 +41,7 @@ class Scored:
     within_95: float
     width: float
     z: tuple[float, ...]
+    means: tuple[float, ...] = ()
 
     @staticmethod
     def of(mean: Array, sd: Array, bands: Array, y: Array) -> Scored:
@@ -55,6 +57,7 @@ class Scored:
             float(np.mean((y >= low95) & (y <= high95))),
             float(np.mean(high95 - low95)),
             tuple(z.tolist()),
+            tuple(mean.tolist()),
         )
 
 

@@ -127,14 +127,26 @@ def _blade(
         [posterior.column(n) if n not in fixed else np.full(len(w), fixed[n]) for n in names],
         axis=1,
     )
-    f, sd = (a[:, :count] for a in rows.response.evaluate(x))
+
+    def column(name: str, moved: str | None = None, by: float = 0.0) -> Array:
+        return posterior.column(name) + (by if name == moved else 0.0)
+
+    def answered(moved: str | None = None, by: float = 0.0) -> tuple[Array, Array]:
+        """The rows and their surrogate's sd (P, n), with one parameter moved."""
+        at = x.copy()
+        if moved in names:
+            at[:, names.index(moved)] += by
+        f, sd = (a[:, :count] for a in rows.response.evaluate(at))
+        for i, one in enumerate(rows.discrepancy[:count]):
+            if one.gain or one.offset:
+                gain = 1.0 + total(one.gain, lambda n: column(n, moved, by))
+                f[:, i] = gain * f[:, i] + total(one.offset, lambda n: column(n, moved, by))
+                sd[:, i] = gain * sd[:, i]
+        return f, sd
+
+    f, sd = answered()
     noise = [posterior.column(s) if isinstance(s, str) else s for s in rows.sigma[:count]]
     sigma2 = np.stack([np.broadcast_to(np.square(s), len(w)) for s in noise], axis=1)
-    for i, one in enumerate(rows.discrepancy[:count]):
-        if one.gain or one.offset:
-            gain = 1.0 + total(one.gain, posterior.column)
-            f[:, i] = gain * f[:, i] + total(one.offset, posterior.column)
-            sd[:, i] = gain * sd[:, i]
     v = sigma2 + rows.extra[:count] + (rows.relative[:count] * rows.y[:count]) ** 2
     v = v * rows.discount[:count] + sd**2  # the surrogate's scale holds the discount already
     locals_ = [p for p in locals_of(model) if p.name in names]
@@ -145,6 +157,10 @@ def _blade(
     size = np.sqrt(w @ off**2) + 1e-300
     weighted = (off / size) * np.sqrt(w)[:, None]
     slope = np.linalg.lstsq(weighted, (f - answer) * np.sqrt(w)[:, None], rcond=1e-6)[0].T / size
+    for k, name in enumerate(others, start=len(locals_)):
+        step = size[k]
+        change = answered(name, step)[0] - answered(name, -step)[0]
+        slope[:, k] = w @ change / (2.0 * step)
     own = np.array([_own_variance(p, posterior) for p in locals_])
     j = slope[:, : len(own)]
     typical = 1.0 / (w @ (1.0 / v))

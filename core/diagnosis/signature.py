@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.course import Course
-from core.diagnosis.grammar import Cell, Facts
+from core.diagnosis.grammar import Cell, Facts, there
 from core.diagnosis.scores import Scores
 from core.errors import InputError
 from core.model import Answers, Model, Stacked
@@ -78,7 +78,10 @@ def labelled(whom: str, blade: str, facts: Facts, reading: Inspection) -> str | 
 
 
 def masks(cells: Sequence[Cell], seen: Scores, facts: Mapping[str, Facts]) -> Array:
-    """Which rows each cell concerns, (B, n, C), 0 or 1; of a sensor's, those of its quantity."""
+    """Which rows each cell concerns, (B, n, C), 0 or 1.
+
+    Of a sensor's, those of its quantity; of an event's, those of blades that were there.
+    """
     labels = {whom: np.full(seen.place.shape, None, object) for whom in WHOM}
     for b, i in np.argwhere(seen.real):
         blade, reading = seen.blades[b], seen.reading(b, i)
@@ -89,6 +92,8 @@ def masks(cells: Sequence[Cell], seen: Scores, facts: Mapping[str, Facts]) -> Ar
         concerned = seen.real & (labels[cell.whom] == cell.value)
         if cell.family.target == "reading":
             concerned &= labels["quantity"] == cell.family.of
+        if cell.family.clock == "event":
+            concerned &= np.array([[there(cell, facts[b])] for b in seen.blades])
         out[:, :, c] = concerned
     return out
 
@@ -133,7 +138,7 @@ def signatures(
         if family.target == "reading":
             parts.append(_reading(cell, seen, facts, noise))
             continue
-        key = _Course(family.of, family.how, directed(cell), cell.course, family.clock == "rotor")
+        key = _Course(family.of, family.how, directed(cell), cell.course, family.clock != "blade")
         if key not in found:
             found[key] = seen.over(_change(physics, seen, facts, key, held))
         parts.append(found[key])
@@ -147,7 +152,7 @@ def _reading(
     size = cell.family.size if cell.family.size is not None else NOISES * noise[cell.family.of]
     size *= cell.family.sign or 1
     hours = seen.hours
-    if cell.family.clock == "rotor":
+    if cell.family.clock != "blade":
         hours = hours + np.array([[facts[b].offset_h] for b in seen.blades])
     s = np.where(seen.real, cell.course.at(hours), 0.0)
     return seen.in_proportion(size * s) if cell.family.how == "times" else (size * s, 0.0 * s)

@@ -158,4 +158,6 @@ def compared_json(compared: BeforeAfter) -> Json:
 
 def scored_json(one: Scored) -> Mapping[str, Any]:
     """Scores on held-out readings."""
-    return {**asdict(one), "z": [round(z, 3) for z in one.z]}
+    found = {**asdict(one), "z": [round(z, 3) for z in one.z]}
+    del found["means"]  # the page tells scores, not predictions
+    return found

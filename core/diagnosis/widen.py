@@ -97,6 +97,9 @@ def widen(
     start = with_columns(model, state, seen, g, h, names)
     step = begun(bigger, case.spec, case.readings, workspace=workspace, start=start)
     made = step.sealed()
+    if not made.meta["health"]["met_floor"]:  # it may be served: it is looked for everywhere
+        step = begun(bigger, case.spec, case.readings, workspace=workspace)
+        made = step.sealed()
     before, _ = _spread(model, state, case, quantity, hour_h)
     after, own = _spread(bigger, made, case, quantity, hour_h)
     return Widened(

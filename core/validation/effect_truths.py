@@ -81,6 +81,16 @@ def concerned(effect: str) -> tuple[int, ...]:
     return WORN if effect == "wear" else tuple(range(fe_rotors.BLADES))
 
 
+def runs() -> dict[str, tuple[int, int, str]]:
+    """All runs by name: rotor, blade, effect."""
+    return {
+        f"{effect}-{rotor:02d}-{blade:02d}": (rotor, blade, effect)
+        for rotor in ROTORS
+        for effect in EFFECTS
+        for blade in concerned(effect)
+    }
+
+
 def make(
     folder: str | Path,
     out: str | Path = SHIPPED,
@@ -88,13 +98,7 @@ def make(
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """All shares as one small file; a cut campaign goes on in `folder`."""
-    todo = {
-        f"{effect}-{rotor:02d}-{blade:02d}": (rotor, blade, effect)
-        for rotor in ROTORS
-        for effect in EFFECTS
-        for blade in concerned(effect)
-    }
-    done = kept_runs(folder, todo, run, workers, progress)
+    done = kept_runs(folder, runs(), run, workers, progress)
     shares = np.ones((len(ROTORS), len(EFFECTS), fe_rotors.BLADES, len(VISITS_H)))
     for name, share in done.items():
         effect, rotor, blade = name.split("-")

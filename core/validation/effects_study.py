@@ -1,127 +1,39 @@
 """How often a diagnosis gives the right name, a wrong one, or none: simulated rotors, all counted.
 
-A set is one of the finite-element rotors (20 blades, `fe_rotors`), read at six visits by three
-instruments, with noise drawn anew; labels of blades, lots, coatings, campaigns and instruments are
-drawn too, so that no name gives anything away. What is planted (`CONDITIONS`) comes from finite
-elements (`effect_truths`) or is put on readings by the formulas below, none of them the surrogate.
-A third of the planted kinds is outside of the grammar. Clean sets come with normal noise, with
-heavy tails (t with three degrees of freedom), and with material that creeps in bursts: increments
-between visits from a gamma distribution with a coefficient of variation of `BURSTS`.
-
-A verdict is
+A verdict on one of the sets of `effect_sets` is
 
     right         the planted name, or its cause, alone; of what is outside: `unattributed` or
-                  `adequate`; of a clean set: `adequate`
+                  `adequate`; of a clean set: `adequate`; where no reading could tell: `not
+                  separable`, with the planted name in the set
     in the set    `not separable`, with the planted name in the set
     silent        `unattributed` or `adequate`, where something is planted that has a name
     wrong         any other: a name that is not there
+
+Where an effect is put into the model, both models are calibrated without a sixth of the readings
+and predict these, and the fleet at the plan's horizon (`report`), where the truth is known.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.calibration.online import RotorSpec, Workspace, update
-from core.diagnosis.case import Case
-from core.diagnosis.clock import with_offsets
-from core.diagnosis.diagnose import diagnose
-from core.diagnosis.grammar import Facts
+from core.calibration.online import Workspace, update
+from core.diagnosis.diagnose import Diagnosis, diagnose
+from core.diagnosis.report import before_after
 from core.diagnosis.verdict import Verdict
 from core.errors import BladetwinError, InputError
 from core.model import Model, rotor_blade_wide
-from core.observation import Inspection
-from core.rng import seed_of, stream
-from core.validation import fe_rotors
-from core.validation.effect_truths import ROTORS, VISITS_H, WORN, offset_h, share
+from core.validation.effect_plans import plan as plan_of
+from core.validation.effect_sets import ALIKE, CLEAN, CONDITIONS, NAMED, OUTSIDE, SIZE, Set, made
+from core.validation.effect_sets import conditions as conditions_of
 from core.validation.records import Record, code_digest, records
-
-Array = NDArray[np.float64]
-NOISE, VISITS, INSTRUMENTS = 0.02, 6, 3
-BURSTS = 0.15
-OFFSET, GAIN, ODD = 0.04, 0.1, 0.06
-CLEAN = ("clean", "clean, heavy tails", "clean, bursts")
-NAMED = ("campaign", "instrument", "gain", "wear", "step", "tertiary")
-OUTSIDE = ("pulse", "alternating", "some blades late")
-CONDITIONS = (*CLEAN, *NAMED, *OUTSIDE)
-
-
-@dataclass(frozen=True)
-class Set:
-    """A simulated rotor: readings, facts of its blades, and the names that would be right."""
-
-    case: Case
-    truth: frozenset[str]
-
-
-def _labels(rng: np.random.Generator, prefix: str, count: int) -> list[str]:
-    return [f"{prefix}{n}" for n in rng.choice(900, count, replace=False) + 100]
-
-
-def made(condition: str, number: int, seed: int, particles: int) -> Set:
-    """Set `number` of a condition."""
-    rng = stream(seed, "effects", condition, number)
-    truth = fe_rotors.load()
-    rotor = (
-        ROTORS[number % len(ROTORS)]
-        if condition in ("wear", "step", "tertiary", "pulse")
-        else (number % len(truth.inputs))
-    )
-    count = fe_rotors.BLADES
-    blades, lots = _labels(rng, "b", count), _labels(rng, "l", 3)
-    coats, visits = _labels(rng, "c", 3), _labels(rng, "v", VISITS)
-    readers = _labels(rng, "s", INSTRUMENTS)
-    own_h = np.array(VISITS_H)
-    curves = np.stack([truth.at("elongation", rotor, h) for h in own_h], axis=1)
-    if condition in ("wear", "step", "tertiary", "pulse"):
-        curves = curves * share(rotor, condition)
-    if condition == "clean, bursts":
-        steps = np.diff(curves, axis=1, prepend=0.0)
-        shape = 1.0 / BURSTS**2
-        curves = np.cumsum(steps * rng.gamma(shape, 1.0 / shape, steps.shape), axis=1)
-    coat_of = [0 if b in WORN else 1 if b < WORN[0] else 2 for b in range(count)]
-    odd = set(rng.choice(count, count // 3, replace=False).tolist())
-    readings = []
-    for b in range(count):
-        for v in range(VISITS):
-            k = v - round(offset_h(b) / VISITS_H[0])
-            if k < 0:
-                continue
-            by = (b + v) % INSTRUMENTS
-            noise = rng.standard_t(3) / np.sqrt(3) if condition == CLEAN[1] else rng.normal()
-            y = float(curves[b, k])
-            y *= 1.0 + GAIN * (condition == "gain" and by == 0)
-            y += OFFSET * (condition == "campaign" and v == 3)
-            y += OFFSET * (condition == "instrument" and by == 0)
-            y += ODD * (-1) ** (b // 2 + v) * (condition == "alternating")
-            y += ODD * (condition == "some blades late" and b in odd and v >= 4)
-            at = (f"r{rng.integers(10**9)}", blades[b], "elongation", own_h[k])
-            values = np.array([round(y + NOISE * noise, 5)])
-            readings.append(Inspection(*at, values, instrument=readers[by], campaign=visits[v]))
-    facts = {
-        name: Facts(lot=lots[b % 3], coating_lot=coats[coat_of[b]]) for b, name in enumerate(blades)
-    }
-    spec = RotorSpec(
-        f"set{number}", tuple(sorted(blades)), particles, seed_of(seed, number) % 2**31
-    )
-    data = tuple(readings[i] for i in rng.permutation(len(readings)))
-    right = {
-        "campaign": {f"campaign offset (campaign {visits[3]})"},
-        "instrument": {f"instrument offset (instrument {readers[0]})"},
-        "gain": {f"instrument gain (instrument {readers[0]})"},
-        "wear": {f"{what} (coating lot {coats[0]})" for what in ("coating wear", "coating loss")},
-        "step": {"firing temperature step", "gas temperature"},
-        "tertiary": {"accelerating creep"},
-    }
-    case = Case(spec, data, with_offsets(facts, data, {}))
-    return Set(case, frozenset(right.get(condition, set())))
 
 
 def judged(condition: str, truth: frozenset[str], verdict: Verdict) -> str:
@@ -133,6 +45,9 @@ def judged(condition: str, truth: frozenset[str], verdict: Verdict) -> str:
         return "right" if nothing else "wrong"
     if nothing:
         return "silent"
+    if condition in ALIKE:
+        told = verdict.word == "not separable" and truth & set(verdict.names)
+        return "right" if told else "wrong"
     if verdict.word == "not separable":
         return "in the set" if truth & set(verdict.names) else "wrong"
     return "right" if len(verdict.names) == 1 and set(verdict.names) <= truth else "wrong"
@@ -143,15 +58,23 @@ def _model() -> Model:
     return rotor_blade_wide()
 
 
-def one(condition: str, number: int, seed: int, particles: int) -> Record:
+def one(
+    condition: str,
+    number: int,
+    seed: int,
+    particles: int,
+    plan: str = "rotor-20",
+    size: float = SIZE,
+) -> Record:
     """The record of a set; one that cannot be calibrated counts as wrong, with its error."""
     start = time.process_time()
     found: Record = {"condition": condition, "number": number}
-    given = made(condition, number, seed, particles)
+    given = made(plan_of(plan), condition, number, seed, particles, size)
     work, model = Workspace(), _model()
     try:
         state = update(model, given.case.spec, given.case.readings, workspace=work)
         told = diagnose(model, state, given.case, workspace=work)
+        moved = compared(told, given, plan_of(plan).horizon_h, work) if told.effects else {}
     except BladetwinError as error:
         return found | {"outcome": "wrong", "error": str(error)}
     verdict = told.verdict
@@ -165,8 +88,41 @@ def one(condition: str, number: int, seed: int, particles: int) -> Record:
         "gained_nat": round(told.gained, 2),
         "effects": {e.cell.name: [round(e.mean, 5), round(e.sd, 5)] for e in told.effects},
         "reasons": list(verdict.reasons),
+        **moved,
         "cpu_s": round(time.process_time() - start, 1),
     }
+
+
+def compared(told: Diagnosis, given: Set, horizon_h: float, work: Workspace) -> dict[str, Any]:
+    """Both models on readings that they did not use: as they were read, and without noise."""
+    models, states = (told.before[0], told.after[0]), (told.before[1], told.after[1])
+    horizon = horizon_h or max(r.time_h for r in given.case.readings)
+    both = before_after(
+        models,
+        given.case.spec,
+        given.case.readings,
+        horizon,
+        workspace=work,
+        states=states,
+    )
+    exact = np.array([given.exact[name] for name in both.held])
+    found: dict[str, Any] = {"held": len(both.held)}
+    for when, scored, forecast in zip(
+        ("before", "after"), (both.before, both.after), both.forecast, strict=True
+    ):
+        off = np.array(scored.means) - exact
+        found[when] = {
+            "rmse": round(scored.rmse, 5),
+            "bias": round(scored.bias, 5),
+            "exact_rmse": round(float(np.sqrt(np.mean(off**2))), 5),
+            "log_score": round(scored.log_score, 4),
+            "inside_95": round(scored.within_95, 4),
+            "width_95": round(scored.width, 5),
+        }
+        if given.ahead:
+            truth = float(np.mean([given.ahead[b] for b in given.case.spec.blades]))
+            found[when]["forecast_error"] = round(forecast[0] / truth - 1.0, 5)
+    return found
 
 
 def table(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
@@ -191,20 +147,23 @@ def run(
     seed: int,
     particles: int,
     processes: int = 1,
+    plan: str = "rotor-20",
+    size: float = SIZE,
     folder: str | Path | None = None,
     commit: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Record]:
     """All sets of the conditions, by name and number of sets; `folder` as in `coverage.run`."""
-    unknown = sorted(set(conditions) - set(CONDITIONS))
+    possible = conditions_of(plan_of(plan))
+    unknown = sorted(set(conditions) - set(possible))
     if unknown:
-        raise InputError("conditions", unknown, "are unknown", f"use {', '.join(CONDITIONS)}")
+        raise InputError("conditions", unknown, "are unknown", f"use {', '.join(possible)}")
     file = None
     if folder is not None:
-        text = repr((seed, particles, commit, code_digest(), _model().digest))
+        text = repr((seed, particles, plan, size, commit, code_digest(), _model().digest))
         file = Path(folder) / f"effects-{sha256(text.encode()).hexdigest()[:12]}.jsonl"
     calls = {
-        (condition, n): (condition, n, seed, particles)
+        (condition, n): (condition, n, seed, particles, plan, size)
         for n in range(max(conditions.values()))  # by number: a cut study holds some of each
         for condition, count in conditions.items()
         if n < count
@@ -242,5 +201,6 @@ def marks(found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         "named, right": mean(NAMED, "right"),
         "named, right or in the set": mean(NAMED, "right", "in the set"),
         "named, wrong": mean(NAMED, "wrong"),
+        "alike, not separable": mean(ALIKE, "right"),
         "outside, no name": mean(OUTSIDE, "right"),
     }

@@ -100,10 +100,11 @@ def whom(effect: Json) -> str:
 
 def when(effect: Json) -> str:
     """How an effect runs in time."""
-    clock = "rotor" if effect["clock"] == "rotor" else "blade"
+    clock = "blade" if effect["clock"] == "blade" else "rotor"
     shape = effect["shape"]
     if shape == "step":
-        return f"from about {number(effect['step_h'])} h of the {clock} on"
+        then = ", in the blades that were there" if effect["clock"] == "event" else ""
+        return f"from about {number(effect['step_h'])} h of the {clock} on{then}"
     if shape == "constant":
         return "from the first hour on" if on_input(effect) else "always by the same"
     pace = {"early": "faster at first", "linear": "evenly", "late": "faster towards the end"}

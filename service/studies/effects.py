@@ -28,6 +28,13 @@ WORDS = {
 def effects(
     clean: Annotated[int, typer.Option(help="Sets of each kind without an effect.")] = 40,
     planted: Annotated[int, typer.Option(help="Sets of each planted effect.")] = 16,
+    plan: Annotated[str, typer.Option(help="Blades and visits: rotor-20.")] = "rotor-20",
+    size: Annotated[
+        float, typer.Option(help="Change at the last visit in noises, where the plan is scaled.")
+    ] = 2.0,
+    only: Annotated[
+        list[str] | None, typer.Option(help="These conditions alone; may be given again.")
+    ] = None,
     particles: Annotated[int, typer.Option(help="Particles per blade.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of noise, labels and calibrations.")] = 7,
     processes: Annotated[int, typer.Option(help="Processes that share out the sets.")] = 1,
@@ -38,15 +45,19 @@ def effects(
 ) -> None:
     """Verdicts on finite-element rotors with and without undeclared effects, all sets counted."""
     from core.validation import effects_study as study
+    from core.validation.effect_plans import plan as plan_of
+    from core.validation.effect_sets import CLEAN, conditions
 
     start, made_by = time.monotonic(), commit()
-    sets = dict.fromkeys(study.CLEAN, clean)
-    sets |= dict.fromkeys((*study.NAMED, *study.OUTSIDE), planted)
+    possible = conditions(plan_of(plan))
+    sets = {c: clean if c in CLEAN else planted for c in only or possible}
     with bar("sets", sum(sets.values())) as step:
         found = study.run(
             sets,
             seed=seed,
             particles=particles,
+            plan=plan,
+            size=size,
             processes=processes,
             folder=work,
             commit=made_by,
@@ -55,6 +66,8 @@ def effects(
     table = study.table(found)
     facts = {
         "model": study.model_digest(),
+        "plan": plan,
+        **({"size": size} if plan_of(plan).scaled else {}),
         "seed": seed,
         "particles": particles,
         "seconds": round(time.monotonic() - start, 1),
@@ -72,19 +85,19 @@ def truths(
     work: Annotated[Path, typer.Option(help="Folder of the runs; a cut campaign goes on.")] = Path(
         "bladetwin-data/truths"
     ),
-    out: Annotated[Path, typer.Option(help="File of the shares.")] = Path(
-        "bladetwin-data/effect_truths.npz"
+    out: Annotated[Path, typer.Option(help="Folder of the file of truths.")] = Path(
+        "bladetwin-data"
     ),
     processes: Annotated[int, typer.Option(help="Processes that compute runs.")] = 1,
 ) -> None:
     """Finite-element runs with effects of physics, the truths of `effects`; about half an hour."""
-    from core.validation import effect_truths
+    from core.validation import effect_truths as made_by
 
-    out.parent.mkdir(parents=True, exist_ok=True)
-    total = sum(len(effect_truths.concerned(e)) for e in effect_truths.EFFECTS)
-    with bar("runs", total * len(effect_truths.ROTORS)) as step:
-        effect_truths.make(work, out, processes, lambda done, _: step(done))
-    typer.echo(f"shares of {len(effect_truths.ROTORS)} rotors in {out}")
+    out.mkdir(parents=True, exist_ok=True)
+    file = out / made_by.SHIPPED.name
+    with bar("runs", len(made_by.runs())) as step:
+        made_by.make(work, file, processes, lambda done, _: step(done))
+    typer.echo(f"truths of {len(made_by.runs())} runs in {file}")
 
 
 def outcome_plot(table: Mapping[str, Mapping[str, float]], file: Path) -> None:

@@ -58,7 +58,7 @@ class FamilyIn(Body):
         list[Literal["all", "lot", "coating_lot", "blade", "instrument", "campaign"]],
         Field(min_length=1, max_length=6),
     ]
-    clock: Literal["blade", "rotor"]
+    clock: Literal["blade", "rotor", "event"]
     kind: Literal["physics", "operation", "material", "sensor"]
 
 

@@ -9,8 +9,10 @@ import pytest
 
 from core.diagnosis.verdict import Verdict
 from core.errors import InputError
+from core.validation import effect_sets as sets
 from core.validation import effects_study as study
 from core.validation import fe_rotors
+from core.validation.effect_plans import NOISE, plan
 from core.validation.effect_truths import (
     EFFECTS,
     JOINED,
@@ -22,6 +24,7 @@ from core.validation.effect_truths import (
     share,
 )
 
+TWENTY = plan("rotor-20")
 NOTHING = Verdict("adequate", 0.4, None, (), None, (), {}, {}, (), ())
 
 
@@ -32,8 +35,8 @@ def said(word: str, *names: str) -> Verdict:
 def curves(condition: str, number: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     """Readings without noise, by blade, hour and instrument, from a fixed draw."""
     with monkeypatch.context() as patch:
-        patch.setattr(study, "NOISE", 0.0)
-        made = study.made(condition, number, 5, 100)
+        patch.setattr(sets, "NOISE", 0.0)
+        made = sets.made(TWENTY, condition, number, 5, 100)
     return {
         f"{r.blade} {r.time_h:.0f} {r.instrument}": float(r.values[0]) for r in made.case.readings
     }
@@ -67,7 +70,7 @@ def test_a_pulse_ends_and_a_step_stays() -> None:
 def test_what_is_planted_is_on_the_readings_and_nothing_else(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    made = study.made("clean", 3, 5, 100)
+    made = sets.made(TWENTY, "clean", 3, 5, 100)
     assert made.truth == frozenset()
     assert len(made.case.readings) == 14 * 6 + 6 * 4
     assert len({r.instrument for r in made.case.readings}) == 3
@@ -76,19 +79,21 @@ def test_what_is_planted_is_on_the_readings_and_nothing_else(
     exact = np.stack([truth.at("elongation", 3, h) for h in VISITS_H[:6]], axis=1)
     expected = np.r_[exact[:14].ravel(), exact[14:, :4].ravel()]
     assert clean == pytest.approx(np.sort(expected), abs=6e-6)
-    campaign = study.made("campaign", 3, 5, 100)
+    campaign = sets.made(TWENTY, "campaign", 3, 5, 100)
     (name,) = campaign.truth
     with monkeypatch.context() as patch:
-        patch.setattr(study, "NOISE", 0.0)
-        patch.setattr(study, "OFFSET", 1000.0)
-        moved = study.made("campaign", 3, 5, 100).case.readings
+        patch.setattr(sets, "NOISE", 0.0)
+        patch.setattr(sets, "OFFSET", 1000.0)
+        moved = sets.made(TWENTY, "campaign", 3, 5, 100).case.readings
     visit = name.split()[-1].rstrip(")")
     assert {r.campaign for r in moved if r.values[0] > 500} == {visit}
     assert all((r.values[0] > 500) == (r.campaign == visit) for r in moved)
 
 
 def test_labels_ids_and_order_give_nothing_away() -> None:
-    one, other = (study.made("wear", n, 5, 100) for n in (0, 4))  # the same rotor and effect
+    one, other = (
+        sets.made(TWENTY, "worn lot", n, 5, 100) for n in (0, 4)
+    )  # the same rotor and effect
     assert one.truth != other.truth
     for made in (one, other):
         ids = [r.id for r in made.case.readings]
@@ -96,7 +101,7 @@ def test_labels_ids_and_order_give_nothing_away() -> None:
         assert [r.time_h for r in made.case.readings] != sorted(
             r.time_h for r in made.case.readings
         )
-    again = study.made("wear", 0, 5, 100)
+    again = sets.made(TWENTY, "worn lot", 0, 5, 100)
     assert [r.id for r in again.case.readings] == [r.id for r in one.case.readings]
 
 
@@ -143,6 +148,50 @@ def test_a_sound_rotor_is_adequate_and_a_campaign_set_to_zero_anew_is_named() ->
     assert (sound["condition"], sound["outcome"]) == ("clean", "right")
     assert (moved["condition"], moved["outcome"]) == ("campaign", "right")
     (mean, sd) = next(iter(moved["effects"].values()))
-    assert abs(mean - study.OFFSET) < 3 * sd
+    assert abs(mean - sets.OFFSET) < 3 * sd
     with pytest.raises(InputError, match="unknown"):
         study.run({"wind": 1}, seed=1, particles=100)
+
+
+def test_effects_as_they_were_run_have_no_size() -> None:
+    assert TWENTY.strength(0, "step", None) == 1.0
+    with pytest.raises(InputError, match="rotor-20"):
+        TWENTY.strength(0, "step", 2.0)
+    with pytest.raises(InputError, match="fleet-7"):
+        plan("fleet-7")
+
+
+def test_where_every_visit_has_a_scanner_of_its_own_no_single_name_is_right() -> None:
+    three = replace(
+        TWENTY, visits_h=TWENTY.visits_h[:3], elongation=TWENTY.elongation[:, :, :3],
+        odd_visits=(1, 2),
+    )  # fmt: skip
+    made = sets.made(three, "one scanner a visit", 0, 5, 100)
+    both = {(r.campaign, r.instrument) for r in made.case.readings}
+    assert len(both) == 3
+    (name,) = made.truth
+    assert any(name == f"instrument offset (instrument {who})" for _, who in both)
+    alone, pair = said("effect", name), said("not separable", name, "campaign offset (campaign x)")
+    other = said("not separable", "a", "b")
+    outcomes = [study.judged("one scanner a visit", made.truth, v) for v in (alone, pair, other)]
+    assert outcomes == ["wrong", "right", "wrong"]
+
+
+def test_a_size_is_the_change_at_the_last_visit_in_noises() -> None:
+    scaled = replace(TWENTY, scaled=True)
+    for rotor in ROTORS:
+        for size in (0.5, 2.0):
+            change = scaled.changed(rotor, "step", size) - TWENTY.elongation[rotor]
+            assert np.mean(change[:, -1]) == pytest.approx(size * NOISE, rel=1e-9)
+        offset, gain, odd = sets.faults(scaled, rotor, 3.0)
+        assert (offset, odd) == pytest.approx((0.06, 0.06))
+        assert np.mean(gain * scaled.elongation[rotor, :, -1]) == pytest.approx(0.06)
+    with pytest.raises(InputError, match="would need"):
+        scaled.with_effect("tertiary", 500.0)
+
+
+def test_conditions_are_those_with_a_truth() -> None:
+    assert not {"wear", "fouling", "one scanner a visit"} & set(sets.conditions(TWENTY))
+    assert {"worn lot", "step", "tertiary", "pulse", "gain"} < set(sets.conditions(TWENTY))
+    with pytest.raises(InputError, match="unknown"):
+        study.run({"fouling": 1}, seed=1, particles=100)

@@ -1,0 +1,141 @@
+"""Rotors whose truth is known with and without effects: how old blades are, when they are read.
+
+    rotor-20    20 blades at six visits, two ages (`fe_rotors`, `effect_truths`); effects as they
+                were run
+
+A size is a multiple of the noise: by so much the mean of the concerned blades changes at the last
+visit. Effects are run by finite elements at one strength each, and scaled in proportion from
+there, up at most to twice that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import InputError
+from core.validation import effect_truths as truths
+from core.validation import fe_rotors
+
+Array = NDArray[np.float64]
+NOISE = 0.02  # mm
+STRONGEST = 2.0  # times an effect as it was run
+
+
+@dataclass(frozen=True)
+class Plan:
+    """R rotors of B blades read at V visits.
+
+    visits_h    of the rotor, (V,); offset_h (B,): when blades joined
+    coat        which of three coating lots a blade has, (B,); what wears is lot 0
+    elongation  without effects [mm], (R, B, V); nan where a blade had not joined
+    shares      by effect, elongation with it over that without, (R, B, V); rotors without: nan
+    horizon     elongation (R, B) and shares (R, B) at `horizon_h` of each blade, where forecast
+    odd_visits  the visit with a campaign's fault, and the first with odd blades' fault
+    """
+
+    name: str
+    visits_h: Array
+    offset_h: Array
+    coat: NDArray[np.int64]
+    elongation: Array
+    shares: Mapping[str, Array]
+    odd_visits: tuple[int, int]
+    scaled: bool
+    horizon_h: float = 0.0
+    horizon: Array | None = None
+    horizon_shares: Mapping[str, Array] | None = None
+
+    @property
+    def rotors(self) -> int:
+        return len(self.elongation)
+
+    @property
+    def blades(self) -> int:
+        return len(self.coat)
+
+    @property
+    def own_h(self) -> Array:
+        """Blades' hours at the visits, (B, V); ≤ 0 where a blade had not joined."""
+        return np.asarray(self.visits_h - self.offset_h[:, None])
+
+    def with_effect(self, effect: str, size: float | None = None) -> list[int]:
+        """Rotors for which the effect was run, and strongly enough for its size.
+
+        Raises InputError where there is none: an effect that is scaled up far is none of physics.
+        """
+        share = self.shares[effect]
+        found = [r for r in range(self.rotors) if np.isfinite(share[r]).any()]
+        strengths = [self.strength(r, effect, size) for r in found]
+        left = [r for r, strength in zip(found, strengths, strict=True) if strength <= STRONGEST]
+        if not left:
+            weakest = round(min(strengths, default=0.0), 2)
+            raise InputError(
+                "size",
+                size,
+                f"would need the runs with {effect} scaled by {weakest}, more than {STRONGEST:g}",
+                "give a smaller one",
+            )
+        return left
+
+    def strength(self, rotor: int, effect: str, size: float | None) -> float:
+        """By how much the effect as it was run is scaled, to change readings by `size` noises."""
+        if size is None:
+            return 1.0
+        if not self.scaled:
+            raise InputError("size", size, f"is not for {self.name}", "its effects are as run")
+        change = self.elongation[rotor, :, -1] * (self.shares[effect][rotor, :, -1] - 1.0)
+        return float(size * NOISE / np.mean(change[change != 0.0]))
+
+    def changed(self, rotor: int, effect: str | None, size: float | None = None) -> Array:
+        """Elongation with an effect [mm], (B, V)."""
+        sound = self.elongation[rotor]
+        if effect is None:
+            return np.asarray(sound)
+        strength = self.strength(rotor, effect, size)
+        return np.asarray(sound * (1.0 + strength * (self.shares[effect][rotor] - 1.0)))
+
+    def ahead(self, rotor: int, effect: str | None, size: float | None = None) -> Array | None:
+        """The same at the horizon, (B,); none where the plan has none."""
+        if self.horizon is None or effect is None or self.horizon_shares is None:
+            return None if self.horizon is None else np.asarray(self.horizon[rotor])
+        share = self.horizon_shares[effect][rotor] - 1.0
+        return np.asarray(self.horizon[rotor] * (1.0 + self.strength(rotor, effect, size) * share))
+
+
+@cache
+def rotor_20() -> Plan:
+    """24 rotors of 20 blades, four of them with effects."""
+    kept, visits = fe_rotors.load(), truths.VISITS_H[:6]
+    offset = np.array([truths.offset_h(b) for b in range(fe_rotors.BLADES)])
+    late = (offset / truths.VISITS_H[0]).round().astype(int)
+    shape = (len(kept.inputs), fe_rotors.BLADES, len(visits))
+    elongation = np.full(shape, np.nan)
+    named = {"worn lot": "wear", "step": "step", "tertiary": "tertiary", "pulse": "pulse"}
+    shares = {effect: np.full(shape, np.nan) for effect in named}
+    for rotor in range(shape[0]):
+        curves = np.stack([kept.at("elongation", rotor, h) for h in truths.VISITS_H], axis=1)
+        for b in range(shape[1]):
+            own = np.arange(len(visits)) - late[b]
+            read = own >= 0
+            elongation[rotor, b, read] = curves[b, own[read]]
+            for effect, share in shares.items():
+                if rotor in truths.ROTORS:
+                    share[rotor, b, read] = truths.share(rotor, named[effect])[b, own[read]]
+    worn = truths.WORN
+    coat = np.array([0 if b in worn else 1 if b < worn[0] else 2 for b in range(shape[1])])
+    return Plan("rotor-20", np.array(visits), offset, coat, elongation, shares, (3, 4), False)
+
+
+PLANS = {"rotor-20": rotor_20}
+
+
+def plan(name: str) -> Plan:
+    """A plan by its name; InputError where there is none."""
+    if name not in PLANS:
+        raise InputError("plan", name, "is unknown", f"use {', '.join(PLANS)}")
+    return PLANS[name]()

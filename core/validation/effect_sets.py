@@ -1,0 +1,186 @@
+"""Simulated rotors with and without undeclared effects: what the study of diagnoses is held on.
+
+A set is one of the finite-element rotors of a plan (`effect_plans`), read by three instruments,
+with noise drawn anew; labels of blades, lots, coatings, campaigns and instruments are drawn too, so
+that no name gives anything away. What is planted (`CONDITIONS`) comes from finite elements or is
+put on readings by the formulas below, none of them the surrogate. A third of the planted kinds is
+outside of the grammar. Clean sets come with normal noise, with heavy tails (t with three degrees of
+freedom), and with material that creeps in bursts: increments between visits from a gamma
+distribution with a coefficient of variation of `BURSTS`.
+
+In ``one scanner a visit`` every visit has an instrument of its own, and one of them reads too much:
+an offset of the instrument and of the campaign are the same thing, and no reading tells them apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.online import RotorSpec
+from core.diagnosis.case import Case
+from core.diagnosis.clock import with_offsets
+from core.diagnosis.grammar import Facts
+from core.observation import Inspection
+from core.rng import seed_of, stream
+from core.validation.effect_plans import NOISE, Plan
+
+Array = NDArray[np.float64]
+INSTRUMENTS = 3
+BURSTS = 0.15
+OFFSET, GAIN, ODD = 0.04, 0.1, 0.06
+SIZE = 2.0  # noises, where a plan's effects are scaled
+CLEAN = ("clean", "clean, heavy tails", "clean, bursts")
+SENSORS = ("campaign", "instrument", "gain")
+PHYSICS = ("wear", "worn lot", "fouling", "step", "tertiary")
+NAMED = (*SENSORS, *PHYSICS)
+ALIKE = ("one scanner a visit",)
+OUTSIDE = ("pulse", "alternating", "some blades late")
+CONDITIONS = (*CLEAN, *NAMED, *ALIKE, *OUTSIDE)
+COATING, GAS = ("coating wear", "coating loss"), ("firing temperature step", "gas temperature")
+
+
+@dataclass(frozen=True)
+class Set:
+    """A simulated rotor: readings, facts of its blades, and the names that would be right.
+
+    exact  readings without noise, by their id; ahead: blades' elongation at the plan's horizon
+    """
+
+    case: Case
+    truth: frozenset[str]
+    exact: dict[str, float]
+    ahead: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """What things are called, drawn at random."""
+
+    blades: list[str]
+    lots: list[str]
+    coats: list[str]
+    visits: list[str]
+    readers: list[str]
+
+    @staticmethod
+    def drawn(rng: np.random.Generator, plan: Plan) -> Labels:
+        counts = {"b": plan.blades, "l": 3, "c": 3, "v": len(plan.visits_h), "s": INSTRUMENTS}
+        return Labels(
+            *(
+                [f"{prefix}{n}" for n in rng.choice(900, count, replace=False) + 100]
+                for prefix, count in counts.items()
+            )
+        )
+
+    def right(self, condition: str, plan: Plan) -> frozenset[str]:
+        """The names, or causes, that say what is planted."""
+        reader, visit = self.readers[0], self.visits[plan.odd_visits[0]]
+        lot = f"(coating lot {self.coats[0]})"
+        scanner = self.readers[plan.odd_visits[0] % INSTRUMENTS]
+        names: dict[str, tuple[str, ...]] = {
+            "campaign": (f"campaign offset (campaign {visit})",),
+            "instrument": tuple(
+                f"{name} (instrument {reader})" for name in ("instrument offset", "wrong zero")
+            ),
+            "gain": (f"instrument gain (instrument {reader})",),
+            "wear": COATING,
+            "worn lot": tuple(f"{name} {lot}" for name in COATING),
+            "fouling": ("fouling", "gas temperature"),
+            "step": GAS,
+            "tertiary": ("accelerating creep",),
+            ALIKE[0]: (f"instrument offset (instrument {scanner})",),
+        }
+        return frozenset(names.get(condition, ()))
+
+
+def effect_of(condition: str, plan: Plan) -> str | None:
+    """What is planted by finite elements, if anything."""
+    return condition if condition in plan.shares else None
+
+
+def conditions(plan: Plan) -> tuple[str, ...]:
+    """Those that the plan has truths for."""
+    lacking = {c for c in (*PHYSICS, "pulse") if effect_of(c, plan) is None}
+    if len(plan.visits_h) > INSTRUMENTS:  # an instrument comes twice, which tells it from a visit
+        lacking |= set(ALIKE)
+    return tuple(c for c in CONDITIONS if c not in lacking)
+
+
+def made(
+    plan: Plan, condition: str, number: int, seed: int, particles: int, size: float = SIZE
+) -> Set:
+    """Set `number` of a condition; `size` in noises where the plan's effects are scaled."""
+    rng = stream(seed, "effects", condition, number)
+    effect = effect_of(condition, plan)
+    among = (
+        plan.with_effect(effect, size if plan.scaled else None)
+        if effect
+        else list(range(plan.rotors))
+    )
+    rotor = among[number % len(among)]
+    labels = Labels.drawn(rng, plan)
+    strength = size if plan.scaled else None
+    curves = plan.changed(rotor, effect, strength)
+    if condition == "clean, bursts":
+        curves = bursts(rng, curves)
+    offset, gain, odd = faults(plan, rotor, size)
+    own_h, count = plan.own_h, plan.blades
+    late = set(rng.choice(count, count // 3, replace=False).tolist())
+    odd_visit, odd_from = plan.odd_visits
+    readings, exact = [], dict[str, float]()
+    for b in range(count):
+        for v in range(len(plan.visits_h)):
+            if not np.isfinite(curves[b, v]):
+                continue
+            by = v % INSTRUMENTS if condition in ALIKE else (b + v) % INSTRUMENTS
+            noise = rng.standard_t(3) / np.sqrt(3) if condition == CLEAN[1] else rng.normal()
+            y = float(curves[b, v])
+            y *= 1.0 + gain * (condition == "gain" and by == 0)
+            y += offset * (condition in ("campaign", *ALIKE) and v == odd_visit)
+            y += offset * (condition == "instrument" and by == 0)
+            y += odd * (-1) ** (b // 2 + v) * (condition == "alternating")
+            y += odd * (condition == "some blades late" and b in late and v >= odd_from)
+            name = f"r{rng.integers(10**9)}"
+            values = np.array([round(y + NOISE * noise, 5)])
+            at = (name, labels.blades[b], "elongation", float(own_h[b, v]))
+            readings.append(
+                Inspection(*at, values, instrument=labels.readers[by], campaign=labels.visits[v])
+            )
+            exact[name] = y
+    facts = {
+        name: Facts(lot=labels.lots[b % 3 if not plan.scaled else b // 2 % 3],
+                    coating_lot=labels.coats[plan.coat[b]])
+        for b, name in enumerate(labels.blades)
+    }  # fmt: skip
+    spec = RotorSpec(
+        f"set{number}", tuple(sorted(labels.blades)), particles, seed_of(seed, number) % 2**31
+    )
+    data = tuple(readings[i] for i in rng.permutation(len(readings)))
+    case = Case(spec, data, with_offsets(facts, data, {}))
+    ahead = plan.ahead(rotor, effect, strength)
+    at_horizon = {} if ahead is None else dict(zip(labels.blades, ahead.tolist(), strict=True))
+    return Set(case, labels.right(condition, plan), exact, at_horizon)
+
+
+def bursts(rng: np.random.Generator, curves: Array) -> Array:
+    """Creep whose increments from visit to visit are gamma variables of the same mean, (B, V)."""
+    start = np.where(np.isfinite(curves), curves, 0.0)
+    steps = np.diff(start, axis=1, prepend=0.0)
+    shape = 1.0 / BURSTS**2
+    wild = np.cumsum(steps * rng.gamma(shape, 1.0 / shape, steps.shape), axis=1)
+    return np.where(np.isfinite(curves), wild, np.nan)
+
+
+def faults(plan: Plan, rotor: int, size: float) -> tuple[float, float, float]:
+    """Offset [mm], gain, and the offset of what is outside of the grammar [mm].
+
+    Where effects are scaled, a gain moves the readings of the last visit by `size` noises on
+    average, and all offsets are that large.
+    """
+    if not plan.scaled:
+        return OFFSET, GAIN, ODD
+    step = size * NOISE
+    return step, step / float(np.mean(plan.elongation[rotor, :, -1])), step
