@@ -8,12 +8,7 @@ from typing import Any
 import h5netcdf
 import numpy as np
 
-from core.archive.declaration import (
-    DIMENSIONS,
-    Declaration,
-    Mesh,
-    Quantity,
-)
+from core.archive.declaration import DIMENSIONS, Declaration, Mesh, Quantity
 from core.errors import ModelError
 
 

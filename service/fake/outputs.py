@@ -10,19 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from service.fake.conjugate import (
-    HORIZON_H,
-    SIGMA,
-    moments,
-)
-from service.ports import (
-    Array,
-    Field,
-    Get,
-    ModelCard,
-    NoiseFrom,
-    Surface,
-)
+from service.fake.conjugate import HORIZON_H, SIGMA, moments
+from service.ports import Array, Field, Get, ModelCard, NoiseFrom, Surface
 
 LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
 

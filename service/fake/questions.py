@@ -16,15 +16,7 @@ from scipy.special import chdtrc
 from core.errors import InputError
 from core.observation import Inspection
 from service.fake.conjugate import HORIZON_H, SIGMA, FakeState, moments
-from service.ports import (
-    BladeRecord,
-    Get,
-    Json,
-    ModelCard,
-    PlanTarget,
-    Progress,
-    RotorSpec,
-)
+from service.ports import BladeRecord, Get, Json, ModelCard, PlanTarget, Progress, RotorSpec
 
 ALARM = 0.05
 

@@ -16,15 +16,7 @@ from service.errors import AdoptionError, NotFoundError
 from service.handlers.adoptable import claimed, models_of, readings_since, told_effects
 from service.handlers.diagnoses import found_in
 from service.handlers.rotors import digest_of_json
-from service.ports import (
-    Event,
-    JobRecord,
-    Json,
-    NewEvent,
-    Science,
-    Store,
-    Transaction,
-)
+from service.ports import Event, JobRecord, Json, NewEvent, Science, Store, Transaction
 from service.variant import with_more
 
 

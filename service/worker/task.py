@@ -17,13 +17,7 @@ from core.observation import Entry, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError
-from service.ports import (
-    ModelCard,
-    RotorRecord,
-    RotorSpec,
-    RotorState,
-    Science,
-)
+from service.ports import ModelCard, RotorRecord, RotorSpec, RotorState, Science
 from service.store.log import read_entries
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction

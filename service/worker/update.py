@@ -22,11 +22,7 @@ from core.errors import CalibrationError
 from core.observation import effective
 from service.errors import DamagedError, LostLeaseError, StoreAwayError
 from service.kernels import CompiledError
-from service.ports import (
-    RotorState,
-    Science,
-    StateRecord,
-)
+from service.ports import RotorState, Science, StateRecord
 from service.settings import Settings
 from service.store.encoding import Encoded, encode
 from service.store.engine import transaction

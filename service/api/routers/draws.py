@@ -9,13 +9,7 @@ from fastapi.responses import Response
 
 from service.api.files import NETCDF, file
 from service.api.problems import fault, invalid
-from service.api.services import (
-    Name,
-    Wired,
-    tag_of_basis,
-    tagged,
-    unchanged,
-)
+from service.api.services import Name, Wired, tag_of_basis, tagged, unchanged
 from service.api.which import Asked
 from service.handlers import exports
 from service.handlers import glance as use

@@ -11,13 +11,7 @@ from service.api.files import NPZ, VTU, ZIP, file
 from service.api.problems import fault, invalid
 from service.api.routers.glance import Hour, Quantity
 from service.api.routers.reads import read_times
-from service.api.services import (
-    Name,
-    Wired,
-    tag_of_basis,
-    tagged,
-    unchanged,
-)
+from service.api.services import Name, Wired, tag_of_basis, tagged, unchanged
 from service.api.which import Asked
 from service.handlers import exports, series
 from service.handlers import glance as use
