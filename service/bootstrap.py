@@ -25,8 +25,8 @@ from service.store.engine import is_sqlite, open_engine
 from service.store.migrate import current, migrate, newest
 from service.store.unit_of_work import SqlStore
 from service.telemetry import configure_logs
+from service.worker.claiming import Role
 from service.worker.deliver import Deliverer
-from service.worker.lease import Role
 from service.worker.loop import Worker, end_with_parent, owner_name, run_worker
 from service.worker.supervise import Supervisor
 from service.worker.wake import open_wake

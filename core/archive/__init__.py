@@ -2,6 +2,7 @@
 
 declaration  what the runs of an archive have in common
 store        the archive that training reads: a directory of netCDF files
+layout, disk  what lies in its files, and how they are written: whole or not at all
 source       the format of users' own runs (documented there), and how it is read
 check        every fault of such runs, with run, node and quantity
 take         runs that are sound become an archive

@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Any, Literal
 from uuid import uuid4
 
-from core.archive.store import link_file
+from core.archive.disk import link_file
 
 State = Literal["held", "done", "failed", "released"]
 Verdict = Literal["taken", "held", "failed"]

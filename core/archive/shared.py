@@ -14,7 +14,8 @@ from pathlib import Path
 
 from core.archive.claims import EVERY_S, Claims
 from core.archive.declaration import Run
-from core.archive.store import Archive, opened
+from core.archive.layout import opened
+from core.archive.store import Archive
 from core.errors import ModelError
 
 FOLDER = "claims"

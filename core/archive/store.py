@@ -8,22 +8,18 @@
     run-0007.nc      one file per run: inputs (d,), fields (T, N) and (T, N, 3) float32,
                      scalars (T,) float64
 
-Each file is written under a temporary name, flushed to the disk and renamed, so a killed write
-leaves nothing half-done and a campaign resumes from `Archive.done`. Several workers share one
-archive by `core.archive.shared`; their runs appear by `Archive.add`, and the first one stays.
-`to_netcdf` packs the whole archive into one file for transport and `from_netcdf` unpacks it; both
-keep one run in memory. An error names the run, the quantity, the instant and the node. Archives of
-scalars have no mesh.
+A killed write leaves nothing half-done (`core.archive.disk`), and a campaign resumes from
+`Archive.done`. Several workers share one archive by `core.archive.shared`; their runs appear by
+`Archive.add`, and the first one stays. `to_netcdf` packs the whole archive into one file for
+transport and `from_netcdf` unpacks it; both keep one run in memory. An error names the run, the
+quantity, the instant and the node. Archives of scalars have no mesh.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
-from uuid import uuid4
 
 import h5netcdf
 import numpy as np
@@ -31,7 +27,6 @@ from numpy.typing import NDArray
 
 from core.archive.declaration import (
     BLADE_QUANTITIES,
-    DIMENSIONS,
     Declaration,
     Floats,
     Input,
@@ -39,6 +34,8 @@ from core.archive.declaration import (
     Quantity,
     Run,
 )
+from core.archive.disk import flush, link_file, part_of, replace_file
+from core.archive.layout import mesh_of, opened, variable_of, write_mesh
 from core.errors import InputError, ModelError, RangeError
 
 
@@ -87,7 +84,7 @@ class Archive:
         def fill(name: Path) -> None:
             with h5netcdf.File(name, "w") as out:
                 out.dimensions = {"node": len(mesh.points), "xyz": 3}
-                _write_mesh(out, mesh)
+                write_mesh(out, mesh)
 
         if len(mesh.points):
             replace_file(path / "mesh.nc", fill)
@@ -128,10 +125,10 @@ class Archive:
             raise RangeError("index", index, "is negative", "number the runs from 0")
         self.declaration.check(index, run)
         file = self.file(index)
-        part = _part(file)
+        part = part_of(file)
         try:
             self._fill(part, run)
-            _flush(part)
+            flush(part)
             first = link_file(part, file)
         except FileNotFoundError:
             if not file.exists():
@@ -150,7 +147,7 @@ class Archive:
             inputs = np.array([float(run.inputs[item.name]) for item in declared.inputs])
             out.create_variable("inputs", ("input",), data=inputs)
             for quantity in declared.quantities:
-                _variable(out, quantity)[...] = run.values[quantity.name]
+                variable_of(out, quantity)[...] = run.values[quantity.name]
 
     def done(self) -> tuple[int, ...]:
         """Indices of the runs that are present and can be opened, ascending."""
@@ -215,11 +212,11 @@ class Archive:
                 out.attrs["declaration"] = declared.to_json()
                 out.dimensions = {"run": len(done), **declared.dimensions()}
                 if declared.nodes:
-                    _write_mesh(out, mesh)
+                    write_mesh(out, mesh)
                 out.create_variable("index", ("run",), data=np.array(done, dtype=np.int64))
                 out.create_variable("inputs", ("run", "input"), data=self.inputs(done))
                 for quantity in declared.quantities:
-                    variable = _variable(out, quantity, runs=True)
+                    variable = variable_of(out, quantity, runs=True)
                     for k, index in enumerate(done):
                         variable[k] = self.read(index).values[quantity.name]
 
@@ -254,85 +251,3 @@ class Archive:
                 values = {q.name: packed[q.name][k] for q in declared.quantities}
                 archive.write(int(index), Run(inputs, values))
         return archive
-
-
-def mesh_of(data: h5netcdf.File, declared: Declaration) -> Mesh:
-    """The mesh in a file of this module."""
-    if not declared.nodes:
-        return Mesh.none()
-    points, cells, parametric = (data[name][...] for name in ("points", "cells", "parametric"))
-    return Mesh(declared.mesh, points, cells, parametric, declared.named)
-
-
-def _write_mesh(out: h5netcdf.File, mesh: Mesh) -> None:
-    out.dimensions.update({"cell": mesh.cells.shape[0], "corner": mesh.cells.shape[1]})
-    out.create_variable("points", ("node", "xyz"), data=np.asarray(mesh.points, dtype=float))
-    out.create_variable("cells", ("cell", "corner"), data=np.asarray(mesh.cells, dtype=np.int64))
-    parametric = np.asarray(mesh.parametric, dtype=float)
-    out.create_variable("parametric", ("node", "xyz"), data=parametric)
-
-
-def _variable(out: h5netcdf.File, quantity: Quantity, *, runs: bool = False) -> Any:
-    """A compressed variable, one chunk per run."""
-    names = DIMENSIONS[quantity.kind]
-    shape = tuple(out.dimensions[name].size for name in names)
-    made = out.create_variable(
-        quantity.name,
-        ("run", *names) if runs else names,
-        dtype="f8" if quantity.kind == "scalar" else "f4",
-        chunks=(1, *shape) if runs else shape,
-        compression="gzip",
-        compression_opts=1,
-        shuffle=True,
-    )
-    made.attrs["units"] = quantity.unit
-    return made
-
-
-def opened(path: Path) -> h5netcdf.File:
-    """A netCDF file for reading; ModelError where it is none."""
-    try:
-        return h5netcdf.File(path, "r")
-    except (OSError, ValueError) as error:
-        raise ModelError(f"{path} cannot be read as netCDF: {error}") from error
-
-
-def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
-    """Write under a temporary name, flush to the disk, rename."""
-    part = _part(path)
-    try:
-        fill(part)
-        _flush(part)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def link_file(part: Path, path: Path) -> bool:
-    """Give a file a second name that must not exist; False if it does.
-
-    On NFS a call may succeed and its answer be lost; repeated, it says that the name exists. Then
-    the number of links tells whose it is.
-    """
-    try:
-        os.link(part, path)
-    except FileExistsError:
-        return os.stat(part).st_nlink == 2
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise ModelError(
-            f"{path.parent} has no hard links ({error.strerror}): several workers cannot share "
-            "it. Put the archive on a local disk or on NFS"
-        ) from error
-    return True
-
-
-def _part(path: Path) -> Path:
-    """A name of one's own, on whichever machine."""
-    return path.with_name(f".{path.name}.{uuid4().hex}.part")
-
-
-def _flush(path: Path) -> None:
-    with open(path, "rb") as handle:
-        os.fsync(handle.fileno())

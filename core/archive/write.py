@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive.declaration import DIMENSIONS, Mesh
+from core.archive.disk import replace_file
 from core.archive.source import Column, Given
-from core.archive.store import replace_file
 
 Array = NDArray[np.float64]
 TEXT = h5py.string_dtype()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive import Archive
-from core.archive.store import replace_file
+from core.archive.disk import replace_file
 from core.archive.take import MINIMUM_RUNS
 from core.errors import InputError, ModelError
 from core.surrogate.accuracy import Accuracy

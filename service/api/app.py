@@ -8,7 +8,7 @@ from functools import partial
 
 from fastapi import FastAPI
 
-from service.api import problems
+from service.api import refusals
 from service.api.describe import describe
 from service.api.feed import Feed
 from service.api.layers import add_layers
@@ -18,7 +18,9 @@ from service.api.routers import (
     adoptions,
     audit,
     diagnoses,
+    draws,
     events,
+    fields,
     glance,
     inspections,
     models,
@@ -96,6 +98,8 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         inspections,
         reads,
         glance,
+        draws,
+        fields,
         plans,
         events,
         diagnoses,
@@ -107,7 +111,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
     ):
         app.include_router(module.router)
     app.include_router(pages)
-    problems.install(app)
+    refusals.install(app)
     add_layers(app, services, app.state.requests)
     describe(app, keys=keys_required(services.settings))
     return app

@@ -20,8 +20,9 @@ from service import telemetry
 from service.access import LOOPBACK, Act, KeyRecord
 from service.api.loopback import by_loopback, keys_required
 from service.api.preconditions import guard_of
-from service.api.problems import away, fault, missing, problem
+from service.api.problems import fault, problem
 from service.api.rate import Buckets, network
+from service.api.refusals import away, missing
 from service.api.scopes import RULES, STATE_CHANGING, Found, Table
 from service.api.visit import Visit, visit_of
 from service.errors import NotFoundError, StoreAwayError

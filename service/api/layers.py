@@ -24,7 +24,7 @@ from service.api.gate import Gate
 from service.api.limits import BodyLimit
 from service.api.manners import Manners
 from service.api.metrics import Measured, Requests
-from service.api.problems import LastResort
+from service.api.refusals import LastResort
 from service.api.repeats import Repeats
 from service.api.services import Services
 from service.api.tags import Compression, EntityTags

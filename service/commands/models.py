@@ -1,28 +1,23 @@
-"""`bladetwin model …` for runs of a user's own: convert, check, train, register, upload, sample.
+"""`bladetwin model …` for runs of a user's own: check, train, register, upload, sample.
 
-`refine` has a module of its own.
-
-What is wrong with runs is listed fault by fault on stderr, and the exit status is 1; warnings go
-there as well. With ``--json`` both are in the one object on stdout.
+`convert` and `refine` have modules of their own. How what is wrong with runs is told:
+`service.commands.telling`.
 """
 
 from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from core.errors import FaultsError, InputError
+from core.errors import InputError
 from service.commands import Json, opened, say
+from service.commands.convert import convert
+from service.commands.telling import sentence, steps, table, telling, warn, warnings_of
 from service.settings import Settings
-
-if TYPE_CHECKING:
-    from core.archive.faults import Findings
 
 Runs = Annotated[
     Path, typer.Argument(help="Runs: a netCDF file, or a folder of `model sample`.", exists=True)
@@ -34,7 +29,6 @@ LeaveOut = Annotated[
     list[str] | None,
     typer.Option("--leave-out", help="Label of a run to leave out; again for more."),
 ]
-ROW = "{:<22} {:<8} {:>10} {:>10} {:>10} {:>10} {:>8}  {}"
 
 
 def add(models: typer.Typer) -> None:
@@ -43,52 +37,6 @@ def add(models: typer.Typer) -> None:
 
     for command in (convert, check, train, register, upload, sample, refine):
         models.command()(command)
-
-
-def convert(
-    file: Annotated[
-        Path, typer.Argument(help="A table (.csv) or a numpy archive (.npz).", exists=True)
-    ],
-    out: Annotated[Path, typer.Option(help="The netCDF file to write.")],
-    inputs: Annotated[
-        list[str] | None, typer.Option("--input", help="Column that is an input; again for more.")
-    ] = None,
-    field: Annotated[
-        list[str] | None,
-        typer.Option(help="Point data and unit, as in 'temperature [K]'; again for more."),
-    ] = None,
-    points_unit: Annotated[str, typer.Option(help="Unit of the meshes' points.")] = "mm",
-    node: Annotated[
-        list[str] | None, typer.Option(help="A node with a name, as in tip=12; again for more.")
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Write runs as netCDF, from a table of curves, a table of mesh files, or a numpy archive.
-
-    A table with a column `file` names mesh files (VTU, VTK, XDMF …), one for each run and instant.
-    """
-    from core.archive.arrays import convert_arrays
-    from core.archive.meshes import convert_meshes
-    from core.archive.table import HEADER, convert_table, read_table
-
-    with telling(as_json):
-        if file.suffix == ".npz":
-            told = convert_arrays(file, out)
-        elif field or "file" in read_table(file).units:
-            fields: dict[str, str] = {}
-            for text in field or ():
-                match = HEADER.fullmatch(text)
-                if match is None or match.group(2) is None:
-                    raise InputError("field", text, "has no unit", "write 'temperature [K]'")
-                fields[match.group(1)] = match.group(2)
-            told = convert_meshes(
-                file, out, fields, inputs=inputs, points_unit=points_unit, named=_named(node or [])
-            )
-        else:
-            told = convert_table(file, out, inputs=inputs)
-    shown = f"inputs {', '.join(map(str, _list(told['inputs'])))}; quantities "
-    shown += ", ".join(map(str, _list(told["quantities"])))
-    say(told | {"file": str(out)}, [f"{out}: {told['runs']} runs; {shown}"], as_json=as_json)
 
 
 def check(runs: Runs, network: Network, leave_out: LeaveOut = None, as_json: Json = False) -> None:
@@ -105,7 +53,11 @@ def check(runs: Runs, network: Network, leave_out: LeaveOut = None, as_json: Jso
             )
         warn(found, as_json)
         inputs = [item.name for item in archive.declaration.inputs]
-        told: dict[str, Any] = {"runs": len(chosen), "inputs": inputs, "warnings": _told(found)}
+        told: dict[str, Any] = {
+            "runs": len(chosen),
+            "inputs": inputs,
+            "warnings": warnings_of(found),
+        }
     say(told, [f"{runs}: {len(chosen)} runs can be trained on"], as_json=as_json)
 
 
@@ -140,7 +92,7 @@ def train(
         warn(found, as_json)
     rows = surrogate.manifest["quality"]
     told: dict[str, Any] = {"folder": str(out), "version": version, "digest": surrogate.digest}
-    told |= {"runs": surrogate.manifest["runs"], "quality": rows, "warnings": _told(found)}
+    told |= {"runs": surrogate.manifest["runs"], "quality": rows, "warnings": warnings_of(found)}
     lines = [f"{out}: version {version}, {told['runs']} runs", *table(rows)]
     say(told, lines, as_json=as_json)
 
@@ -199,12 +151,12 @@ def upload(
             )
     result = job["result"] or {}
     for one in result.get("warnings", []) if not as_json else ():
-        typer.echo(f"warning: {_sentence(one)}", err=True)
+        typer.echo(f"warning: {sentence(one)}", err=True)
     if job["status"] != "done":
         if as_json:
             typer.echo(json.dumps(job))
         for one in result.get("faults", []) if not as_json else ():
-            typer.echo(f"fault: {_sentence(one)}", err=True)
+            typer.echo(f"fault: {sentence(one)}", err=True)
         typer.echo(f"bladetwin: {name} was not trained: job {job['id']} {job['status']}", err=True)
         raise typer.Exit(1)
     lines = [f"model {name}: version {result['version']}", *table(result["quality"])]
@@ -257,80 +209,3 @@ def sample(
     say(told, lines, as_json=as_json)
     if failed:
         raise typer.Exit(1)
-
-
-def table(rows: dict[str, Any]) -> list[str]:
-    """Held-out errors by quantity, against spread and expected noise."""
-    heads = ("quantity", "unit", "rms", "95 %", "spread", "noise", "of it", "verdict")
-    lines = [ROW.format(*heads)]
-    for name, row in rows.items():
-        numbers = (f"{row[key]:.3g}" for key in ("rms", "p95", "spread", "noise"))
-        share = f"{100 * row['share_of_spread']:.1f} %"
-        verdict = f"{row['verdict']} (worst: run {row['worst']}, {row['worst_rms']:.3g})"
-        lines.append(ROW.format(name, row["unit"], *numbers, share, verdict))
-    return lines
-
-
-@contextmanager
-def telling(as_json: bool) -> Iterator[None]:
-    """Every fault on a line of its own, and exit status 1."""
-    try:
-        yield
-    except FaultsError as error:
-        warnings = getattr(error, "warnings", ())
-        if as_json:
-            told = {"faults": [one.to_json() for one in error.faults]}
-            typer.echo(json.dumps(told | {"warnings": [one.to_json() for one in warnings]}))
-        for one in warnings if not as_json else ():
-            typer.echo(f"warning: {one}", err=True)
-        for one in error.faults if not as_json else ():
-            typer.echo(f"fault: {one}", err=True)
-        count = len(error.faults)
-        typer.echo(f"bladetwin: refused for {count} fault{'s' * (count != 1)}", err=True)
-        raise typer.Exit(1) from None
-
-
-def warn(found: Findings, as_json: bool) -> None:
-    """Warnings on stderr, where they are not in the object."""
-    for one in found.warnings if not as_json else ():
-        typer.echo(f"warning: {one}", err=True)
-
-
-@contextmanager
-def steps(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """A bar for each kind of step, on a terminal."""
-    from contextlib import ExitStack
-
-    from service.progress import bar
-
-    shown: dict[str, Callable[[int], None]] = {}
-    with ExitStack() as bars:
-
-        def progress(what: str, done: int, total: int) -> None:
-            if what not in shown:
-                shown[what] = bars.enter_context(bar(what, total, quiet=quiet))
-            shown[what](done)
-
-        yield progress
-
-
-def _named(texts: list[str]) -> dict[str, int]:
-    found = {}
-    for text in texts:
-        name, _, number = text.partition("=")
-        if not name or not number.isdigit():
-            raise InputError("node", text, "is no name and number", "write tip=12")
-        found[name] = int(number)
-    return found
-
-
-def _list(value: object) -> list[object]:
-    return list(value) if isinstance(value, list) else []
-
-
-def _told(found: Findings) -> list[dict[str, object]]:
-    return [one.to_json() for one in found.warnings]
-
-
-def _sentence(one: dict[str, Any]) -> str:
-    return f"{one['field']} = {one['value']!r} {one['problem']}. To mend it: {one['remedy']}."

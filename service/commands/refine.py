@@ -63,7 +63,7 @@ def refine(
     """
     from core.surrogate.refine import refine as run
     from core.surrogate.rounds import Plan
-    from service.commands.models import steps, telling
+    from service.commands.telling import steps, telling
     from service.refining import FiniteElements, network_of
 
     shown: list[Round] = []

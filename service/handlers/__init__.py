@@ -4,6 +4,7 @@ models.py       registration of a model, jobs
 rotors.py       rotors, their blades, retry
 inspections.py  readings, corrections, retractions, the list of what counts
 diagnoses.py    effects that a model lacks, looked for
+adoptable.py    whether a diagnosis may be adopted
 adoptions.py    effects into a rotor's model, and out of it
 transfer.py     a rotor out to a file and in from one; transfer_lines.py checks the lines
 reads.py        posterior and prediction, with what they rest on

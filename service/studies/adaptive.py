@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.commands.models import steps
+from service.commands.telling import steps
 from service.studies import app
 from service.studies.result import commit, write
 

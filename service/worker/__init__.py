@@ -1,7 +1,10 @@
 """Workers: processes that turn the log into posteriors.
 
-    lease.py      claim, heartbeat, commit, failure: the fenced moves of a cursor
+    claiming.py   who may take a rotor, and when
+    lease.py      heartbeat, commit, failure: the fenced moves of a cursor
+    task.py       what one update rests on: entries, and the state before them
     update.py     one rotor's pending entries become one new version
+    job_lease.py  claim, heartbeat, progress, end: the fenced moves of a job
     jobs.py       work that answers later: the registration or training of a model, a diagnosis
     training.py   runs that were uploaded become a model
     diagnosing.py what a diagnosis rests on, and its result as data

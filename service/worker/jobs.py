@@ -12,11 +12,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
-from json import dumps, loads
+from json import dumps
 from time import monotonic
-
-from sqlalchemy import ColumnElement, Connection, Engine, or_, select, update
 
 from core.errors import BladetwinError, FaultsError, InputError, ModelError
 from service import tracing
@@ -26,108 +23,22 @@ from service.handlers.diagnoses import KIND as DIAGNOSE
 from service.handlers.models import TRAIN
 from service.ports import Json, Progress, Science
 from service.settings import Settings
-from service.store import tables as t
-from service.store.engine import now_s, transaction
+from service.store.engine import now_s
 from service.store.outbox import post
 from service.store.unit_of_work import SqlStore, SqlTransaction
+from service.worker.claiming import Role
 from service.worker.diagnosing import diagnose
 from service.worker.heartbeat import heartbeats
-from service.worker.lease import Role, over
+from service.worker.job_lease import JobLease, beat_job, claim_job, close, give_back, tell_progress
 from service.worker.training import drop_runs, keep, refusal, train
 
 log = logging.getLogger("bladetwin.worker")
-c = t.job.c
-LONG = (DIAGNOSE, TRAIN)
 # Writes what a job comes to, in the transaction that ends it, and gives the job's result.
 Outcome = Callable[[SqlTransaction], Json]
 
 
 class StoppedError(BladetwinError):
     """The worker is to end: the job goes back as if it had not been begun."""
-
-
-@dataclass(frozen=True, slots=True)
-class JobLease:
-    """A claimed job."""
-
-    id: str
-    kind: str
-    request: Json
-    fence: int
-    attempts: int
-    rotor_id: str | None
-    traceparent: str | None = None
-
-
-def takes(role: Role) -> ColumnElement[bool]:
-    """The kinds of jobs that a worker of this role takes."""
-    return c.kind.in_(LONG) if role == "diagnose" else c.kind.not_in(LONG)
-
-
-def holds(lease: JobLease) -> ColumnElement[bool]:
-    """The fence: no one has claimed or cancelled the job since."""
-    return c.fence == lease.fence
-
-
-def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") -> JobLease | None:
-    """Take the oldest job of the role's kinds that nobody alive holds."""
-    free = or_(c.lease_until.is_(None), over(c.lease_until, lease_s))
-    rested = or_(c.not_before.is_(None), c.not_before <= now_s())
-    first = select(c.id).where(c.status.in_(("queued", "running")), takes(role), free, rested)
-    first = first.order_by(c.created_at).limit(1)
-    with transaction(engine, write=False) as connection:
-        if connection.execute(first).scalar() is None:
-            return None
-    with transaction(engine, write=True) as connection:
-        job_id = connection.execute(first.with_for_update(skip_locked=True)).scalar()
-        if job_id is None:
-            return None
-        take = (
-            update(t.job)
-            .where(c.id == job_id)
-            .values(
-                status="running",
-                fence=c.fence + 1,
-                attempts=c.attempts + 1,
-                owner=owner,
-                lease_until=now_s() + lease_s,
-            )
-        )
-        told = take.returning(c.kind, c.request, c.fence, c.attempts, c.rotor_id, c.traceparent)
-        row = connection.execute(told).one()
-        return JobLease(
-            id=job_id,
-            kind=row.kind,
-            request=loads(row.request),
-            fence=row.fence,
-            attempts=row.attempts,
-            rotor_id=row.rotor_id,
-            traceparent=row.traceparent,
-        )
-
-
-def beat_job(engine: Engine, lease: JobLease, lease_s: float) -> bool:
-    """Prolong the lease; False: the job is no longer the caller's."""
-    own = (c.id == lease.id) & holds(lease)
-    with transaction(engine, write=True) as connection:
-        beat = update(t.job).where(own).values(lease_until=now_s() + lease_s)
-        return connection.execute(beat).rowcount == 1
-
-
-def tell_progress(engine: Engine, lease: JobLease, progress: Json) -> None:
-    """Write how far a job is. LostLeaseError: it was cancelled, or another worker has it."""
-    own = (c.id == lease.id) & holds(lease)
-    with transaction(engine, write=True) as connection:
-        told = update(t.job).where(own).values(progress=dumps(progress))
-        if connection.execute(told).rowcount != 1:
-            raise LostLeaseError(f"job {lease.id}", lease.fence)
-
-
-def _close(connection: Connection, lease: JobLease, **values: object) -> None:
-    own = (c.id == lease.id) & holds(lease)
-    close = update(t.job).where(own).values(owner=None, lease_until=None, **values)
-    if connection.execute(close).rowcount != 1:
-        raise LostLeaseError(f"job {lease.id}", lease.fence)
 
 
 class Jobs:
@@ -172,7 +83,7 @@ class Jobs:
                 write = self.work(lease, span)
             with self.store.write() as tx:
                 result = write(tx)
-                _close(
+                close(
                     tx.connection,
                     lease,
                     status="done",
@@ -258,8 +169,8 @@ class Jobs:
 
     def _give_back(self, lease: JobLease) -> None:
         """To the queue; the attempt does not count."""
-        with suppress(LostLeaseError), transaction(self.store.engine, write=True) as connection:
-            _close(connection, lease, status="queued", attempts=c.attempts - 1, progress=None)
+        with suppress(LostLeaseError):
+            give_back(self.store.engine, lease)
 
     def _failed(self, lease: JobLease, error: Exception) -> None:
         final = isinstance(error, (InputError, FaultsError, NotFoundError))
@@ -272,7 +183,7 @@ class Jobs:
             with self.store.write() as tx:
                 if final and lease.kind == TRAIN:
                     drop_runs(tx, lease.id, lease.request)
-                _close(
+                close(
                     tx.connection,
                     lease,
                     status="failed" if final else "queued",

@@ -1,54 +1,18 @@
 """The fenced moves of a rotor's cursor.
 
-A claim raises the fence and takes a lease by the database's clock. Whoever finds the lease over
-may claim again with a higher fence; from then on the earlier worker's heartbeat and commit match
-no row and change nothing. The cursor moves in the transaction that writes the new version, so a
-worker that dies anywhere leaves either both or neither.
-
-A rotor is claimed to apply what is pending, or, when nothing is, to seal a provisional posterior.
-Sealing takes long and may wait: an entry that comes meanwhile is claimed over it at once, and the
-sealing worker's commit is one that came too late. But a stream without a pause must not put it off
-for ever: a rotor that has been provisional for `overdue_s` is sealed before anything more is
-applied, as far as it was applied, and what comes meanwhile waits for that one sealing.
-
-A rotor whose model changes (an entry that adopts effects or backs them out, `service.adopted`) is
-computed anew from its whole log, which takes as long as a sealing: that is the sealer's work, and
-entries that come with it or after it are applied with it. Nothing is claimed over it.
-
-A rotor is also claimed by name, to rebuild what was damaged (`claim_rotor`): under the same fence,
-and never from a worker whose lease still runs.
-
-The database's clock may be set back, and what was written before lies in its future then. A lease
-that ends later than any could that was given now (`AHEAD` times the caller's own) is over, and what
-began in the future began long ago: a rotor does not stand still until the clock has caught up. The
-fence makes that safe. The pause after a failed update alone may last longer; `retry` ends it.
+A claim (`service.worker.claiming`) raises the fence. From then on the heartbeat and the commit of
+whoever held the rotor before match no row and change nothing. The cursor moves in the transaction
+that writes the new version, so a worker that dies anywhere leaves either both or neither.
 
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Literal
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    Engine,
-    and_,
-    case,
-    exists,
-    false,
-    func,
-    not_,
-    or_,
-    select,
-    true,
-    update,
-)
+from sqlalchemy import ColumnElement, Connection, Engine, case, func, select, true, update
 
-from service.adopted import KINDS as CHANGES
 from service.errors import LostLeaseError
 from service.store import tables as t
 from service.store.engine import now_s, transaction
@@ -56,17 +20,6 @@ from service.store.log import lock_rotor, notify
 from service.store.outbox import post
 
 c = t.cursor.c
-Role = Literal["all", "apply", "seal", "diagnose", "deliver"]
-Kind = Literal["late", "apply", "model", "quiet"]
-KINDS: dict[Role, tuple[Kind, ...]] = {
-    "all": ("late", "apply", "model", "quiet"),
-    "apply": ("apply",),
-    "seal": ("late", "model", "quiet"),
-    "diagnose": (),
-    "deliver": (),
-}
-FOREVER = 1e12  # s
-AHEAD = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,61 +35,6 @@ class Lease:
     sealing: bool
 
 
-def pending() -> ColumnElement[bool]:
-    """Entries of the log, or the prior, are not applied yet."""
-    head = select(t.rotor.c.head_seq).where(t.rotor.c.id == c.rotor_id).scalar_subquery()
-    return or_(c.version == 0, c.applied_seq < head)
-
-
-def remodelled() -> ColumnElement[bool]:
-    """An entry that is not applied yet changes the model."""
-    e = t.entry.c
-    return exists().where(e.rotor_id == c.rotor_id, e.kind.in_(CHANGES), e.seq > c.applied_seq)
-
-
-def overdue(overdue_s: float) -> ColumnElement[bool]:
-    """The rotor has been provisional for too long."""
-    return and_(c.provisional_since.is_not(None), passed(c.provisional_since, overdue_s))
-
-
-def passed(since: ColumnElement[float], seconds: float) -> ColumnElement[bool]:
-    """So many seconds have passed since a moment; one in the future is from another clock."""
-    return or_(since <= now_s() - seconds, since > now_s() + 1.0)
-
-
-def over(until: ColumnElement[float], lease_s: float) -> ColumnElement[bool]:
-    """A lease has run out, or is longer than one that is given now."""
-    return or_(until <= now_s(), until > now_s() + AHEAD * lease_s)
-
-
-def unheld(lease_s: float) -> ColumnElement[bool]:
-    """Nobody alive holds the rotor."""
-    return or_(c.lease_until.is_(None), over(c.lease_until, lease_s))
-
-
-def ran_out(lease_s: float) -> ColumnElement[bool]:
-    """Somebody held the rotor and did not give it back."""
-    return over(c.lease_until, lease_s)
-
-
-def claimable(
-    kind: Kind, *, lease_s: float, quiet_s: float, overdue_s: float
-) -> ColumnElement[bool]:
-    """There is work of this kind, nobody alive holds it, and no pause is running."""
-    free = unheld(lease_s)
-    late = overdue(overdue_s)
-    due = {
-        "late": and_(late, free),
-        "apply": and_(
-            pending(), not_(remodelled()), or_(free, and_(c.sealing == true(), not_(late)))
-        ),
-        "model": and_(remodelled(), free),
-        "quiet": and_(not_(pending()), free, passed(c.dirty_since, quiet_s)),
-    }[kind]
-    rested = or_(c.not_before.is_(None), c.not_before <= now_s())
-    return and_(c.dirty == true(), c.blocked == false(), rested, due)
-
-
 def holds(lease: Lease) -> ColumnElement[bool]:
     """The fence: no one has claimed the rotor since."""
     return c.fence == lease.fence
@@ -150,75 +48,6 @@ def moves_on(lease: Lease) -> ColumnElement[bool]:
 def owned(lease: Lease) -> ColumnElement[bool]:
     """The claim is the caller's own."""
     return c.owner == lease.owner
-
-
-def claim(
-    engine: Engine,
-    owner: str,
-    lease_s: float,
-    *,
-    role: Role = "all",
-    quiet_s: float = 0.0,
-    overdue_s: float = math.inf,
-) -> Lease | None:
-    """Take the rotor that has waited longest; None: nothing to do.
-
-    Pending entries go before sealing; a rotor is sealed when it was quiet for `quiet_s`, and before
-    anything else when it was provisional for `overdue_s`.
-    """
-    for kind in KINDS[role]:
-        due = claimable(kind, lease_s=lease_s, quiet_s=quiet_s, overdue_s=min(overdue_s, FOREVER))
-        lease = _claim(engine, owner, lease_s, kind in ("late", "quiet"), due)
-        if lease is not None:
-            return lease
-    return None
-
-
-def _claim(
-    engine: Engine, owner: str, lease_s: float, sealing: bool, due: ColumnElement[bool]
-) -> Lease | None:
-    first = select(c.rotor_id).where(due).order_by(c.dirty_since).limit(1)
-    with transaction(engine, write=False) as connection:
-        if connection.execute(first).scalar() is None:
-            return None
-    locked = first.with_for_update(skip_locked=True, of=t.cursor)
-    with transaction(engine, write=True) as connection:
-        rotor_id = connection.execute(locked).scalar()
-        if rotor_id is None:
-            return None
-        take = (
-            update(t.cursor)
-            .where(c.rotor_id == rotor_id)
-            .values(
-                fence=c.fence + 1,
-                attempts=c.attempts + 1,
-                owner=owner,
-                lease_until=now_s() + lease_s,
-                sealing=sealing,
-                takeovers=c.takeovers + case((ran_out(lease_s), 1), else_=0),
-            )
-            .returning(c.fence, c.applied_seq, c.version, c.attempts)
-        )
-        row = connection.execute(take).one()
-    return Lease(rotor_id, owner, row.fence, row.applied_seq, row.version, row.attempts, sealing)
-
-
-def claim_rotor(engine: Engine, rotor_id: str, owner: str, lease_s: float) -> Lease | None:
-    """Take this rotor to rebuild what it has; None: a worker holds it.
-
-    No attempt is counted, and entries wait until the lease is given back.
-    """
-    take = (
-        update(t.cursor)
-        .where(c.rotor_id == rotor_id, unheld(lease_s))
-        .values(fence=c.fence + 1, owner=owner, lease_until=now_s() + lease_s, sealing=False)
-        .returning(c.fence, c.applied_seq, c.version, c.attempts)
-    )
-    with transaction(engine, write=True) as connection:
-        row = connection.execute(take).one_or_none()
-    if row is None:
-        return None
-    return Lease(rotor_id, owner, row.fence, row.applied_seq, row.version, row.attempts, True)
 
 
 def keep(connection: Connection, lease: Lease) -> None:

@@ -19,8 +19,8 @@ from service.errors import StoreAwayError
 from service.ports import Science
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
+from service.worker.claiming import Role
 from service.worker.jobs import Jobs
-from service.worker.lease import Role
 from service.worker.residuals import Residuals
 from service.worker.update import Updater
 from service.worker.wake import open_wake

@@ -34,9 +34,11 @@ from service.store.engine import snapshot, transaction
 from service.store.log import read_entries
 from service.store.states import ENDED, digests, stored, thin
 from service.store.unit_of_work import SqlStore
+from service.worker import claiming
 from service.worker import lease as leases
 from service.worker.lease import Lease
-from service.worker.update import Updater, spec_of
+from service.worker.task import anew, spec_of
+from service.worker.update import Updater
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +147,7 @@ def repair(
     HeldError: a worker holds the rotor. LostLeaseError: somebody took it meanwhile.
     """
     engine = updater.engine
-    lease = leases.claim_rotor(engine, rotor_id, updater.owner, updater.settings.lease_s)
+    lease = claiming.claim_rotor(engine, rotor_id, updater.owner, updater.settings.lease_s)
     if lease is None:
         with transaction(engine, write=False) as connection:
             query = select(t.cursor.c.owner).where(t.cursor.c.rotor_id == rotor_id)
@@ -162,7 +164,7 @@ def repair(
                 elif row is not None:
                     dropped.append(number)
             if renew or (lease.version in bad and lease.version not in restored):
-                task = updater.anew(lease)
+                task = anew(updater.store, updater.science, lease)
                 state = updater.compute(task, quick=False)
         if task is not None and state is not None:
             version = updater.commit(lease, task, state, updater.change(task, state))

@@ -21,7 +21,8 @@ from sqlalchemy import Engine
 
 import service
 from service.errors import StoreAwayError
-from service.worker.lease import Role, release
+from service.worker.claiming import Role
+from service.worker.lease import release
 from service.worker.loop import owner_name
 
 log = logging.getLogger("bladetwin.supervisor")

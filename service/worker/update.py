@@ -4,11 +4,8 @@ Read the entries since the cursor, compute outside any transaction while a heart
 lease, commit state and cursor together. A state that the science calls provisional is committed
 as such and the rotor stays dirty: the next pass finds nothing pending and seals it.
 
-The worker keeps the last state that it wrote. It is used only while its version is the one that
-the claim read, so that another worker's commit in between makes this one read the database.
-
-A state that turns out damaged when it is loaded, or when one of its arrays is, is left alone: the
-next version is computed from the log without it, and every array is written anew.
+An array of the state before that turns out damaged is dealt with as a damaged state is
+(`service.worker.task`): the version is computed from the log, and every array is written anew.
 """
 
 from __future__ import annotations
@@ -16,79 +13,36 @@ from __future__ import annotations
 import logging
 from collections import OrderedDict
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
 from time import perf_counter
 
 from sqlalchemy import Engine
 
 from core.digest import state_digest
 from core.errors import CalibrationError
-from core.observation import Entry, effective
-from service.adopted import adopted_at
-from service.entries import entries_of
+from core.observation import effective
 from service.errors import DamagedError, LostLeaseError, StoreAwayError
 from service.kernels import CompiledError
-from service.ports import (
-    ModelCard,
-    RotorRecord,
-    RotorSpec,
-    RotorState,
-    Science,
-    StateRecord,
-)
+from service.ports import RotorState, Science, StateRecord
 from service.settings import Settings
 from service.store.encoding import Encoded, encode
 from service.store.engine import transaction
-from service.store.log import read_entries
 from service.store.outbox import trim
-from service.store.states import digests, thin, write_state
-from service.store.unit_of_work import SqlStore, SqlTransaction
+from service.store.states import thin, write_state
+from service.store.unit_of_work import SqlStore
 from service.tracing import span
+from service.worker import claiming
 from service.worker import lease as leases
+from service.worker import task as tasks
 from service.worker.alarm import alarm
 from service.worker.heartbeat import heartbeats
 from service.worker.lease import Lease
+from service.worker.task import Memory, Task
 from service.worker.traced import Told, told
 
 log = logging.getLogger("bladetwin.worker")
 THIN_EVERY = 16
 # SHA-256 of each array of a version, and the arrays to write (None: the name ended)
 Change = tuple[dict[str, str], dict[str, Encoded | None]]
-
-
-@dataclass(slots=True)
-class Memory:
-    """What a worker remembers of a rotor: valid for one version only.
-
-    anew   the stored state is not used, and all that replaces it is written
-    """
-
-    version: int
-    through: int
-    state: RotorState | None
-    sha256: dict[str, str]
-    entries: list[Entry]
-    anew: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """Everything that one update rests on."""
-
-    card: ModelCard
-    spec: RotorSpec
-    through: int
-    entries: list[Entry]
-    pending: int
-    memory: Memory
-
-
-def spec_of(tx: SqlTransaction, rotor: RotorRecord, through: int) -> RotorSpec:
-    """The rotor as an update through entry `through` sees it."""
-    blades = [b for b in tx.records.blades(rotor.id) if b.added_seq <= through]
-    known = {b.id: b.known for b in blades if b.known is not None}
-    name = rotor.origin or rotor.id
-    return RotorSpec(name, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)
 
 
 class Updater:
@@ -100,7 +54,7 @@ class Updater:
         science: Science,
         settings: Settings,
         owner: str,
-        role: leases.Role = "all",
+        role: claiming.Role = "all",
     ) -> None:
         self.store = store
         self.science = science
@@ -116,7 +70,7 @@ class Updater:
 
     def run_once(self) -> bool:
         """Claim a rotor and bring it up to date; False: there was nothing to claim."""
-        lease = leases.claim(
+        lease = claiming.claim(
             self.engine,
             self.owner,
             self.settings.lease_s,
@@ -184,61 +138,7 @@ class Updater:
 
     def read(self, lease: Lease) -> Task:
         """The rotor, its entries up to the head, and the state before them."""
-        with self.store.read() as tx:
-            rotor = tx.records.rotor(lease.rotor_id)
-            card = tx.records.model(rotor.model_id, rotor.model_version)
-            memory = self._memory.get(lease.rotor_id)
-            if memory is None or (memory.version, memory.through) != (
-                lease.version,
-                lease.applied_seq,
-            ):
-                memory = self._restore(tx, lease, memory)
-            through = lease.applied_seq if lease.sealing else rotor.head_seq
-            fresh = read_entries(tx.connection, rotor.id, memory.through, through)
-            spec = spec_of(tx, rotor, through)
-            network = adopted_at(tx, rotor, through).network
-        readings = entries_of(fresh)
-        return Task(
-            card=self.science.vary(card, network),
-            spec=spec,
-            through=through,
-            entries=memory.entries + readings,
-            pending=len(readings),
-            memory=memory,
-        )
-
-    def _restore(self, tx: SqlTransaction, lease: Lease, stale: Memory | None) -> Memory:
-        """The state that the claim read. The log only grows: entries known already stay."""
-        known, entries = (0, []) if stale is None else (stale.through, stale.entries)
-        if known > lease.applied_seq:
-            known, entries = 0, []
-        events = read_entries(tx.connection, lease.rotor_id, known, lease.applied_seq)
-        entries = entries + entries_of(events)
-        if lease.version == 0:
-            return Memory(0, 0, None, {}, entries)
-        sha256 = digests(tx.connection, lease.rotor_id)
-        memory = Memory(lease.version, lease.applied_seq, None, sha256, entries, anew=True)
-        try:
-            record = tx.states.get(lease.rotor_id, lease.version)
-            arrays = self.store.arrays(lease.rotor_id, lease.version)
-            memory.state, memory.anew = self.science.restore(record.meta, arrays), False
-        except DamagedError as error:
-            log.error("%s The worker rebuilds it from the log now.", error)
-        return memory
-
-    def anew(self, lease: Lease) -> Task:
-        """The rotor's entries up to the cursor, and no state: all is computed and written."""
-        with self.store.read() as tx:
-            rotor = tx.records.rotor(lease.rotor_id)
-            card = tx.records.model(rotor.model_id, rotor.model_version)
-            through = lease.applied_seq
-            entries = entries_of(read_entries(tx.connection, rotor.id, 0, through))
-            spec = spec_of(tx, rotor, through)
-            names = digests(tx.connection, rotor.id)
-            network = adopted_at(tx, rotor, through).network
-        memory = Memory(lease.version, through, None, names, entries, anew=True)
-        varied = self.science.vary(card, network)
-        return Task(varied, spec, through, entries, 0, memory)
+        return tasks.read(self.store, self.science, lease, self._memory.get(lease.rotor_id))
 
     def compute(self, task: Task, *, quick: bool) -> RotorState:
         """The new posterior: quick when entries were pending, else sealed."""
@@ -316,7 +216,7 @@ class Updater:
         block = lease.attempts >= self.settings.max_attempts
         event = error.event if isinstance(error, CalibrationError) else None
         if block and event is None and task is not None and task.pending:
-            event = self.culprit(task)
+            event = tasks.culprit(self.science, task)
         pause = min(
             self.settings.retry_max_s, self.settings.retry_base_s * 2 ** (lease.attempts - 1)
         )
@@ -326,21 +226,6 @@ class Updater:
             trim(self.engine, lease.rotor_id, self.settings.keep_events)
         self._memory.pop(lease.rotor_id, None)
         log.error("rotor %s: attempt %d failed: %s", lease.rotor_id, lease.attempts, text)
-
-    def culprit(self, task: Task) -> str | None:
-        """The first pending entry with which the update fails, by bisection."""
-        done = len(task.entries) - task.pending
-        works, fails = done, len(task.entries)
-        while fails - works > 1:
-            middle = (works + fails) // 2
-            readings = effective(task.entries[:middle])
-            try:
-                self.science.update(task.card, task.spec, readings, task.memory.state, quick=True)
-            except Exception:
-                fails = middle
-            else:
-                works = middle
-        return task.entries[fails - 1].target
 
     def heartbeats(self, lease: Lease) -> AbstractContextManager[None]:
         """Prolong the lease every third of it, while the block runs."""

@@ -18,8 +18,8 @@ from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.check import Findings, check
 from service.studies.chaos.twin import Descent
+from service.worker import claiming, update
 from service.worker import lease as leases
-from service.worker import update
 from service.worker.update import Updater
 from tests.chaos import mutants
 
@@ -105,7 +105,7 @@ def dies_in_commit(pair: Pair) -> None:
 
 
 def claimed(pair: Pair, owner: str) -> leases.Lease:
-    lease = leases.claim(pair.store.engine, owner, 60.0)
+    lease = claiming.claim(pair.store.engine, owner, 60.0)
     assert lease is not None
     return lease
 

@@ -15,8 +15,9 @@ from service.store.unit_of_work import SqlStore
 from service.studies.chaos.check import check
 from service.studies.chaos.clock import Clock
 from service.studies.chaos.twin import Descent
+from service.worker import claiming
 from service.worker import lease as leases
-from service.worker.jobs import claim_job
+from service.worker.job_lease import claim_job
 from service.worker.loop import Worker
 
 Make = Callable[..., Inspection]
@@ -34,13 +35,13 @@ def test_a_dead_workers_rotor_is_taken_over_though_the_clock_was_set_back(
 ) -> None:
     clock, engine = Clock(store.engine), store.engine
     post(rotor, reading("a"))
-    assert leases.claim(engine, "dead", LEASE_S) is not None
-    assert leases.claim(engine, "other", LEASE_S) is None
+    assert claiming.claim(engine, "dead", LEASE_S) is not None
+    assert claiming.claim(engine, "other", LEASE_S) is None
     clock.ahead = -HOUR
-    lease = leases.claim(engine, "other", LEASE_S)
+    lease = claiming.claim(engine, "other", LEASE_S)
     assert lease is not None
     assert lease.fence == 2
-    assert leases.claim(engine, "third", LEASE_S) is None, "the new lease holds"
+    assert claiming.claim(engine, "third", LEASE_S) is None, "the new lease holds"
     assert clock.asked > 0
 
 
@@ -57,14 +58,14 @@ def test_a_dead_workers_job_is_taken_over_though_the_clock_was_set_back(store: S
 def test_without_the_bound_a_rotor_waits_until_the_clock_has_caught_up(
     store: SqlStore, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(leases, "AHEAD", 1e9)
+    monkeypatch.setattr(claiming, "AHEAD", 1e9)
     clock, engine = Clock(store.engine), store.engine
     post(rotor, reading("a"))
-    assert leases.claim(engine, "dead", LEASE_S) is not None
+    assert claiming.claim(engine, "dead", LEASE_S) is not None
     clock.ahead = -HOUR
-    assert leases.claim(engine, "other", LEASE_S) is None, "mutant"
+    assert claiming.claim(engine, "other", LEASE_S) is None, "mutant"
     clock.ahead = HOUR
-    assert leases.claim(engine, "other", LEASE_S) is not None
+    assert claiming.claim(engine, "other", LEASE_S) is not None
 
 
 def test_a_rotor_is_sealed_though_the_clock_was_set_back(
@@ -90,7 +91,7 @@ def test_a_clock_that_jumps_during_an_update_applies_nothing_twice(
     clock = Clock(store.engine)
     told = {(rotor, "a"): post(rotor, reading("a"))}
     first = make_worker(store, Descent(provisional=True), twin.settings, "first").updater
-    lease = leases.claim(store.engine, "first", LEASE_S)
+    lease = claiming.claim(store.engine, "first", LEASE_S)
     assert lease is not None
     task = first.read(lease)
     state = first.compute(task, quick=True)
@@ -120,7 +121,7 @@ def test_without_the_fence_a_jump_is_seen_in_the_tables(
     clock = Clock(store.engine)
     told = {(rotor, "a"): post(rotor, reading("a"))}
     first = make_worker(store, Descent(provisional=True), twin.settings, "first").updater
-    lease = leases.claim(store.engine, "first", LEASE_S)
+    lease = claiming.claim(store.engine, "first", LEASE_S)
     assert lease is not None
     task = first.read(lease)
     state = first.compute(task, quick=True)

@@ -16,8 +16,8 @@ import pytest
 
 from core.archive import Archive, Input, Mesh, Quantity, Run
 from core.archive.claims import Claims, ended, exclusive, owner, started
+from core.archive.disk import link_file
 from core.archive.shared import SharedRuns
-from core.archive.store import link_file
 from core.errors import ModelError
 
 RUNS = 12

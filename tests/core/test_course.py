@@ -75,3 +75,18 @@ def test_pieces_cover_the_time_once_and_keep_the_integral(
 def test_what_is_no_course_is_refused(bad: list[tuple[float, float]]) -> None:
     with pytest.raises(InputError, match="course"):
         Course.of(bad)
+
+
+def test_a_shifted_course_counts_from_an_hour_of_its_own() -> None:
+    """What was at hour 3000 is at 1000 where the count began at 2000; before that it goes on."""
+    late = RAMP.shifted(2000.0)
+    assert late.points == ((-1000.0, 1.0), (3000.0, 0.6))
+    hours = np.array([0.0, 1000.0, 2500.0, 9e4])
+    assert late.at(hours) == pytest.approx([0.9, 0.8, 0.65, 0.6], abs=1e-12)
+    assert late.at(hours) == pytest.approx(RAMP.at(hours + 2000.0), abs=1e-12)
+    assert late.shifted(-2000.0) == RAMP
+
+
+def test_a_shifted_step_counts_from_its_shifted_hour_on() -> None:
+    early = STEP.shifted(-500.0)
+    assert early.at(np.array([2499.9, 2500.0])).tolist() == [0.9, 0.95]

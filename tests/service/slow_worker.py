@@ -8,7 +8,7 @@ from typing import cast
 from service.bootstrap import make_store, make_worker
 from service.fake import FakeScience
 from service.settings import Settings
-from service.worker.lease import Role
+from service.worker.claiming import Role
 from service.worker.loop import end_with_parent, run_worker
 
 

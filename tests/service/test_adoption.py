@@ -22,7 +22,8 @@ from service.bootstrap import make_worker
 from service.bundle import BundleError
 from service.cli import app as commands
 from service.client import Client, ProblemError
-from service.handlers.adoptions import _concerns, adopt
+from service.handlers.adoptable import concerns
+from service.handlers.adoptions import adopt
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
 from service.handlers.rotors import add_blade, create_rotor, view_rotor
@@ -34,7 +35,7 @@ from service.store.audit import audit
 from service.store.engine import snapshot, transaction
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore
-from service.worker import jobs
+from service.worker import claiming, job_lease
 from service.worker import lease as leases
 from service.worker.loop import Worker
 from service.worker.rebuild import replay
@@ -341,12 +342,12 @@ def test_readings_that_came_since_are_told_and_readings_that_are_gone_forbid_it(
 
 def test_a_blade_that_joined_since_forbids_only_effects_that_would_concern_it() -> None:
     effect = {"whom": "lot", "value": "L1", "clock": "blade", "shape": "constant"}
-    assert _concerns(effect, BladeRecord("B9", lot="L1"))
-    assert not _concerns(effect, BladeRecord("B9", lot="L2"))
+    assert concerns(effect, BladeRecord("B9", lot="L1"))
+    assert not concerns(effect, BladeRecord("B9", lot="L2"))
     step = {"whom": "all", "value": None, "clock": "rotor", "shape": "step"}
-    assert _concerns(step, BladeRecord("B9"))
-    assert not _concerns(step | {"clock": "blade"}, BladeRecord("B9"))
-    assert not _concerns(step | {"shape": "constant"}, BladeRecord("B9"))
+    assert concerns(step, BladeRecord("B9"))
+    assert not concerns(step | {"clock": "blade"}, BladeRecord("B9"))
+    assert not concerns(step | {"shape": "constant"}, BladeRecord("B9"))
 
 
 def test_a_new_blade_of_the_lot_is_named_in_the_refusal(
@@ -439,7 +440,7 @@ def test_without_the_fence_it_would_be(
 ) -> None:
     """The mutant: who holds a job is not asked."""
     automatic(store, settings, post, reading, "effect")
-    monkeypatch.setattr(jobs, "holds", lambda lease: t.job.c.id == lease.id)
+    monkeypatch.setattr(job_lease, "holds", lambda lease: t.job.c.id == lease.id)
     assert lost(store, settings) == ("done", 13)
 
 
@@ -472,7 +473,7 @@ def test_a_worker_that_dies_over_the_new_model_leaves_one_version_for_the_next(
 ) -> None:
     api.post(f"/v1/rotors/r1/diagnoses/{named}/adoption")
     first, second = (make_worker(store, science, settings, name).updater for name in "ab")
-    lease = leases.claim(store.engine, "a", 30.0)
+    lease = claiming.claim(store.engine, "a", 30.0)
     assert lease is not None
     task = first.read(lease)
     state = first.compute(task, quick=True)

@@ -26,8 +26,9 @@ from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
-from service.worker import jobs
-from service.worker.jobs import Jobs, beat_job, claim_job
+from service.worker import job_lease
+from service.worker.job_lease import beat_job, claim_job
+from service.worker.jobs import Jobs
 from service.worker.lease import release
 from service.worker.loop import Worker
 
@@ -250,7 +251,7 @@ def test_without_the_fence_the_first_worker_would_write_over_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The mutant: who holds a job is not asked."""
-    monkeypatch.setattr(jobs, "holds", lambda lease: t.job.c.id == lease.id)
+    monkeypatch.setattr(job_lease, "holds", lambda lease: t.job.c.id == lease.id)
     name, finished = taken_over(store, settings, science)
     assert [str(find_diagnosis(store, "r1", name).finished_at)] != finished
 

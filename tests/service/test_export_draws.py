@@ -150,7 +150,7 @@ def state() -> Any:
         )
     ]  # fmt: skip
     spec = RotorSpec("r1", ("B1", "B2", "B3"), 4000, 5)
-    return update(science._model(card), spec, readings, None, quick=False)
+    return update(science.models.of(card), spec, readings, None, quick=False)
 
 
 def test_joint_draws_have_each_blade_s_own_moments(state: Any) -> None:

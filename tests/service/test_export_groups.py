@@ -145,7 +145,7 @@ def test_a_blade_by_formula_is_read_again_as_the_prediction_says() -> None:
         Inspection(f"{b}{t:g}", b, "elongation", t, np.array([v]), sigma=s) for b, t, v, s in given
     ]
     spec = RotorSpec("r1", ("B1", "B2"), 4000, 5)
-    model = science._model(card)
+    model = science.models.of(card)
     state = update(model, spec, readings, None, quick=False)
     get = state.arrays.__getitem__
     drawn = joint_draws(state.meta, get, ("B1", "B2"), 4000)

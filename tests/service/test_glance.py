@@ -12,7 +12,7 @@ import pytest
 from core.observation import Inspection
 from service.handlers.inspections import retract
 from service.store.unit_of_work import SqlStore
-from service.worker.lease import claim_rotor
+from service.worker.claiming import claim_rotor
 from service.worker.loop import Worker
 
 Json = dict[str, Any]

@@ -40,8 +40,8 @@ from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.check import check
 from service.studies.chaos.twin import Descent
+from service.worker import claiming, update
 from service.worker import lease as leases
-from service.worker import update
 from tests.chaos import mutants
 
 Json = dict[str, Any]
@@ -260,7 +260,7 @@ class Machine(RuleBasedStateMachine):
     def race(self, one: Json, overtaken: bool) -> None:
         """An entry comes between a worker's reading and its commit; another worker may, too."""
         first, second = (worker.updater for worker in self.workers)
-        lease = leases.claim(self.store.engine, first.owner, 60.0)
+        lease = claiming.claim(self.store.engine, first.owner, 60.0)
         if lease is None:
             return
         task = first.read(lease)

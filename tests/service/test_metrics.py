@@ -24,6 +24,7 @@ from service.prometheus import Counter, Histogram, sample
 from service.settings import Settings
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
+from service.worker import claiming
 from service.worker import lease as leases
 from service.worker.loop import Worker
 
@@ -146,14 +147,14 @@ def taken_over(store: SqlStore, api: httpx.Client) -> list[float]:
     """Takeovers after a claim, a claim of a lease that ran out, and one of a released rotor."""
     engine = store.engine
     counts = []
-    assert leases.claim(engine, "first", 60.0) is not None
+    assert claiming.claim(engine, "first", 60.0) is not None
     counts.append(gauge(read(api), "takeovers_total"))
     with transaction(engine, write=True) as connection:
         connection.execute(text("UPDATE cursor SET lease_until = 1.0"))
-    assert leases.claim(engine, "second", 60.0) is not None
+    assert claiming.claim(engine, "second", 60.0) is not None
     counts.append(gauge(read(api), "takeovers_total"))
     assert leases.release(engine, "second") == 1
-    assert leases.claim(engine, "third", 60.0) is not None
+    assert claiming.claim(engine, "third", 60.0) is not None
     counts.append(gauge(read(api), "takeovers_total"))
     return counts
 
@@ -167,7 +168,7 @@ def test_only_a_lease_that_ran_out_is_a_takeover(api: httpx.Client, store: SqlSt
 def test_a_claim_that_counts_every_lease_is_noticed(
     api: httpx.Client, store: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(leases, "ran_out", lambda lease_s: true())
+    monkeypatch.setattr(claiming, "ran_out", lambda lease_s: true())
     assert taken_over(store, api) != [0, 1, 1], "mutant"
 
 

@@ -236,7 +236,7 @@ def test_a_network_that_changes_nothing_gives_the_bit_identical_state(
     told = readings(instrument="gauge 1")
     inspections = [Inspection(values=np.array([one.pop("value")]), **one) for one in told]
     spec = online.RotorSpec("r1", ("B1", "B2"), 512, 5)
-    alone = online.update(science._loaded("rotor-blade"), spec, inspections)
+    alone = online.update(science.models.of(science.builtin("rotor-blade")), spec, inspections)
     state = twin.rotor("r1")["posterior"]
     assert state["state_digest"] == alone.digest
     assert twin.posterior("r1")["rests_on"]["model_digest"] == twin.model("rotor-blade")["digest"]

@@ -33,7 +33,7 @@ from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import open_engine, transaction
 from service.store.unit_of_work import SqlStore
-from service.worker.lease import Role
+from service.worker.claiming import Role
 from service.worker.supervise import Supervisor
 from tests import exchanger
 from tests.service.conftest import RunningServer, served

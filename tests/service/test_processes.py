@@ -26,7 +26,7 @@ from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
-from service.worker.lease import Role
+from service.worker.claiming import Role
 from service.worker.supervise import Supervisor
 
 ROOT = Path(__file__).parents[2]

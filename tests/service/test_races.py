@@ -28,6 +28,7 @@ from service.store import tables as t
 from service.store.engine import transaction
 from service.store.log import SqlLog
 from service.store.unit_of_work import SqlStore
+from service.worker import claiming
 from service.worker import lease as leases
 from service.worker import update as updates
 
@@ -91,7 +92,7 @@ class Race:
 
     def second_commits_while_first_computes(self) -> None:
         first, second = self.updater("first"), self.updater("second")
-        lease = leases.claim(self.store.engine, "first", 60.0)
+        lease = claiming.claim(self.store.engine, "first", 60.0)
         assert lease is not None
         task = first.read(lease)
         state = first.compute(task, quick=not lease.sealing)
@@ -220,24 +221,24 @@ def test_a_cursor_outside_the_transaction_is_noticed_after_a_crash(
 def two_claims_of_one(race: Race) -> None:
     """A worker believed dead must not prolong what another one holds."""
     engine = race.store.engine
-    first = leases.claim(engine, "first", 60.0)
+    first = claiming.claim(engine, "first", 60.0)
     assert first is not None
     race.expire()
-    second = leases.claim(engine, "second", 60.0)
+    second = claiming.claim(engine, "second", 60.0)
     assert second is not None
     race.expire()
     assert not leases.heartbeat(engine, first, 3600.0), "the dead one beats"
-    assert leases.claim(engine, "third", 60.0) is not None, "nobody can claim"
+    assert claiming.claim(engine, "third", 60.0) is not None, "nobody can claim"
 
 
 def released_claim(race: Race) -> None:
     """A worker whose lease was given back must not take it again by its heartbeat."""
     engine = race.store.engine
-    first = leases.claim(engine, "first", 60.0)
+    first = claiming.claim(engine, "first", 60.0)
     assert first is not None
     assert leases.release(engine, "first") == 1
     assert not leases.heartbeat(engine, first, 3600.0), "the released one beats"
-    assert leases.claim(engine, "second", 60.0) is not None, "nobody can claim"
+    assert claiming.claim(engine, "second", 60.0) is not None, "nobody can claim"
 
 
 @pytest.mark.parametrize("scenario", [two_claims_of_one, released_claim])
@@ -270,7 +271,7 @@ def test_a_rotor_is_claimed_by_one_of_many(race: Race) -> None:
 
     def attempt(name: str) -> None:
         start.wait()
-        lease = leases.claim(race.store.engine, name, 60.0)
+        lease = claiming.claim(race.store.engine, name, 60.0)
         if lease is not None:
             won.append(lease)
 
@@ -338,7 +339,7 @@ def test_an_entry_that_comes_during_an_update_is_not_lost(
 ) -> None:
     updater = race.updater("w")
     post(rotor, reading("a"))
-    lease = leases.claim(race.store.engine, "w", 60.0)
+    lease = claiming.claim(race.store.engine, "w", 60.0)
     assert lease is not None
     task = updater.read(lease)
     post(rotor, reading("b"))
@@ -357,7 +358,7 @@ def sealing(
     race.provisional = True
     post(rotor, reading("a"))
     assert race.updater("before").run_once()
-    lease = leases.claim(race.store.engine, "sealer", 60.0, role="seal", overdue_s=0.0)
+    lease = claiming.claim(race.store.engine, "sealer", 60.0, role="seal", overdue_s=0.0)
     assert lease is not None
     assert lease.sealing
     return race.updater("sealer"), lease
@@ -367,11 +368,11 @@ def test_an_entry_is_not_kept_waiting_by_a_sealing(
     race: Race, rotor: str, reading: Make, post: Post
 ) -> None:
     sealer, lease = sealing(race, rotor, reading, post)
-    assert leases.claim(race.store.engine, "second", 60.0) is None, "nothing is pending"
+    assert claiming.claim(race.store.engine, "second", 60.0) is None, "nothing is pending"
     task = sealer.read(lease)
     state = sealer.compute(task, quick=False)
     post(rotor, reading("b", blade="B2"))
-    assert leases.claim(race.store.engine, "other", 60.0, role="seal") is None
+    assert claiming.claim(race.store.engine, "other", 60.0, role="seal") is None
     applier = race.updater("applier")
     applier.role = "apply"
     assert applier.run_once()
@@ -393,8 +394,8 @@ def test_a_busy_rotor_is_not_sealed_before_it_is_quiet(
     post(rotor, reading("a"))
     assert race.updater("before").run_once()
     engine = race.store.engine
-    assert leases.claim(engine, "sealer", 60.0, role="seal", quiet_s=3600.0) is None
-    assert leases.claim(engine, "sealer", 60.0, role="seal", quiet_s=0.0) is not None
+    assert claiming.claim(engine, "sealer", 60.0, role="seal", quiet_s=3600.0) is None
+    assert claiming.claim(engine, "sealer", 60.0, role="seal", quiet_s=0.0) is not None
 
 
 def endless_stream(race: Race, rotor: str, reading: Make, post: Post) -> list[bool]:
@@ -425,7 +426,7 @@ def test_a_stream_without_a_pause_is_sealed_all_the_same(
 def test_without_the_limit_a_stream_is_never_sealed(
     race: Race, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(leases, "overdue", lambda overdue_s: false())
+    monkeypatch.setattr(claiming, "overdue", lambda overdue_s: false())
     assert endless_stream(race, rotor, reading, post) == [False] * 4, "mutant"
 
 
@@ -436,7 +437,7 @@ def test_entries_wait_for_a_sealing_that_is_overdue(
     engine = race.store.engine
     task = sealer.read(lease)
     post(rotor, reading("b", blade="B2"))
-    assert leases.claim(engine, "applier", 60.0, role="apply", overdue_s=0.0) is None
+    assert claiming.claim(engine, "applier", 60.0, role="apply", overdue_s=0.0) is None
     state = sealer.compute(task, quick=False)
     sealer.commit(lease, task, state, sealer.change(task, state))
     assert race.updater("applier").run_once()

@@ -25,9 +25,10 @@ from service.store import tables as t
 from service.store.audit import Finding, audit
 from service.store.engine import snapshot, transaction
 from service.store.unit_of_work import SqlStore
+from service.worker import claiming, rebuild
 from service.worker import lease as leases
-from service.worker import rebuild
 from service.worker.loop import Worker
+from service.worker.task import anew
 from service.worker.update import Updater
 from tests.service.smooth import formula_science
 
@@ -262,9 +263,9 @@ def test_a_replay_differs_where_a_state_was_changed_together_with_its_digests(
     """Nothing but the log tells: every digest was made to fit."""
     science = FakeScience()
     assert rebuild.replay(store, science, worn)["same"] is True
-    lease = leases.claim_rotor(store.engine, worn, "forger", 60.0)
+    lease = claiming.claim_rotor(store.engine, worn, "forger", 60.0)
     assert lease is not None
-    task = worker.updater.anew(lease)
+    task = anew(store, worker.updater.science, lease)
     state = science.update(task.card, task.spec, [], None, quick=False)
     meta = {**state.meta, "events_digest": findings_digest(store, worn)}
     forged = replace(state, meta=meta)
@@ -291,7 +292,7 @@ def test_a_rotor_is_not_repaired_beside_a_worker_at_work(
 ) -> None:
     updater = make_worker(store, FakeScience(), settings, "at-work").updater
     post(worn, reading("later"))
-    lease = leases.claim(store.engine, "at-work", 60.0)
+    lease = claiming.claim(store.engine, "at-work", 60.0)
     assert lease is not None
     damage(store, "UPDATE state SET digest = 'x' WHERE version = 4")
     other = make_worker(store, FakeScience(), settings, "other").updater

@@ -13,8 +13,9 @@ from core.errors import ModelError
 from service.bootstrap import make_worker
 from service.client import Client
 from service.handlers.models import register_builtins
+from service.models import NAME, SPECIMENS
 from service.ports import Science
-from service.science import NAME, SPECIMENS, CoreScience
+from service.science import CoreScience
 from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.unit_of_work import SqlStore

@@ -115,7 +115,9 @@ def test_the_posterior_model_is_the_prediction_of_core(
     told = model([[9000.0, 41_000.5]], config)
     with store.read() as tx:
         own = blade_posterior(here.state.meta, tx.states.reader(here.state), "B1")
-        truth = predict(science._model(here.card), own, "elongation", [9000.0, 41_000.5], None, 0.9)
+        truth = predict(
+            science.models.of(here.card), own, "elongation", [9000.0, 41_000.5], None, 0.9
+        )
     assert told[0] == truth.mean.tolist()
     assert told[2] == truth.sd["total"].tolist()
     assert told[3:] == [truth.lower.tolist(), truth.upper.tolist()]

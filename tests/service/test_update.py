@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
 from service.store import tables as t
 from service.store.unit_of_work import SqlStore
-from service.worker import update
+from service.worker import task, update
 from service.worker.loop import Worker
 
 Make = Callable[..., Inspection]
@@ -233,8 +234,11 @@ def test_a_failed_update_pauses_before_it_is_tried_again(
     assert worker.updater.run_once()
 
 
-@pytest.mark.parametrize("where", ["write_state", "read_entries", "alarm"])
+@pytest.mark.parametrize(
+    ("module", "where"), [(update, "write_state"), (task, "read_entries"), (update, "alarm")]
+)
 def test_a_database_that_is_away_or_full_never_blocks_a_rotor(
+    module: ModuleType,
     where: str,
     store: SqlStore,
     settings: Settings,
@@ -246,7 +250,7 @@ def test_a_database_that_is_away_or_full_never_blocks_a_rotor(
 ) -> None:
     """Other errors do: `test_after_its_attempts_a_rotor_is_blocked…` is the control."""
     post(rotor, reading("i1"))
-    right, left = getattr(update, where), [settings.max_attempts + 2]
+    right, left = getattr(module, where), [settings.max_attempts + 2]
 
     def full(*given: Any, **more: Any) -> Any:
         if left[0]:
@@ -254,7 +258,7 @@ def test_a_database_that_is_away_or_full_never_blocks_a_rotor(
             raise StoreAwayError("DiskFull")
         return right(*given, **more)
 
-    monkeypatch.setattr(update, where, full)
+    monkeypatch.setattr(module, where, full)
     for _ in range(settings.max_attempts + 2):
         with pytest.raises(StoreAwayError):
             worker.updater.run_once()
@@ -268,11 +272,11 @@ def test_a_database_that_is_away_or_full_never_blocks_a_rotor(
 def test_an_entry_that_kills_every_worker_blocks_its_rotor(
     store: SqlStore, settings: Settings, worker: Worker, rotor: str, reading: Make, post: Post
 ) -> None:
-    from service.worker import lease
+    from service.worker import claiming, lease
 
     post(rotor, reading("a"))
     for i in range(settings.max_attempts):
-        assert lease.claim(store.engine, f"dead{i}", 60.0) is not None
+        assert claiming.claim(store.engine, f"dead{i}", 60.0) is not None
         assert lease.release(store.engine, f"dead{i}") == 1
     worker.drain()
     view = view_rotor(store, rotor).rotor

@@ -24,7 +24,7 @@ from service.store.engine import snapshot
 from service.store.log import read_entries
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.studies.chaos.twin import Descent
-from service.worker.update import spec_of
+from service.worker.task import spec_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from service.studies.chaos import chaos, traffic
 from service.studies.chaos.bench import LEASE_S, Bench
 from service.studies.chaos.clock import Clock
 from service.studies.chaos.postgres import Server
-from service.worker import lease as leases
+from service.worker import claiming
 
 Progress = Callable[[int], None]
 LOCKED_S = 33.0  # SQLite's writers wait 30 s
@@ -198,7 +198,7 @@ def clock_jumps(bench: Bench, number: int) -> str:
     store = bench.open()
     clock = Clock(store.engine)
     updater = bench.worker("first", store).updater
-    lease = leases.claim(store.engine, "first", LEASE_S)
+    lease = claiming.claim(store.engine, "first", LEASE_S)
     assert lease is not None
     task = updater.read(lease)
     state = updater.compute(task, quick=True)

@@ -26,7 +26,7 @@ from typing import Any, Literal, Self
 
 from service.client import Client
 from service.settings import PREFIX, Settings
-from service.worker.lease import Role
+from service.worker.claiming import Role
 from service.worker.loop import owner_name
 from service.worker.supervise import same_code
 

@@ -1,15 +1,19 @@
-"""Two effects that each find room in the runs, and together do not."""
+"""The room that effects find in the runs, each alone and two together."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from core.builtin import creep_specimens
 from core.calibration.online import RotorSpec, Workspace, update
+from core.course import Course, Drift, How
 from core.diagnosis import Case, Facts
-from core.diagnosis.adopt import with_effects
+from core.diagnosis.adopt import _room, with_effects
 from core.diagnosis.diagnose import _Search
 from core.diagnosis.grammar import FAMILIES, Cell
-from core.model import rotor_blade_wide
+from core.errors import InputError
+from core.model import Model, rotor_blade_wide
 from core.observation import Inspection
 
 FAMILY = {f.name: f for f in FAMILIES}
@@ -37,3 +41,56 @@ def test_effects_that_leave_the_runs_together_are_refused_and_the_search_goes_on
     assert "leaves the runs" in why
     alone = search.calibrated((STEP,))
     assert alone is not None
+
+
+def drift(course: list[tuple[float, float]], moved: str, how: How = "plus") -> Drift:
+    return Drift("effect", moved, Course.of([(0.0, 0.0), *course]), how)
+
+
+@pytest.mark.parametrize(
+    ("one", "room"),
+    [
+        # asleep at 1 in runs of 0.85 … 1.1: 0.1 of room above, 0.15 below
+        (drift([(1e4, 1.0)], "cooling_flow"), (-0.15, 0.1)),
+        (drift([(1e4, -1.0)], "cooling_flow"), (-0.1, 0.15)),
+        (drift([(1e4, 2.0)], "cooling_flow"), (-0.075, 0.05)),
+        (drift([(1e4, -1.0), (2e4, 2.0)], "cooling_flow"), (-0.075, 0.05)),
+        # asleep at 0.62 in runs of 0.52 … 0.72
+        (drift([(1e4, -1.0)], "gas_profile_peak", "times"), (-0.1 / 0.62, 0.1 / 0.62)),
+        # anywhere in 2/3 … 4/3, in runs of 0.4 … 4/3: the thin ones bind, and none grows
+        (drift([(1e4, -1.0)], "tbc_thickness", "times"), (0.0, 0.4)),
+        (drift([(1e4, -1.0)], "tbc_thickness"), (0.0, 2 / 3 - 0.4)),
+        # anywhere in 0.8 … 1.0, in runs of 0.78 … 1.045
+        (drift([(1e4, 1.0)], "t1t_rate"), (-0.02, 0.045)),
+    ],
+)
+def test_an_amplitude_keeps_its_input_inside_the_runs_over_the_whole_prior(
+    one: Drift, room: tuple[float, float]
+) -> None:
+    assert _room(rotor_blade_wide(), one, -10.0, 10.0, 0.05) == pytest.approx(room, abs=1e-9)
+
+
+def test_room_that_the_runs_have_beyond_what_was_asked_is_not_given() -> None:
+    one = drift([(1e4, 1.0)], "cooling_flow")
+    assert _room(rotor_blade_wide(), one, -0.01, 0.02, 0.05) == (-0.01, 0.02)
+
+
+def test_an_effect_with_less_room_than_a_fifth_of_its_size_is_refused() -> None:
+    """Room on the side that physics does not take counts for nothing: 0.1 above, 0.15 below."""
+    model, one = rotor_blade_wide(), drift([(1e4, 1.0)], "cooling_flow")
+    assert _room(model, one, -9.0, 9.0, 0.499)[1] == pytest.approx(0.1)
+    with pytest.raises(InputError, match=r"finds no room in the runs of cooling_flow, 0.85 … 1.1"):
+        _room(model, one, -9.0, 9.0, 0.501)
+    with pytest.raises(InputError, match="finds no room"):
+        _room(model, one, 0.09, 9.0, 0.06)
+
+
+def test_an_input_that_no_run_varied_has_no_room() -> None:
+    with pytest.raises(InputError, match="is no input of the runs"):
+        _room(rotor_blade_wide(), drift([(1e4, 1.0)], "slot"), -1.0, 1.0, 0.1)
+
+
+def test_a_formula_has_no_runs_to_stay_in() -> None:
+    model = Model(creep_specimens.network(), creep_specimens.formula())
+    with pytest.raises(InputError, match="needs simulation runs"):
+        _room(model, drift([(1e4, 1.0)], model.input_names[0]), -1.0, 1.0, 0.1)

@@ -1,0 +1,53 @@
+"""How an archive's netCDF files are laid out: mesh and variables, of one run or of all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import numpy as np
+
+from core.archive.declaration import DIMENSIONS, Declaration, Mesh, Quantity
+from core.errors import ModelError
+
+
+def mesh_of(data: h5netcdf.File, declared: Declaration) -> Mesh:
+    """The mesh in a file of `write_mesh`."""
+    if not declared.nodes:
+        return Mesh.none()
+    points, cells, parametric = (data[name][...] for name in ("points", "cells", "parametric"))
+    return Mesh(declared.mesh, points, cells, parametric, declared.named)
+
+
+def write_mesh(out: h5netcdf.File, mesh: Mesh) -> None:
+    out.dimensions.update({"cell": mesh.cells.shape[0], "corner": mesh.cells.shape[1]})
+    out.create_variable("points", ("node", "xyz"), data=np.asarray(mesh.points, dtype=float))
+    out.create_variable("cells", ("cell", "corner"), data=np.asarray(mesh.cells, dtype=np.int64))
+    parametric = np.asarray(mesh.parametric, dtype=float)
+    out.create_variable("parametric", ("node", "xyz"), data=parametric)
+
+
+def variable_of(out: h5netcdf.File, quantity: Quantity, *, runs: bool = False) -> Any:
+    """A compressed variable, one chunk per run."""
+    names = DIMENSIONS[quantity.kind]
+    shape = tuple(out.dimensions[name].size for name in names)
+    made = out.create_variable(
+        quantity.name,
+        ("run", *names) if runs else names,
+        dtype="f8" if quantity.kind == "scalar" else "f4",
+        chunks=(1, *shape) if runs else shape,
+        compression="gzip",
+        compression_opts=1,
+        shuffle=True,
+    )
+    made.attrs["units"] = quantity.unit
+    return made
+
+
+def opened(path: Path) -> h5netcdf.File:
+    """A netCDF file for reading; ModelError where it is none."""
+    try:
+        return h5netcdf.File(path, "r")
+    except (OSError, ValueError) as error:
+        raise ModelError(f"{path} cannot be read as netCDF: {error}") from error

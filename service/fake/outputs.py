@@ -1,0 +1,108 @@
+"""What the twin says a blade does: bands, answers of the model itself, fields and their surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from service.fake.conjugate import HORIZON_H, SIGMA, moments
+from service.ports import Array, Field, Get, ModelCard, NoiseFrom, Surface
+
+LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
+
+
+@dataclass(frozen=True, slots=True)
+class FakePrediction:
+    """Bands of one quantity, by source."""
+
+    time_h: Array
+    mean: Array
+    sd: Mapping[str, Array]
+    lower: Array
+    upper: Array
+    quantiles: Mapping[float, Array]
+    instrument: str | None = None
+    noise_from: NoiseFrom = "prior"
+
+
+@dataclass(frozen=True, slots=True)
+class FakeForward:
+    """(m + l_b) h at a node, known exactly."""
+
+    card: ModelCard
+    quantity: str
+    names: tuple[str, ...] = ("rate", "offset")
+    units: tuple[str, ...] = ("mm", "mm")
+    low: tuple[float, ...] = (-5.0, -5.0)
+    high: tuple[float, ...] = (5.0, 5.0)
+
+    def __call__(
+        self, x: Sequence[float], times: Sequence[float], node: int | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        scale = along(self.card, self.quantity, node)
+        y = sum(x) * np.asarray(times, float)[:, None] / HORIZON_H * scale
+        y = y if self.quantity == "deformation" else y[:, 0]
+        return y, np.zeros_like(y)
+
+
+def along(card: ModelCard, quantity: str, node: int | None) -> NDArray[np.float64]:
+    """What a quantity at a node has of the elongation at the tip: (1,), of a deformation (3,)."""
+    if quantity == "elongation":
+        return np.ones(1)
+    k = card.nodes["critical"] if node is None else node
+    scale = np.array([0.0, 0.0, 1.0]) if quantity == "deformation" else np.array([0.01])
+    return scale * (k + 1) / card.node_count
+
+
+def banded(
+    card: ModelCard,
+    get: Get,
+    blade: str,
+    quantity: str,
+    times: Sequence[float],
+    node: int | None,
+    probability: float,
+) -> FakePrediction:
+    mean, covariance = moments(get, blade)
+    time_h = np.asarray(times, float)
+    h = time_h[:, None] / HORIZON_H * along(card, quantity, node)
+    h = h if quantity == "deformation" else h[:, 0]
+    parameters = np.sqrt(covariance.sum()) * h
+    zero, noise = np.zeros_like(h), np.full_like(h, SIGMA)
+    total = np.hypot(parameters, noise)
+    centre = mean.sum() * h
+    half = ndtri(0.5 + probability / 2) * total
+    parts = {"parameters": parameters, "surrogate": zero, "discrepancy": zero}
+    return FakePrediction(
+        time_h,
+        centre,
+        parts | {"noise": noise, "total": total},
+        centre - half,
+        centre + half,
+        {level: centre + ndtri(level) * total for level in LEVELS},
+    )
+
+
+def field_of(
+    card: ModelCard, meta: Mapping[str, Any], get: Get, blade: str, quantity: str, time_h: float
+) -> Field:
+    mean, covariance = moments(get, blade)
+    scale = time_h / HORIZON_H * (np.arange(card.node_count) + 1) / card.node_count
+    scale = scale[:, None] * [0.0, 0.0, 1.0] if quantity == "deformation" else 0.01 * scale
+    return Field(mean.sum() * scale, np.sqrt(covariance.sum()) * scale, meta["particles"])
+
+
+def surface_of(card: ModelCard) -> Surface:
+    """A strip of two columns of nodes, from root to tip."""
+    rows = card.node_count // 2
+    number = np.arange(2 * rows).reshape(rows, 2)
+    points = np.zeros((card.node_count, 3))
+    points[: 2 * rows, 0], points[: 2 * rows, 2] = np.tile([0.0, 10.0], rows), number.ravel()
+    a, b = number[:-1].T, number[1:].T
+    pairs = [(a[0], a[1], b[0]), (a[1], b[1], b[0])]
+    return Surface(points, np.concatenate([np.stack(one, axis=1) for one in pairs]))

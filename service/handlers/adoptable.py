@@ -1,0 +1,159 @@
+"""Whether a diagnosis may be adopted: it speaks of the rotor as it is.
+
+* Its verdict is ``effect``, or it is ``unattributed`` and the readings bear a discrepancy out that
+  names no cause and widens the bands: there is nothing else that could go into a model.
+* The rotor's model is the one that it was made for: an effect is what *that* model lacked.
+* Every reading that it used still counts, unchanged. Readings that came later are no obstacle, or
+  nothing could be adopted on a rotor that is read all the time; the answer tells how many.
+* No blade joined since whom the effect would have to be told about: one of its lot, or one with a
+  clock of its own where the effect runs by the rotor's.
+
+Each rule raises AdoptionError, with what to do.
+"""
+
+from __future__ import annotations
+
+from core.errors import BladetwinError
+from core.observation import Inspection, effective
+from service.adopted import Adopted
+from service.entries import entries_of
+from service.errors import AdoptionError
+from service.ports import (
+    BladeRecord,
+    Event,
+    JobRecord,
+    Json,
+    ModelCard,
+    RotorRecord,
+    Science,
+    Transaction,
+)
+
+PAGE = 500
+
+
+def claimed(job: JobRecord, result: Json | None) -> Json:
+    """What a result adds to a network; AdoptionError: nothing that could be adopted."""
+    where = f"POST /v1/rotors/{job.rotor_id}/diagnoses"
+    if result is None:
+        problem = f"it is {job.status} and has no result"
+        wait = f"wait until GET /v1/rotors/{job.rotor_id}/diagnoses/{job.id} says done"
+        over = job.status in ("failed", "cancelled")
+        raise AdoptionError(job.id, "adopted", problem, f"ask anew: {where}" if over else wait)
+    verdict = result["verdict"]
+    wide = (result.get("widened") or {}) if verdict == "unattributed" else {}
+    if verdict != "effect" and not wide.get("borne_out"):
+        problem = (
+            f"its verdict is {verdict!r}, and it has neither an effect that is named "
+            "nor a discrepancy that is borne out"
+        )
+        remedy = {
+            "adequate": "leave the model as it is",
+            "not separable": "take the readings that would separate "
+            f"{' and '.join(result['names']) or 'the effects'}, then ask anew: {where}",
+        }.get(verdict, f"add readings, or families of effects of your own, then ask anew: {where}")
+        raise AdoptionError(job.id, "adopted", problem, remedy)
+    adds: Json | None = result.get("adds")
+    if not adds:
+        problem = "it is of a release that did not say what its effects add to the network"
+        raise AdoptionError(job.id, "adopted", problem, f"ask anew: {where}")
+    return adds
+
+
+def models_of(
+    science: Science, card: ModelCard, now: Adopted, network: Json, job: JobRecord, result: Json
+) -> Json:
+    """Digests of the model before and after; AdoptionError: not those of the diagnosis."""
+    anew = f"ask for a diagnosis of the present model: POST /v1/rotors/{job.rotor_id}/diagnoses"
+    before = science.vary(card, now.network).digest
+    if before != result["models"]["before"]:
+        since = [sheet.diagnosis for sheet in now.sheets]
+        why = f" (adopted since: {', '.join(since)})" if since else ""
+        problem = (
+            f"it was made for model {result['models']['before'][:12]}…, "
+            f"and the rotor has {before[:12]}…{why}"
+        )
+        raise AdoptionError(job.id, "adopted", problem, anew)
+    try:
+        after = science.vary(card, network).digest
+    except BladetwinError as error:
+        raise AdoptionError(job.id, "adopted", f"the model refuses it ({error})", anew) from None
+    if after != result["models"]["after"]:
+        problem = (
+            f"this release makes model {after[:12]}… of it, "
+            f"not {result['models']['after'][:12]}…, which was calibrated"
+        )
+        raise AdoptionError(job.id, "adopted", problem, anew)
+    return {"before": before, "after": after}
+
+
+def readings_since(
+    tx: Transaction, rotor: RotorRecord, job: JobRecord, result: Json, head: int
+) -> int:
+    """How many readings count that the diagnosis did not see; AdoptionError: its own do not."""
+    through = int(result["rests_on"]["through_seq"])
+    anew = f"ask for a new diagnosis: POST /v1/rotors/{rotor.id}/diagnoses"
+    then, now = _readings(tx, rotor.id, through, head)
+    gone = sorted(name for name, reading in then.items() if now.get(name) != reading)
+    if gone:
+        shown = ", ".join(gone[:5]) + ("…" if len(gone) > 5 else "")
+        problem = f"{len(gone)} of its {len(then)} readings count no longer ({shown})"
+        raise AdoptionError(job.id, "adopted", problem, anew)
+    joined = [b for b in tx.records.blades(rotor.id) if b.added_seq > through]
+    for effect in told_effects(result):
+        strangers = [b.id for b in joined if concerns(effect, b)]
+        if strangers:
+            problem = f"{', '.join(strangers)} joined since, and {effect['name']!r} concerns them"
+            raise AdoptionError(job.id, "adopted", problem, anew)
+    return len(now) - len(then)
+
+
+def told_effects(result: Json) -> list[Json]:
+    """The effects that enter; of a lack without a name, its discrepancy, which is all blades'."""
+    if result["verdict"] == "effect":
+        return list(result["effects"])
+    wide = result["widened"]
+    name = f"discrepancy ({wide['quantity']})"
+    share = f"{wide['share']:.0%} of the variance at {wide['time_h']:,.0f} h"
+    return [
+        {
+            "name": name,
+            "words": f"{name}: {share}, without a cause",
+            "kind": "unnamed",
+            "on": "quantity",
+            "target": wide["quantity"],
+            "whom": "all",
+            "value": None,
+            "shape": "gp",
+            "clock": "blade",
+        }
+    ]
+
+
+def concerns(effect: Json, blade: BladeRecord) -> bool:
+    """Whether a blade that joined has to be told about an effect: of its lot, or of a day."""
+    whom, value = effect["whom"], effect["value"]
+    own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
+    if whom in own:
+        return bool(own[whom] == value)
+    return bool(effect["clock"] == "rotor" and effect["shape"] != "constant" and whom == "all")
+
+
+def _readings(
+    tx: Transaction, rotor_id: str, through: int, head: int
+) -> tuple[dict[str, str], dict[str, str]]:
+    """The readings that counted as of an entry, and those that count now: id -> digest."""
+    events: list[Event] = []
+    last = 0
+    while last < head:
+        page = tx.log.entries(rotor_id, last, head, PAGE)
+        if not page:
+            break
+        events += page
+        last = page[-1].seq
+
+    def counting(until: int) -> tuple[Inspection, ...]:
+        return effective(entries_of([e for e in events if e.seq <= until]))
+
+    then, now = ({r.id: r.digest() for r in counting(until)} for until in (through, head))
+    return then, now

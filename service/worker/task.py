@@ -1,0 +1,137 @@
+"""What one update rests on: the rotor, its entries, and the state before them.
+
+The worker remembers the last state that it wrote. It is used only while its version is the one that
+the claim read, so that another worker's commit in between makes this one read the database. The log
+only grows: entries that are known already are not read again.
+
+A state that turns out damaged when it is loaded is left alone: the next version is computed from
+the log without it, and every array is written anew.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+from core.observation import Entry, effective
+from service.adopted import adopted_at
+from service.entries import entries_of
+from service.errors import DamagedError
+from service.ports import ModelCard, RotorRecord, RotorSpec, RotorState, Science
+from service.store.log import read_entries
+from service.store.states import digests
+from service.store.unit_of_work import SqlStore, SqlTransaction
+from service.worker.lease import Lease
+
+log = logging.getLogger("bladetwin.worker")
+
+
+@dataclass(slots=True)
+class Memory:
+    """What a worker remembers of a rotor: valid for one version only.
+
+    anew   the stored state is not used, and all that replaces it is written
+    """
+
+    version: int
+    through: int
+    state: RotorState | None
+    sha256: dict[str, str]
+    entries: list[Entry]
+    anew: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Everything that one update rests on."""
+
+    card: ModelCard
+    spec: RotorSpec
+    through: int
+    entries: list[Entry]
+    pending: int
+    memory: Memory
+
+
+def spec_of(tx: SqlTransaction, rotor: RotorRecord, through: int) -> RotorSpec:
+    """The rotor as an update through entry `through` sees it."""
+    blades = [b for b in tx.records.blades(rotor.id) if b.added_seq <= through]
+    known = {b.id: b.known for b in blades if b.known is not None}
+    name = rotor.origin or rotor.id
+    return RotorSpec(name, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)
+
+
+def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None) -> Task:
+    """The rotor, its entries up to the head, and the state before them."""
+    with store.read() as tx:
+        rotor = tx.records.rotor(lease.rotor_id)
+        card = tx.records.model(rotor.model_id, rotor.model_version)
+        if memory is None or (memory.version, memory.through) != (
+            lease.version,
+            lease.applied_seq,
+        ):
+            memory = _restored(store, science, tx, lease, memory)
+        through = lease.applied_seq if lease.sealing else rotor.head_seq
+        fresh = read_entries(tx.connection, rotor.id, memory.through, through)
+        spec = spec_of(tx, rotor, through)
+        network = adopted_at(tx, rotor, through).network
+    readings = entries_of(fresh)
+    return Task(
+        card=science.vary(card, network),
+        spec=spec,
+        through=through,
+        entries=memory.entries + readings,
+        pending=len(readings),
+        memory=memory,
+    )
+
+
+def _restored(
+    store: SqlStore, science: Science, tx: SqlTransaction, lease: Lease, stale: Memory | None
+) -> Memory:
+    """The state that the claim read, and the entries before it."""
+    known, entries = (0, []) if stale is None else (stale.through, stale.entries)
+    if known > lease.applied_seq:
+        known, entries = 0, []
+    events = read_entries(tx.connection, lease.rotor_id, known, lease.applied_seq)
+    entries = entries + entries_of(events)
+    if lease.version == 0:
+        return Memory(0, 0, None, {}, entries)
+    sha256 = digests(tx.connection, lease.rotor_id)
+    memory = Memory(lease.version, lease.applied_seq, None, sha256, entries, anew=True)
+    try:
+        record = tx.states.get(lease.rotor_id, lease.version)
+        arrays = store.arrays(lease.rotor_id, lease.version)
+        memory.state, memory.anew = science.restore(record.meta, arrays), False
+    except DamagedError as error:
+        log.error("%s The worker rebuilds it from the log now.", error)
+    return memory
+
+
+def anew(store: SqlStore, science: Science, lease: Lease) -> Task:
+    """The rotor's entries up to the cursor, and no state: all is computed and written."""
+    with store.read() as tx:
+        rotor = tx.records.rotor(lease.rotor_id)
+        card = tx.records.model(rotor.model_id, rotor.model_version)
+        through = lease.applied_seq
+        entries = entries_of(read_entries(tx.connection, rotor.id, 0, through))
+        spec = spec_of(tx, rotor, through)
+        names = digests(tx.connection, rotor.id)
+        network = adopted_at(tx, rotor, through).network
+    memory = Memory(lease.version, through, None, names, entries, anew=True)
+    return Task(science.vary(card, network), spec, through, entries, 0, memory)
+
+
+def culprit(science: Science, task: Task) -> str | None:
+    """The first pending entry with which the update fails, by bisection."""
+    works, fails = len(task.entries) - task.pending, len(task.entries)
+    while fails - works > 1:
+        middle = (works + fails) // 2
+        readings = effective(task.entries[:middle])
+        try:
+            science.update(task.card, task.spec, readings, task.memory.state, quick=True)
+        except Exception:
+            fails = middle
+        else:
+            works = middle
+    return task.entries[fails - 1].target
