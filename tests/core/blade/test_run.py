@@ -210,11 +210,11 @@ def test_an_unknown_mesh_is_refused(base: dict[str, float]) -> None:
 
 
 def test_the_papers_size_of_mesh_agrees_with_the_refined_one(base: dict[str, float]) -> None:
-    """At 60 h; over the whole horizon by `tests/benchmarks/bench_blade.py paper`."""
-    hours = np.array([0.0, 60.0])
+    """At 300 h; over the whole horizon by `tests/benchmarks/bench_blade.py paper`."""
+    hours = np.array([0.0, 300.0])
     runs = {mesh: simulate(base, mesh, time_h=hours) for mesh in ("paper", "fine", "coarse")}
     assert runs["paper"].ceeq.shape[1] == 27_360
     fine = runs["fine"].elongation[-1]
-    assert fine > 0.003
+    assert fine > 0.01
     assert abs(runs["paper"].elongation[-1] / fine - 1) < 0.002
     assert abs(runs["coarse"].elongation[-1] / fine - 1) > 0.002  # negative control
