@@ -1,4 +1,4 @@
-"""The main job, small: a killed worker changes nothing in its result."""
+"""The main job, small (two outages, forty blades read): a killed worker changes nothing in it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from service.demo.stream import Step, steps
 
 demo = importlib.import_module("service.demo.run")
 PARTICLES = 768
+READ = 40  # blades of the hundred that have readings
 
 
 def workers_of(pid: int) -> list[int]:
@@ -42,6 +44,8 @@ def two_outages(every: Iterable[Step]) -> Iterator[Step]:
 def main_job(folder: Path, kills: int) -> tuple[dict[str, Any], dict[str, Any], int]:
     """Stream the plan, killing every worker `kills` times on the way; posterior and rotor."""
     plan = inspection_plan.load()
+    read = tuple(one for one in plan.inspections if int(one["blade"][1:4]) <= READ)
+    plan = replace(plan, inspections=read)
     folder.mkdir()
     done = 0
     with demo.service(folder) as running, Client(running.url) as client:
@@ -51,7 +55,7 @@ def main_job(folder: Path, kills: int) -> tuple[dict[str, Any], dict[str, Any], 
         def deadly(rotor: str, inspections: Any) -> int:
             nonlocal done
             seq = post(rotor, inspections)
-            if done < kills and seq > 40 * (done + 1):
+            if done < kills and seq > 15 * (done + 1):
                 end = time.monotonic() + 60
                 while not (victims := workers_of(running.process.pid)):
                     assert time.monotonic() < end, "no worker came back"
@@ -64,7 +68,7 @@ def main_job(folder: Path, kills: int) -> tuple[dict[str, Any], dict[str, Any], 
         client.post_inspections = deadly  # type: ignore[method-assign]
         last = demo.post_all(client, plan, PARTICLES, seed=4, quiet=True)
         rotor = demo.wait_applied(client, last, 900, quiet=True)
-        posterior = client.posterior("demo", "B090")
+        posterior = client.posterior("demo", "B010")
         return rotor, posterior, done
 
 
