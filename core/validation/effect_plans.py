@@ -2,6 +2,7 @@
 
     rotor-20    20 blades at six visits, two ages (`fe_rotors`, `effect_truths`); effects as they
                 were run
+    fleet-100   100 blades at three visits, five ages (`effect_fleet`); effects scaled to a size
 
 A size is a multiple of the noise: by so much the mean of the concerned blades changes at the last
 visit. Effects are run by finite elements at one strength each, and scaled in proportion from
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import InputError
+from core.validation import effect_fleet as fleet
 from core.validation import effect_truths as truths
 from core.validation import fe_rotors
 
@@ -131,7 +133,31 @@ def rotor_20() -> Plan:
     return Plan("rotor-20", np.array(visits), offset, coat, elongation, shares, (3, 4), False)
 
 
-PLANS = {"rotor-20": rotor_20}
+@cache
+def fleet_100() -> Plan:
+    """Rotors of 100 blades, three readings each."""
+    with np.load(fleet.SHIPPED, allow_pickle=False) as data:
+        elongation, share = data["elongation"], data["share"]
+    offset = np.array([fleet.joined_h(b) for b in range(fleet.BLADES)])
+    coat = np.arange(fleet.BLADES) % 3
+    every = dict(zip(fleet.EFFECTS, share, strict=True))
+    every["worn lot"] = np.where((coat == 0)[None, :, None], every["wear"], 1.0)
+    return Plan(
+        "fleet-100",
+        np.array(fleet.VISITS_H),
+        offset,
+        coat,
+        elongation[:, :, :-1],
+        {effect: own[:, :, :-1] for effect, own in every.items()},
+        (1, 2),
+        True,
+        fleet.HORIZON_H,
+        elongation[:, :, -1],
+        {effect: own[:, :, -1] for effect, own in every.items()},
+    )
+
+
+PLANS = {"rotor-20": rotor_20, "fleet-100": fleet_100}
 
 
 def plan(name: str) -> Plan:

@@ -28,7 +28,9 @@ WORDS = {
 def effects(
     clean: Annotated[int, typer.Option(help="Sets of each kind without an effect.")] = 40,
     planted: Annotated[int, typer.Option(help="Sets of each planted effect.")] = 16,
-    plan: Annotated[str, typer.Option(help="Blades and visits: rotor-20.")] = "rotor-20",
+    plan: Annotated[
+        str, typer.Option(help="rotor-20 or fleet-100: blades and visits.")
+    ] = "rotor-20",
     size: Annotated[
         float, typer.Option(help="Change at the last visit in noises, where the plan is scaled.")
     ] = 2.0,
@@ -82,6 +84,7 @@ def effects(
 
 @app.command()
 def truths(
+    fleet: Annotated[bool, typer.Option("--fleet", help="Those of the plan fleet-100.")] = False,
     work: Annotated[Path, typer.Option(help="Folder of the runs; a cut campaign goes on.")] = Path(
         "bladetwin-data/truths"
     ),
@@ -91,9 +94,10 @@ def truths(
     processes: Annotated[int, typer.Option(help="Processes that compute runs.")] = 1,
 ) -> None:
     """Finite-element runs with effects of physics, the truths of `effects`; about half an hour."""
-    from core.validation import effect_truths as made_by
+    from core.validation import effect_fleet, effect_truths
 
     out.mkdir(parents=True, exist_ok=True)
+    made_by = effect_fleet if fleet else effect_truths
     file = out / made_by.SHIPPED.name
     with bar("runs", len(made_by.runs())) as step:
         made_by.make(work, file, processes, lambda done, _: step(done))

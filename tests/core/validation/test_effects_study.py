@@ -190,8 +190,43 @@ def test_a_size_is_the_change_at_the_last_visit_in_noises() -> None:
         scaled.with_effect("tertiary", 500.0)
 
 
+def test_a_fleet_reads_blades_of_five_ages_at_three_visits_and_is_forecast_beyond_them() -> None:
+    fleet = plan("fleet-100")
+    assert (fleet.rotors, fleet.blades, fleet.own_h.shape) == (2, 100, (100, 3))
+    assert np.all(np.isfinite(fleet.elongation))
+    assert np.all(np.diff(fleet.elongation, axis=2) > 0)
+    assert len({*fleet.own_h[:, 0]}) == 5
+    assert fleet.own_h.max() < fleet.horizon_h
+    for rotor in range(fleet.rotors):
+        ahead = fleet.ahead(rotor, None)
+        assert ahead is not None
+        assert np.all(ahead > fleet.elongation[rotor, :, -1])
+
+
+@pytest.mark.parametrize("effect", ["wear", "worn lot", "fouling", "step", "tertiary", "pulse"])
+def test_a_fleets_effects_have_their_size(effect: str) -> None:
+    fleet = plan("fleet-100")
+    for rotor, size in ((0, 2.0), (1, 0.5)):
+        change = fleet.changed(rotor, effect, size) - fleet.elongation[rotor]
+        concerned = fleet.coat == 0 if effect == "worn lot" else np.ones(100, bool)
+        assert np.all(change[~concerned] == 0.0)
+        assert np.mean(change[concerned, -1]) == pytest.approx(size * NOISE, rel=1e-9)
+        assert np.all(change[concerned, -1] > 0)
+    before = fleet.changed(0, "step") - fleet.elongation[0]
+    assert np.all(before[:, 0] == 0.0)  # the step is after the first visit
+
+
+def test_faults_of_a_fleet_have_its_size_too() -> None:
+    fleet = plan("fleet-100")
+    for rotor in range(2):
+        offset, gain, odd = sets.faults(fleet, rotor, 3.0)
+        assert (offset, odd) == pytest.approx((0.06, 0.06))
+        assert np.mean(gain * fleet.elongation[rotor, :, -1]) == pytest.approx(0.06)
+
+
 def test_conditions_are_those_with_a_truth() -> None:
-    assert not {"wear", "fouling", "one scanner a visit"} & set(sets.conditions(TWENTY))
-    assert {"worn lot", "step", "tertiary", "pulse", "gain"} < set(sets.conditions(TWENTY))
+    assert "fouling" in sets.conditions(plan("fleet-100"))
+    assert not {"wear", "fouling"} & set(sets.conditions(TWENTY))
+    assert set(sets.conditions(plan("fleet-100"))) == set(sets.CONDITIONS)
     with pytest.raises(InputError, match="unknown"):
         study.run({"fouling": 1}, seed=1, particles=100)
