@@ -102,6 +102,53 @@ def test_an_inspection_that_is_posted_appears_without_reload(
     assert watched.errors == []
 
 
+def test_a_page_that_is_drawn_again_stays_as_it_was_left(
+    watched: Watched, service: Running
+) -> None:
+    """A part that was opened stays open and the keyboard where it was: news come at any time."""
+    page = watched.open("/rotors/r1/blades/B2")
+    expect(page.locator("#live")).to_have_text("live")
+    table = page.get_by_role("region", name="Prediction as a table")
+    page.get_by_text("Prediction as a table").click()
+    table.evaluate("one => { one.old = true; }")
+    head = page.get_by_role("region", name="Readings").get_by_role("button").first
+    head.focus()
+    text = head.text_content()
+    rows = page.get_by_role("region", name="Readings").locator("tbody tr")
+    before = rows.count()
+    name = f"late-{time.time_ns()}"
+    service.client.post("/v1/rotors/r1/inspections", json=reading(name, "B2", 20000, 0.25))
+    expect(rows).to_have_count(before + 1, timeout=20_000)
+    page.wait_for_function(
+        "label => !document.querySelector(`[aria-label='${label}']`).old",
+        arg="Prediction as a table",
+    )
+    expect(table).to_be_visible()
+    expect(head).to_be_focused()
+    assert page.evaluate("document.activeElement.textContent") == text
+    assert watched.errors == []
+
+
+SCROLLED = """async () => {
+  const source = document.querySelector("script[type=module]").src;
+  const { aside, h, scroll, show } = await import(source.replace(/[a-z]+[.]js/, "dom.js"));
+  const place = document.body.appendChild(h("div"));
+  const long = () => scroll("Long", Array.from({ length: 200 }, (_, i) => h("p", {}, String(i))));
+  show(place, aside("more", long()));
+  const old = place.querySelector(".scroll");
+  place.querySelector("details").open = true;
+  old.scrollTop = 120;
+  show(place, aside("less"), aside("more", long()));
+  const [less, more] = place.querySelectorAll("details");
+  return [old.isConnected, less.open, more.open, place.querySelector(".scroll").scrollTop];
+}"""
+
+
+def test_what_is_shown_again_keeps_its_place(watched: Watched) -> None:
+    page = watched.open("/")
+    assert page.evaluate(SCROLLED) == [False, False, True, 120]
+
+
 def test_readings_are_marked_by_what_became_of_them(watched: Watched) -> None:
     page = watched.open("/rotors/r1/blades/B1")
     table = page.get_by_role("region", name="Readings")

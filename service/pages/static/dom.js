@@ -22,8 +22,37 @@ export const s = (tag, given = {}, ...children) =>
 export const $ = (id) => document.getElementById(id);
 export const names = document.body.dataset;
 
+/** New children in a place. What was open stays open, scrolled stays scrolled, and the keyboard stays where it was. */
 export function show(place, ...children) {
+  const left = held(place);
   place.replaceChildren(...children.flat(3).filter((one) => one !== null && one !== undefined));
+  left();
+}
+
+const INSIDE = "details[open], .scroll, a, button, input, select, summary, [tabindex]";
+const called = (one) => `${one.tagName} ${one.getAttribute("href") ?? one.getAttribute("aria-label") ?? (one.matches("details") ? one.firstElementChild : one.closest("label") ?? one).textContent}`;
+
+/** What people did to a place, by the names of its elements; a function that does it again. */
+function held(place) {
+  const active = place.contains(document.activeElement) && document.activeElement !== place ? document.activeElement : null;
+  const found = [];
+  const count = {};
+  for (const one of place.querySelectorAll(INSIDE)) {
+    const name = called(one);
+    count[name] = (count[name] ?? -1) + 1;
+    const [top, left] = [one.scrollTop, one.scrollLeft];
+    if (one.open || one === active || top || left) found.push({ name, nth: count[name], open: one.open, focus: one === active, top, left });
+  }
+  return () => {
+    for (const was of found) {
+      const [tag] = was.name.split(" ", 1);
+      const one = [...place.querySelectorAll(tag)].filter((each) => called(each) === was.name)[was.nth];
+      if (!one) continue;
+      if (was.open) one.open = true;
+      if (was.top || was.left) one.scrollTo(was.left, was.top);
+      if (was.focus && document.activeElement !== one) one.focus({ preventScroll: true });
+    }
+  };
 }
 
 export const panel = (title, ...children) =>
