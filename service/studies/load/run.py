@@ -124,6 +124,7 @@ def loaded(
         finally:
             for crowd in crowds:
                 crowd.stop()
+        everything += [one for crowd in crowds for one in crowd.taken()]  # after the last sample
         left = _drained(probe)
         last = watch.gauges(probe)
     text = log.read_text(errors="replace")
