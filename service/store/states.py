@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import fields
 from typing import Any
 
 from sqlalchemy import (
@@ -230,12 +230,17 @@ def write_state(
     connection: Connection, record: StateRecord, changed: Mapping[str, Encoded | None]
 ) -> None:
     """Write a version and the arrays that changed since the one before; None: the name ended."""
-    values = asdict(record) | {"meta": json.dumps(record.meta), "created_at": now_s()}
+    values = _columns(record) | {"meta": json.dumps(record.meta), "created_at": now_s()}
     connection.execute(insert(t.state).values(values))
     key = {"rotor_id": record.rotor_id, "version": record.version}
-    rows = [key | {"name": name} | asdict(e or ENDED) for name, e in changed.items()]
+    rows = [key | {"name": name} | _columns(e or ENDED) for name, e in changed.items()]
     if rows:
         connection.execute(insert(t.state_array), rows)
+
+
+def _columns(record: StateRecord | Encoded) -> dict[str, Any]:
+    """A record's values by name. (`asdict` would copy a rotor's whole account, 5 ms.)"""
+    return {field.name: getattr(record, field.name) for field in fields(record)}
 
 
 def thin(engine: Engine, rotor_id: str, keep: int, every: int, chunk: int = 8) -> int:
