@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from core.calibration.space import nominal
 from core.calibration.state import Posterior
-from core.calibration.target import nominal
 from core.discrepancy import affine, parameters, total
 from core.errors import InputError, RangeError
 from core.model import Model

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.target import nominal
+from core.calibration.space import nominal
 from core.errors import InputError, RangeError
 from core.model import Answers, Model
 

@@ -151,7 +151,7 @@ class CoreScience:
         return joint_draws(meta, get, blades, count)
 
     def prior_draws(self, card: ModelCard, like: JointDraws) -> JointDraws:
-        from core.calibration.target import shared_prior
+        from core.calibration.space import shared_prior
         from service.predictive import prior_draws
 
         model = self.models.of(card)

@@ -24,7 +24,7 @@ from core.calibration import draws as drawing
 from core.calibration import kernel
 from core.calibration.boxes import Boxes, boxes, laid_out
 from core.calibration.message import PARTS, BladeMessage, cut_offset, side_by_side, split
-from core.calibration.target import locals_of
+from core.calibration.space import locals_of
 from core.calibration.vector import LANES
 from core.calibration.windows import Readings
 from core.errors import CalibrationError, InputError

@@ -35,9 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.online import Workspace, update
+from core.calibration.space import shared_prior
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
 from core.calibration.stored import StoredPosterior
-from core.calibration.target import shared_prior
 from core.errors import InputError, RangeError
 from core.model import Model
 from core.observation import Inspection

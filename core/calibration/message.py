@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from core.calibration import draws as drawing
 from core.calibration import kernel
-from core.calibration.target import BladeRows, SharedSpace, locals_of
+from core.calibration.space import SharedSpace, locals_of
+from core.calibration.target import BladeRows
 from core.calibration.vector import LANES
 from core.discrepancy import total
 from core.errors import CalibrationError

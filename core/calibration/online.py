@@ -21,11 +21,12 @@ from collections.abc import Sequence
 
 from core.calibration.collapsed import message_of
 from core.calibration.rotor import node_count
+from core.calibration.space import nominal, shared_space
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, RotorSpec, RotorState
 from core.calibration.step import Step, Workspace
 from core.calibration.stored import StoredPosterior
-from core.calibration.target import nominal, prepare, shared_space
+from core.calibration.target import prepare
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection, digest_of

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 from core.calibration.columns import Columns, How
 from core.calibration.message import BladeMessage
+from core.calibration.space import SharedSpace
 from core.calibration.start import Start
 from core.calibration.surface import foreseen
-from core.calibration.target import SharedSpace
 from core.errors import InputError
 from core.response import monomials
 from core.rng import seed_of

@@ -59,8 +59,8 @@ import numpy as np
 
 from core.calibration.schedule_filter import Belief
 from core.calibration.schedule_sweep import Run, Sweep
+from core.calibration.space import locals_of
 from core.calibration.state import Posterior, RotorSpec
-from core.calibration.target import locals_of
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.scans import Dense
-from core.calibration.target import SharedSpace, assemble, locals_of, nominal
+from core.calibration.space import SharedSpace, locals_of, nominal
+from core.calibration.target import assemble
 from core.discrepancy import total
 from core.errors import CalibrationError
 from core.model import Model

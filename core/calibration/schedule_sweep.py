@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.schedule_filter import Belief, LogDensity, Readings, carried
+from core.calibration.space import SharedSpace, locals_of, shared_prior
 from core.calibration.state import RotorSpec
-from core.calibration.target import SharedSpace, locals_of, shared_prior
 from core.model import Model
 from core.observation import Inspection
 from core.prior import Prior

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import truncnorm
 
+from core.calibration.space import SharedSpace, shared_prior
 from core.calibration.state import RotorState
-from core.calibration.target import SharedSpace, shared_prior
 from core.model import Model
 from core.smc.particles import normalised
 from core.smc.placement import Proposal, moments, rounded

@@ -22,10 +22,11 @@ from core.calibration.health import contradictions, verdict
 from core.calibration.message import BladeMessage, prior_draws
 from core.calibration.rotor import Weighed, weigh
 from core.calibration.smooth import NEARLY
+from core.calibration.space import SharedSpace, locals_of
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.surface import evening
-from core.calibration.target import BladeRows, SharedSpace, assemble, locals_of
+from core.calibration.target import BladeRows, assemble
 from core.digest import array_digest
 from core.model import Model
 from core.observation import Inspection, digest_of

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.space import shared_prior
 from core.calibration.state import RotorState
 from core.calibration.surface import Surface
-from core.calibration.target import shared_prior
 from core.errors import InputError
 from core.model import Model
 from core.prior import Prior

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.target import SharedSpace
+from core.calibration.space import SharedSpace
 from core.errors import InputError
 from core.response import monomials
 from core.smc.particles import ess, log_sum_exp, normalised

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.space import shared_prior
 from core.calibration.start import Start
 from core.calibration.state import RotorState
-from core.calibration.target import shared_prior
 from core.diagnosis.adopt import amplitude, expected
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan

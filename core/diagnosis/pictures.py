@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.space import shared_prior
 from core.calibration.state import Posterior, RotorState, blade_posterior, shared_posterior
-from core.calibration.target import shared_prior
 from core.diagnosis.adopt import amplitude
 from core.diagnosis.case import Case
 from core.diagnosis.diagnose import Diagnosis

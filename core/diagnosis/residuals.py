@@ -41,8 +41,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from core.calibration.online import Workspace, update
+from core.calibration.space import nominal, shared_prior
 from core.calibration.state import RotorSpec, RotorState, blade_posterior
-from core.calibration.target import BladeRows, assemble, nominal, shared_prior
+from core.calibration.target import BladeRows, assemble
 from core.diagnosis.grammar import Facts
 from core.discrepancy import total
 from core.errors import InputError

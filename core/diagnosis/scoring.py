@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.space import locals_of, nominal, shared_prior
 from core.calibration.state import Posterior, RotorState, blade_posterior
-from core.calibration.target import BladeRows, assemble, locals_of, nominal, shared_prior
+from core.calibration.target import BladeRows, assemble
 from core.diagnosis.scores import Scores
 from core.discrepancy import total
 from core.errors import InputError

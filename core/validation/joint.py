@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.space import locals_of, shared_space
 from core.calibration.state import RotorSpec
-from core.calibration.target import DEGREE, BladeRows, assemble, locals_of, shared_space
+from core.calibration.target import DEGREE, BladeRows, assemble
 from core.errors import InputError
 from core.model import Model, Stacked
 from core.observation import Inspection

@@ -17,9 +17,10 @@ from core.calibration.collapsed import message_of
 from core.calibration.draws import SHARE
 from core.calibration.message import BladeMessage
 from core.calibration.rotor import start_of
+from core.calibration.space import SharedSpace, locals_of, shared_space
 from core.calibration.state import Arrays, Posterior, RotorSpec, RotorState
 from core.calibration.stored import StoredPosterior
-from core.calibration.target import SharedSpace, assemble, locals_of, shared_space
+from core.calibration.target import assemble
 from core.model import Model
 from core.observation import Inspection
 from core.rng import seed_of, stream

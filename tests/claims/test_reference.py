@@ -17,8 +17,9 @@ import pytest
 
 from core.calibration.message import BladeMessage
 from core.calibration.online import update
+from core.calibration.space import shared_space
 from core.calibration.state import Posterior, RotorSpec, RotorState
-from core.calibration.target import assemble, shared_space
+from core.calibration.target import assemble
 from core.model import Model, rotor_blade
 from core.observation import Inspection
 from core.smc.particles import Particles

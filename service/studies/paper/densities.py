@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from core.builtin.inspection_plan import Plan
+from core.calibration.space import shared_prior
 from core.calibration.state import Posterior
-from core.calibration.target import shared_prior
 from core.diagnosis.pictures import density, quantiles
 from core.model import Model
 from core.prior import Prior

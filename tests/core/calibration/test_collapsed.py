@@ -10,8 +10,9 @@ from core.calibration import collapsed
 from core.calibration.collapsed import CollapsedMessage, message_of
 from core.calibration.message import BladeMessage
 from core.calibration.online import update
+from core.calibration.space import shared_space
 from core.calibration.state import RotorSpec, blade_posterior, shared_posterior
-from core.calibration.target import assemble, shared_space
+from core.calibration.target import assemble
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection

@@ -18,7 +18,8 @@ from core.builtin.creep_specimens import QUANTITY, strain
 from core.calibration import boxes, windows
 from core.calibration.collapsed import message_of
 from core.calibration.direct import DirectMessage
-from core.calibration.target import assemble, nominal, shared_space
+from core.calibration.space import nominal, shared_space
+from core.calibration.target import assemble
 from core.calibration.windows import Readings, narrowed
 from core.errors import CalibrationError, InputError, ModelError
 from core.model import Model

@@ -7,7 +7,8 @@ import pytest
 
 from core.calibration.draws import SHARE, even_points
 from core.calibration.message import BladeMessage
-from core.calibration.target import assemble, locals_of, shared_space
+from core.calibration.space import locals_of, shared_space
+from core.calibration.target import assemble
 from core.model import rotor_blade
 from core.observation import Inspection
 from core.smc.particles import log_sum_exp

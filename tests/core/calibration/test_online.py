@@ -11,9 +11,10 @@ from core.calibration import step
 from core.calibration.message import BladeMessage
 from core.calibration.online import RotorSpec, RotorState, Workspace, update
 from core.calibration.smooth import NEARLY
+from core.calibration.space import shared_space
 from core.calibration.state import shared_posterior
 from core.calibration.surface import Surface
-from core.calibration.target import assemble, shared_space
+from core.calibration.target import assemble
 from core.errors import InputError
 from core.observation import Inspection
 from core.smc.particles import normalised

@@ -10,8 +10,9 @@ import pytest
 from core.builtin import inspection_plan
 from core.calibration.message import _readings
 from core.calibration.online import update
+from core.calibration.space import shared_space
 from core.calibration.state import RotorSpec, shared_posterior
-from core.calibration.target import assemble, shared_space
+from core.calibration.target import assemble
 from core.model import Model, rotor_blade
 from core.network import Discrepancy, Network, Parameter, Quantity
 from core.observation import Inspection

@@ -13,8 +13,9 @@ from core.calibration.message import _readings as readings_at
 from core.calibration.online import update
 from core.calibration.schedule import Schedule, calibrate, instants
 from core.calibration.schedule_filter import Readings
+from core.calibration.space import shared_space
 from core.calibration.state import RotorSpec, shared_posterior
-from core.calibration.target import assemble, shared_space
+from core.calibration.target import assemble
 from core.errors import InputError
 from core.model import Model, rotor_blade
 from core.network import Network, Parameter

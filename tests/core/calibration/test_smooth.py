@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from core.calibration.columns import columns, smooth_columns
 from core.calibration.message import BladeMessage
 from core.calibration.smooth import NEARLY, TOLERANCE, from_afar, smoothly
-from core.calibration.target import assemble, shared_space
+from core.calibration.space import shared_space
+from core.calibration.target import assemble
 from core.model import rotor_blade
 from core.smc.placement import Proposal, sobol
 from core.validation.simulate import simulate

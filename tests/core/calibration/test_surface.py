@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from core.calibration.space import SharedSpace
 from core.calibration.surface import Surface, evening, tilt
-from core.calibration.target import SharedSpace
 from core.prior import Prior
 from core.smc.particles import ess, log_sum_exp, normalised
 from core.smc.placement import Proposal, rounded, sobol
