@@ -1,0 +1,108 @@
+"""What an update costs in a worker, without HTTP: outages sealed, and single readings.
+
+    python tests/benchmarks/bench_update.py [READINGS] [PARTICLES]
+
+On a new SQLite database a rotor of 100 blades; the elongations of one, two and three outages of the
+inspection plan are sealed from nothing, each in a workspace of its own (the shared nodes placed
+anew, then the draws). Then, after a first outage, READINGS readings of the second one by one: from
+the claim to the committed provisional state, sealed in between. Wall and processor time.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from typing import Any
+
+import service.one_thread  # noqa: F401  before numpy, as every command does
+
+# isort: split
+import numpy as np
+
+from core.builtin import inspection_plan
+from core.calibration.online import RotorSpec, Workspace, begun
+from core.model import rotor_blade
+from core.observation import Inspection
+from service.bootstrap import make_science, make_store, make_worker, prepare
+from service.handlers.inspections import Item, post_inspections
+from service.handlers.models import register_builtins
+from service.handlers.rotors import create_rotor
+from service.ports import BladeRecord
+from service.settings import Settings
+
+NAMES = [b for b in inspection_plan.blades() if not b.endswith("-2")]
+
+
+def elongations(outages: int) -> list[Inspection]:
+    """Readings of the plan's first outages, in its order."""
+    kept = {f"outage-{k + 1}" for k in range(outages)}
+    return [
+        inspection(body)
+        for body in inspection_plan.load().inspections
+        if body["quantity"] == "elongation" and body["campaign"] in kept and body["blade"] in NAMES
+    ]
+
+
+def inspection(body: dict[str, Any]) -> Inspection:
+    at = (body["id"], body["blade"], body["quantity"], body["time_h"])
+    return Inspection(*at, np.array([body["value"]]), campaign=body["campaign"])
+
+
+def outages(particles: int) -> None:
+    """Nodes placed and draws made, from nothing."""
+    model = rotor_blade()
+    begun(model, RotorSpec("warm", tuple(NAMES[:2]), 1000, 0), elongations(1)[:2]).sealed()
+    for count in (1, 2, 3):
+        readings = elongations(count)
+        spec = RotorSpec("r", tuple(sorted({r.blade for r in readings})), particles, 0)
+        start, used = time.perf_counter(), time.process_time()
+        step = begun(model, spec, readings, workspace=Workspace())
+        share = step.weighed.ess_ratio
+        placed = time.perf_counter()
+        step.sealed()
+        end = time.perf_counter()
+        print(
+            f"{count} outage(s), {len(readings)} readings: placed {placed - start:.2f} s, drawn "
+            f"{end - placed:.2f} s, processor {time.process_time() - used:.1f} s, effective "
+            f"{100 * share:.0f} % of the nodes"
+        )
+
+
+def single(readings: int, particles: int) -> None:
+    """One reading after the other into provisional states."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Settings.load({}, database_url=f"sqlite:///{folder}/b.db", seal_after_s=0.0)
+        store = make_store(settings)
+        prepare(store, settings)
+        science = make_science(settings, store)
+        register_builtins(store, science)
+        create_rotor(store, "r", "rotor-blade", [BladeRecord(n) for n in NAMES], particles, 7)
+        first = elongations(1)
+        post_inspections(store, "r", [Item("", one) for one in first])
+        both = make_worker(store, science, settings)
+        both.drain()
+        quick = make_worker(store, science, settings, "quick", "apply")
+        quick.updater._memory = both.updater._memory  # as in one worker that has both roles
+        wall, used = [], []
+        for one in elongations(2)[len(first) :][:readings]:
+            post_inspections(store, "r", [Item("", one)])
+            start, before = time.perf_counter(), time.process_time()
+            while quick.updater.run_once():
+                pass
+            wall.append(time.perf_counter() - start)
+            used.append(time.process_time() - before)
+            both.drain()
+        store.close()
+    for name, values in {"wall": wall, "processor": used}.items():
+        ms = 1e3 * np.array(values)
+        print(
+            f"a reading, claim to commit, {name}: median {np.median(ms):.0f}, 95th percentile "
+            f"{np.percentile(ms, 95):.0f}, max {ms.max():.0f} ms ({len(ms)} readings)"
+        )
+
+
+if __name__ == "__main__":
+    words = sys.argv[1:] + ["40", "10000"][len(sys.argv) - 1 :]
+    outages(int(words[1]))
+    single(int(words[0]), int(words[1]))
