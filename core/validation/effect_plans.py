@@ -121,13 +121,13 @@ def rotor_20() -> Plan:
     shares = {effect: np.full(shape, np.nan) for effect in named}
     for rotor in range(shape[0]):
         curves = np.stack([kept.at("elongation", rotor, h) for h in truths.VISITS_H], axis=1)
+        run = {e: truths.share(rotor, named[e]) for e in shares if rotor in truths.ROTORS}
         for b in range(shape[1]):
             own = np.arange(len(visits)) - late[b]
             read = own >= 0
             elongation[rotor, b, read] = curves[b, own[read]]
-            for effect, share in shares.items():
-                if rotor in truths.ROTORS:
-                    share[rotor, b, read] = truths.share(rotor, named[effect])[b, own[read]]
+            for effect, share in run.items():
+                shares[effect][rotor, b, read] = share[b, own[read]]
     worn = truths.WORN
     coat = np.array([0 if b in worn else 1 if b < worn[0] else 2 for b in range(shape[1])])
     return Plan("rotor-20", np.array(visits), offset, coat, elongation, shares, (3, 4), False)

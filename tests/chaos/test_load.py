@@ -137,6 +137,22 @@ def test_under_load_everything_is_answered_and_applied(database_url: str, tmp_pa
     assert f"On here: {told['posted']} posted, {told['applied']} applied" in shown
 
 
+class Late(Crowd):
+    """Answers that are handed out only once nothing more is asked."""
+
+    def taken(self) -> list[Answered]:
+        return super().taken() if self._stop.is_set() else []
+
+
+def test_what_is_answered_after_the_last_sample_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "Crowd", Late)
+    url = f"sqlite:///{tmp_path / 'late.db'}"
+    told = run.loaded(plan(minutes=0.04), url, tmp_path, tmp_path / "log", lambda done: None)
+    assert told["posted"] == told["applied"] > 5
+
+
 @pytest.mark.parametrize(
     "spoilt",
     [

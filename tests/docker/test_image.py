@@ -366,7 +366,7 @@ def test_the_whole_of_compose_runs_from_the_image_and_writes_nothing_beside_its_
 
 def test_the_kernels_are_compiled_into_the_volume(image: Image) -> None:
     before = image.code()
-    # Where machine code goes is what is asked here: it need not be fast, which is a third quicker.
+    # Where machine code goes is what is asked here: it need not be fast, which is a fifth quicker.
     done = image.run(*COMPOSE["services"]["compile"]["command"], long=True, NUMBA_OPT="0")
     assert done.returncode == 0, done.stderr
     assert list((image.root / "var/cache/bladetwin").rglob("*.nbi"))
