@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.browser.conftest import HOSTILE, Running, Watched, reading, scan
+from tests.browser.conftest import HOSTILE, Running, Watched, reading, scan, sealed
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text()
 PATHS = (
@@ -252,7 +252,28 @@ def test_the_field_is_played_over_the_hours_in_the_same_colours(watched: Watched
     assert float(slider.input_value()) > 30_000
     page.get_by_role("button", name="Stop").click()
     expect(page.get_by_role("button", name="Play over the hours")).to_be_visible()
-    expect(slider).to_have_value("50000")
+    expect(slider).to_have_value("50000", timeout=20_000)
+    assert watched.errors == []
+
+
+def test_news_do_not_end_the_film(watched: Watched, service: Running) -> None:
+    """The film goes on in the version that it names; its end shows the newest."""
+    page = watched.open("/rotors/r1/blades/B2/3d")
+    expect(page.locator("#live")).to_have_text("live")
+    page.get_by_role("button", name="Play over the hours").click()
+    before = service.client.get("/v1/rotors/r1").json()["version"]
+    expect(page.get_by_text(f"of 11, version {before}")).to_be_visible(timeout=60_000)
+    with page.expect_response(lambda answer: answer.url.endswith("/v1/rotors/r1")):
+        sent = reading(f"late-{time.time_ns()}", "B2", 21000, 0.26)
+        head = service.client.post("/v1/rotors/r1/inspections", json=sent).json()["head_seq"]
+    sealed(service.client, head)
+    page.emulate_media(color_scheme="dark")  # one more reason to draw again
+    page.wait_for_timeout(1000)
+    expect(page.get_by_text(f"of 11, version {before}")).to_be_visible()
+    expect(page.get_by_role("button", name="Stop")).to_be_visible()
+    with page.expect_response(lambda answer: "/field?" in answer.url):
+        page.get_by_role("button", name="Stop").click()
+    expect(page.get_by_role("slider")).to_have_value("50000", timeout=20_000)
     assert watched.errors == []
 
 

@@ -25,10 +25,12 @@ let shown = "";
 let shownHour = null;
 let slider = null;
 let playing = 0;
+let running = false;
 let dots = [];
 let series = { key: "", fields: [] };
 
 function change(given, again = true) {
+  if (running) stop();
   Object.assign(chosen, given);
   remember(given);
   if (again) shown = "";
@@ -65,33 +67,40 @@ const called = (found) => `${chosen.of} of ${words(found.quantity)}${Array.isArr
 const shownOf = (found) => component(chosen.of === "sd" ? found.sd : found.mean);
 const shift = (found) => (chosen.warp && Array.isArray(found.mean[0]) ? found.mean.flat().map((v) => chosen.warp * v) : null);
 
-/** Ends the film; what is shown then is what the slider says. */
+/** Ends the film. */
 function stop() {
   playing += 1;
+  running = false;
   show(film, h("button", { type: "button", onclick: play, disabled: !view }, "Play over the hours"));
 }
 
-/** The field at evenly spread hours, read once, shown one after the other in the same colours. */
+/**
+ * The field at evenly spread hours, read once, shown one after the other in the same colours. News
+ * of the rotor does not end the film: it is of the version that it names.
+ */
 async function play() {
   stop();
   const mine = playing;
+  running = true;
+  const version = drawn.version;
   const told = h("span", { class: "soft small", role: "status" });
   show(film, h("button", { type: "button", class: "main", onclick: () => { stop(); redraw(); } }, "Stop"), told);
   const hoursOf = Array.from({ length: INSTANTS }, (_, i) => (model.horizon_h * i) / (INSTANTS - 1));
   const quantity = chosen.quantity ?? Object.keys(model.outputs).find((q) => model.outputs[q].kind !== "scalar");
-  const key = JSON.stringify([quantity, drawn.version]);
+  const key = JSON.stringify([quantity, version]);
   if (series.key !== key) series = { key, fields: [] };
   const { fields } = series;
   try {
     while (fields.length < INSTANTS) {
       told.textContent = `reading instant ${fields.length + 1} of ${INSTANTS}`;
-      const next = await get(`${own}/field`, { quantity, time_h: hoursOf[fields.length], version: drawn.version });
+      const next = await get(`${own}/field`, { quantity, time_h: hoursOf[fields.length], version });
       if (mine !== playing) return;
       fields.push(next);
     }
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
     if (mine === playing) told.textContent = error.message;
+    running = running && mine !== playing;
     return;
   }
   const used = [...new Set(surface.triangles.flat())];
@@ -104,7 +113,7 @@ async function play() {
     show(bar, colourBar(range, what, fields[i].unit));
     slider.value = hoursOf[i];
     shownHour.textContent = hours(hoursOf[i]);
-    told.textContent = `instant ${i + 1} of ${INSTANTS}, version ${drawn.version}`;
+    told.textContent = `instant ${i + 1} of ${INSTANTS}, version ${version}`;
     await new Promise((done) => setTimeout(done, FRAME_MS));
   }
 }
@@ -147,6 +156,10 @@ async function draw() {
   const now = await get(path`/v1/rotors/${rotor}`);
   drawn.version = now.version;
   show($("states"), badges(statesOf(now)));
+  if (running) {
+    notices(warningsOf(now)); // what the film shows stays; its end draws the newest
+    return;
+  }
   model ??= await get(path`/v1/models/${now.model}`);
   const fields = Object.keys(model.outputs).filter((q) => model.outputs[q].kind !== "scalar");
   if (fields.length === 0) {
@@ -157,6 +170,7 @@ async function draw() {
   surface ??= await get(path`/v1/models/${now.model}/surface`);
   const quantity = fields.includes(chosen.quantity) ? chosen.quantity : fields[0];
   const found = await get(`${own}/field`, { quantity, time_h: chosen.time_h });
+  if (running) return; // begun meanwhile
   const kind = model.outputs[quantity].kind;
   const numbers = shownOf(found);
   const used = [...new Set(surface.triangles.flat())];
@@ -171,7 +185,6 @@ async function draw() {
   if (able) {
     view ??= new View(canvas, surface);
     view.paint(numbers, range, shift(found));
-    stop();
   } else holder.hidden = true;
   canvas.setAttribute("aria-label", `${what} of blade ${blade} on its surface; arrow keys turn it, plus and minus zoom, Home resets`);
   show(bar, colourBar(range, what, found.unit));
@@ -191,6 +204,7 @@ async function draw() {
     { name: "± sd", value: (n) => plain(at(found.sd[n]), 2), sort: (n) => at(found.sd[n]), number: true },
   ], used.filter((_, i) => i % 100 === 0)))));
   const scansOf = await scanned(quantity);
+  if (running) return;
   const looked = scansOf.find((r) => r.id === chosen.scan);
   const colours = drawMisfit(looked, found);
   dots = [...new Set(scansOf.flatMap((r) => r.nodes ?? []))];
@@ -202,6 +216,7 @@ async function draw() {
     { name: "Nodes", value: (r) => (r.nodes ?? []).length, number: true },
     { name: "Mean of readings", value: (r) => inUnit(plain(r.values.reduce((sum, v) => sum + (Array.isArray(v) ? v[chosen.axis] : v), 0) / r.values.length), r.unit ?? found.unit), number: true },
   ], scansOf, { caption: "Scans of this quantity that count; their nodes are the orange dots; the misfit of one is shown at its own hour" }) : h("p", { class: "soft" }, `No scan of ${words(quantity)} on this blade.`));
+  stop(); // the film can begin once all is drawn
 }
 
 show($("page"), h("div", { class: "columns wide-left" },
