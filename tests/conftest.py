@@ -161,14 +161,18 @@ def _postgres_copy(server: str, template: str | None) -> Iterator[str]:
         _run(server, f"DROP DATABASE {name} WITH (FORCE)")
 
 
+@pytest.fixture
+def sqlite_url(tmp_path: Path, sqlite_template: Path) -> str:
+    """A migrated, empty SQLite database, for what is the same on both."""
+    shutil.copy(sqlite_template, tmp_path / "bladetwin.db")
+    return f"sqlite:///{tmp_path / 'bladetwin.db'}"
+
+
 @pytest.fixture(params=["sqlite", "postgresql"])
-def database_url(
-    request: pytest.FixtureRequest, tmp_path: Path, sqlite_template: Path
-) -> Iterator[str]:
+def database_url(request: pytest.FixtureRequest) -> Iterator[str]:
     """A migrated, empty database."""
     if request.param == "sqlite":
-        shutil.copy(sqlite_template, tmp_path / "bladetwin.db")
-        yield f"sqlite:///{tmp_path / 'bladetwin.db'}"
+        yield request.getfixturevalue("sqlite_url")
         return
     server = request.getfixturevalue("postgres_server")
     template = request.getfixturevalue("postgres_template")

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 
 from service.api import refusals
 from service.api.describe import describe
@@ -14,6 +14,7 @@ from service.api.feed import Feed
 from service.api.layers import add_layers
 from service.api.loopback import keys_required
 from service.api.metrics import Requests
+from service.api.query import known_query
 from service.api.routers import (
     adoptions,
     audit,
@@ -109,7 +110,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         audit,
         webhooks,
     ):
-        app.include_router(module.router)
+        app.include_router(module.router, dependencies=[Depends(known_query)])
     app.include_router(pages)
     refusals.install(app)
     add_layers(app, services, app.state.requests)

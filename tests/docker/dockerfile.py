@@ -18,6 +18,8 @@ KNOWN = {
     "FROM", "WORKDIR", "RUN", "COPY", "ENV", "VOLUME", "USER", "EXPOSE", "STOPSIGNAL",
     "HEALTHCHECK", "ENTRYPOINT", "CMD",
 }  # fmt: skip
+# A builder's own cache: what it holds changes how long a step takes, and nothing in the image.
+CACHE = re.compile(r"--mount=type=cache,target=\S+ ")
 
 
 @dataclass(slots=True)
@@ -64,6 +66,8 @@ def stages(text: str) -> list[Stage]:
         if word not in KNOWN:
             raise ValueError(f"{word} is not understood here")
         rest = " ".join(rest.split())
+        if word == "RUN":
+            rest = CACHE.sub("", rest)
         if word == "FROM":
             image, _, name = rest.partition(" AS ")
             found.append(Stage(image, name))

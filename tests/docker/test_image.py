@@ -183,6 +183,7 @@ def build(root: Path) -> Image:
 
 def shell(image: Image, line: str, folder: Path) -> None:
     environ = {n: v for n, v in image.environ().items() if n != "PYTHONDONTWRITEBYTECODE"}
+    environ.setdefault("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))  # the cache mount
     done = subprocess.run(
         ["/bin/sh", "-ec", image.here(line)],
         cwd=folder,

@@ -7,7 +7,6 @@ seed, and sent over a real connection; what comes back is held against the docum
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import Any
@@ -58,10 +57,9 @@ FOR_OPERATORS = {
 
 
 @pytest.fixture
-def database_url(tmp_path: Any, sqlite_template: Any) -> str:
+def database_url(sqlite_url: str) -> str:
     """The document is the same on both databases; SQLite is the quicker one."""
-    shutil.copy(sqlite_template, tmp_path / "bladetwin.db")
-    return f"sqlite:///{tmp_path / 'bladetwin.db'}"
+    return sqlite_url
 
 
 @pytest.fixture

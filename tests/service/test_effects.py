@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from typing import Any
@@ -46,10 +45,9 @@ BLADES, VISITS, NOISE = 6, (8000.0, 16_000.0, 24_000.0), 0.004
 
 
 @pytest.fixture
-def database_url(tmp_path: Any, sqlite_template: Any) -> str:
+def database_url(sqlite_url: str) -> str:
     """The science is the same on both databases, and takes a minute."""
-    shutil.copy(sqlite_template, tmp_path / "bladetwin.db")
-    return f"sqlite:///{tmp_path / 'bladetwin.db'}"
+    return sqlite_url
 
 
 @pytest.fixture

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -41,10 +39,9 @@ PSI = [1.1, 0.87, 0.4, -0.5]
 
 
 @pytest.fixture
-def database_url(tmp_path: Path, sqlite_template: Path) -> str:
+def database_url(sqlite_url: str) -> str:
     """Nothing here depends on the database; SQLite is the quicker one."""
-    shutil.copy(sqlite_template, tmp_path / "umbridge.db")
-    return f"sqlite:///{tmp_path / 'umbridge.db'}"
+    return sqlite_url
 
 
 @pytest.fixture
