@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 from typing import Annotated
 
-import httpx
 import typer
 
-from service.client import Client
-from service.diagnose_command import AwayError
+from service.commands.reach import reached
 
 
 def adopt(
@@ -26,16 +24,11 @@ def adopt(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Adopt the effect that a diagnosis named, or back it out; the posterior follows by itself."""
-    try:
-        with Client(url, key=key) as twin:
-            told = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
-            if wait > 0:
-                twin.wait_for(rotor, told["head_seq"], wait)
-                told["rotor"] = twin.wait_sealed(rotor, wait)
-    except httpx.TransportError as error:
-        raise AwayError(
-            f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."
-        ) from None
+    with reached(url, key) as twin:
+        told = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
+        if wait > 0:
+            twin.wait_for(rotor, told["head_seq"], wait)
+            told["rotor"] = twin.wait_sealed(rotor, wait)
     if as_json:
         typer.echo(json.dumps(told))
         return

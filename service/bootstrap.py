@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import sys
-
-import uvicorn
-from fastapi import FastAPI
+from collections.abc import Callable
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, cast
 
 from service import tracing
-from service.api.app import create_app
-from service.api.loopback import keys_required
-from service.api.services import Services
-from service.api.waiting import Changes
 from service.errors import KeysMissingError, SchemaError
-from service.fake import FakeScience
 from service.handlers.keys import list_keys
 from service.handlers.models import register_builtins
 from service.ports import Science
@@ -31,6 +25,9 @@ from service.worker.loop import Worker, end_with_parent, owner_name, run_worker
 from service.worker.supervise import Supervisor
 from service.worker.wake import open_wake
 
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+
 
 def make_science(settings: Settings, store: SqlStore, *, kept: bool = False) -> Science:
     """The science that the settings name; imported only here and only when asked for.
@@ -39,10 +36,26 @@ def make_science(settings: Settings, store: SqlStore, *, kept: bool = False) -> 
     only, else CompiledError, after which the process is to run again (`service.kernels`).
     """
     if settings.science == "fake":
+        from service.fake import FakeScience
+
         return FakeScience()
     from service.science import CoreScience
 
     return CoreScience(settings.model_dir, files=store.blob, kept=kept)
+
+
+class Later:
+    """What stands for a science until it is first asked for something.
+
+    A worker that only diagnoses has nothing to do for most of its life; what it would load is a
+    hundred megabytes and seconds of a processor.
+    """
+
+    def __init__(self, make: Callable[[], Science]) -> None:
+        self._made = cache(make)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._made(), name)
 
 
 def make_store(settings: Settings) -> SqlStore:
@@ -67,6 +80,8 @@ def prepare(store: SqlStore, settings: Settings) -> None:
 
 def check_keys(store: SqlStore, settings: Settings) -> None:
     """KeysMissingError where requests need a key and there is none that would be accepted."""
+    from service.api.loopback import keys_required
+
     if not keys_required(settings):
         return
     if not any(status == "usable" for _, status in list_keys(store)):
@@ -74,7 +89,11 @@ def check_keys(store: SqlStore, settings: Settings) -> None:
 
 
 def make_app(store: SqlStore, science: Science, settings: Settings) -> FastAPI:
-    """The API over an open, migrated store."""
+    """The API over an open, migrated store. Workers do without it, and load nothing of it."""
+    from service.api.app import create_app
+    from service.api.services import Services
+    from service.api.waiting import Changes
+
     changes = Changes(lambda: open_wake(store.engine, "bladetwin_applied", settings.poll_ms))
     needed = newest()
     return create_app(
@@ -116,23 +135,10 @@ def worker_roles(settings: Settings) -> list[Role]:
     return apply + seal + diagnose + deliver
 
 
-class _Server(uvicorn.Server):
-    """Lets long polls and streams go as soon as a signal asked to stop.
-
-    Not in the signal's handler: that may run while the same thread holds the very lock that it
-    would need, and wait for ever.
-    """
-
-    changes: Changes | None = None
-
-    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        if self.changes is not None:
-            self.changes.begin_close()
-        await super().shutdown(sockets)
-
-
 def serve(settings: Settings) -> None:
     """API and workers until SIGTERM or SIGINT; returns when all have ended."""
+    from service.api.server import server as make_server
+
     configure_logs(settings.log_level)
     tracing.begin(settings, "api", owner_name())
     store = make_store(settings)
@@ -141,18 +147,7 @@ def serve(settings: Settings) -> None:
     check_keys(store, settings)
     register_builtins(store, science)
     app = make_app(store, science, settings)
-    config = uvicorn.Config(
-        app,
-        host=settings.host,
-        port=settings.port,
-        log_config=None,
-        access_log=False,
-        server_header=False,
-        headers=[("Server", "bladetwin")],
-        timeout_graceful_shutdown=5,
-    )
-    server = _Server(config)
-    server.changes = app.state.services.changes
+    server = make_server(app, settings)
     # uvicorn raises the signal again when it has ended; the workers are still to be stopped.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda signum, frame: None)
@@ -195,7 +190,8 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
             return
         if role in ("seal", "diagnose"):
             step_back()
-        science = make_science(settings, store, kept=True)
+        make = partial(make_science, settings, store, kept=True)
+        science = cast("Science", Later(make)) if role == "diagnose" else make()
         run_worker(make_worker(store, science, settings, owner, role))
     finally:
         store.close()

@@ -12,15 +12,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import httpx
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 
 from core.errors import BladetwinError, InputError
-from service.client import Client
+from service.commands.reach import reached
+
+if TYPE_CHECKING:
+    from service.client import Client
 
 Told = dict[str, Any]
 LOOK_S = 1.0
@@ -32,13 +32,12 @@ class DiagnosisError(BladetwinError):
     """A diagnosis that ended without a verdict."""
 
 
-class AwayError(BladetwinError):
-    """The service does not answer."""
-
-
 @contextmanager
 def shown(*, quiet: bool) -> Iterator[Callable[[Told], None]]:
     """Progress and time left on a terminal's stderr; call what it yields with a diagnosis."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description:<40.40}"),
@@ -172,18 +171,13 @@ def diagnose(
         raise InputError("--limit", limit, "is for the report", "give --html FILE as well")
     if html is not None and not html.absolute().parent.is_dir():
         raise InputError("--html", str(html), "lies in no folder", "make the folder first")
-    try:
-        with Client(url, key=key) as twin, shown(quiet=as_json) as show:
-            told = twin.diagnose(rotor, families=own, compare=not no_compare)
-            told = awaited(twin, told, show, LOOK_S)
-            if adopt and told["status"] == "done" and told["result"]["verdict"] == "effect":
-                told |= twin.adopt(rotor, told["id"])
-            if html is not None and told["status"] == "done":
-                write(html, twin.report(rotor, told["id"], limit=limit))
-    except httpx.TransportError as error:
-        raise AwayError(
-            f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."
-        ) from None
+    with reached(url, key) as twin, shown(quiet=as_json) as show:
+        told = twin.diagnose(rotor, families=own, compare=not no_compare)
+        told = awaited(twin, told, show, LOOK_S)
+        if adopt and told["status"] == "done" and told["result"]["verdict"] == "effect":
+            told |= twin.adopt(rotor, told["id"])
+        if html is not None and told["status"] == "done":
+            write(html, twin.report(rotor, told["id"], limit=limit))
     if as_json:
         typer.echo(json.dumps(told))
     if told["status"] != "done":

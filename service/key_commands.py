@@ -10,13 +10,15 @@ import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.access import COMMAND, Act, KeyRecord
-from service.ports import Store
 from service.settings import Settings
+
+if TYPE_CHECKING:
+    from service.ports import Store
 
 keys = typer.Typer(help="API keys.", no_args_is_help=True)
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]

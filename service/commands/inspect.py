@@ -13,19 +13,17 @@ import json
 from collections.abc import Iterator, Sequence
 from itertools import compress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import httpx
 import typer
 
 from core.errors import InputError
-from core.network import Network
-from service.client import Client
 from service.commands import Json
-from service.commands.check_file import checked
-from service.commands.check_file import lines_of as file_lines
-from service.diagnose_command import AwayError
-from service.export.units import unit_of
+from service.commands.reach import reached
+
+if TYPE_CHECKING:
+    from core.network import Network
+    from service.client import Client
 
 Told = dict[str, Any]
 FEW_SD = 2.0
@@ -39,6 +37,8 @@ def gathered(
 
     Raises ProblemError where the rotor is not there, or the question does not fit its model.
     """
+    from core.network import Network
+
     rotor = twin.rotor(name)
     told: Told = {"rotor": rotor, "posterior": None, "blades": [], "units": {}, "question": None}
     if rotor["posterior"] is None:
@@ -67,6 +67,8 @@ def gathered(
 
 def own_unit(network: Network, name: str) -> str | None:
     """The unit of a parameter that the model itself declares; None: the rotor has added it."""
+    from service.export.units import unit_of
+
     unit = None if name.startswith("theta") else unit_of(network, name)
     return None if unit in ("", "1") else unit
 
@@ -113,18 +115,16 @@ def inspect(
     if file is not None and odd:
         value = other[odd[0]]
         raise InputError(odd[0], value, "is given beside a file", "leave one of the two out")
-    try:
-        with Client(url, key=key) as twin:
-            if file is not None:
-                told = checked(twin, rotor, file, quiet=as_json)
-            else:
-                told = gathered(twin, rotor, quantity, time_h, node)
-    except httpx.TransportError as error:
-        raise AwayError(
-            f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."
-        ) from None
+    with reached(url, key) as twin:
+        if file is not None:
+            from service.commands import check_file
+
+            told = check_file.checked(twin, rotor, file, quiet=as_json)
+        else:
+            told = gathered(twin, rotor, quantity, time_h, node)
     if file is not None:
-        typer.echo(json.dumps(told) if as_json else "\n".join(file_lines(told)))
+        lines = check_file.lines_of(told)
+        typer.echo(json.dumps(told) if as_json else "\n".join(lines))
         raise typer.Exit(REFUSED if told["faults"] else 0)
     if limit is not None:
         told = with_margins(told, limit)

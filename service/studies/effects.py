@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from service.progress import bar
@@ -107,6 +106,7 @@ def truths(
 def outcome_plot(table: Mapping[str, Mapping[str, float]], file: Path) -> None:
     """Each condition's outcomes as one bar."""
     import matplotlib
+    import numpy as np
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt

@@ -9,12 +9,14 @@ work in the tables, and looks there now and then without a hint.
 from __future__ import annotations
 
 import time
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-import psycopg
 from sqlalchemy import Engine
 
 from service.store.engine import is_sqlite
+
+if TYPE_CHECKING:
+    import psycopg
 
 
 class Wake(Protocol):
@@ -58,6 +60,7 @@ class PostgresWake:
     """Listens on one channel with a connection of its own, opened again if it was lost."""
 
     def __init__(self, engine: Engine, channel: str) -> None:
+        self._psycopg: Any = engine.dialect.dbapi
         self._parameters = engine.dialect.create_connect_args(engine.url)
         self._channel = channel
         self._connection: psycopg.Connection[Any] | None = None
@@ -65,7 +68,7 @@ class PostgresWake:
 
     def _open(self) -> None:
         arguments, options = self._parameters
-        self._connection = psycopg.connect(*arguments, **options, autocommit=True)
+        self._connection = self._psycopg.connect(*arguments, **options, autocommit=True)
         self._connection.execute(f"LISTEN {self._channel}")
 
     def wait(self, timeout_s: float) -> bool:
@@ -74,7 +77,7 @@ class PostgresWake:
                 self._open()
             assert self._connection is not None
             return any(True for _ in self._connection.notifies(timeout=timeout_s, stop_after=1))
-        except psycopg.OperationalError:
+        except self._psycopg.OperationalError:
             self.close()
             time.sleep(min(1.0, timeout_s))
             return True

@@ -21,8 +21,9 @@ from sqlalchemy import func, select
 from core.observation import Inspection
 from service.api.feed import Feed
 from service.api.routers import events as routes
+from service.api.server import Server
 from service.api.waiting import Changes
-from service.bootstrap import _Server, make_app, make_worker
+from service.bootstrap import make_app, make_worker
 from service.client import Client, ProblemError
 from service.fake import FakeScience
 from service.handlers import events as use
@@ -335,7 +336,7 @@ def test_a_commit_between_the_first_read_and_the_listening_is_not_missed(
     assert asyncio.run(scene()).count("event: applied") == 2
 
 
-class InTheHandler(_Server):
+class InTheHandler(Server):
     """The mutant: who waits is released by the signal's handler itself."""
 
     def handle_exit(self, sig: int, frame: Any) -> None:
@@ -344,9 +345,9 @@ class InTheHandler(_Server):
         super().handle_exit(sig, frame)
 
 
-@pytest.mark.parametrize(("kind", "hangs"), [(_Server, False), (InTheHandler, True)])
+@pytest.mark.parametrize(("kind", "hangs"), [(Server, False), (InTheHandler, True)])
 def test_a_stop_signal_that_comes_inside_a_lock_does_not_wait_for_it(
-    kind: type[_Server], hangs: bool
+    kind: type[Server], hangs: bool
 ) -> None:
     """A handler runs in the thread that it interrupts, which cannot give its lock back."""
     server = kind(uvicorn.Config(Feed))
