@@ -11,17 +11,20 @@ mode space, and the error of its mesh and polynomials, a share of the deformatio
 declares (the default mesh is within 0.3 % of a refined one). Without S, 4,000 readings would make
 a posterior as sharp as 0.03 mm / sqrt(4000), which no model deserves.
 
-The two dozen components of z are still more than the inputs need. Around the best fit x* (noise
-sigma_0 from the remainder), the whitened components vary along a few directions only: the left
-singular vectors U of their variation over the neighbourhood that the noise leaves open, five
-standard deviations wide. Components along U keep the information; those across it hold none near
-x* and leave. A row is scaled so that its noise is sigma² + extra. All of it is a function of the
-scan alone. The errors of a simulation at two scans of one blade are taken as independent.
+S goes with the inputs: the surrogate's covariance has one shape, R C R^T, and a size E(x)² v(x)
+(`core.response`). A turn W of z in which that shape and the rest of the noise, as it is at the best
+fit x*, are both diagonal makes the components of W z independent wherever the inputs are,
 
-A discrepancy (`core.discrepancy`) joins the best fit and the kept directions: a constant offset c
-adds Q^T D c to z (D repeats x, y, z) and makes the remainder a quadratic, RSS(c) = RSS_0 + (c −
-c_0)^T A (c − c_0); a gain leaves the remainder alone and moves z along itself. Both directions are
-kept exactly, the others are what varies across them.
+    W_j z ~ N(W_j R c E, sigma² + extra_j + k_j² E(x)² v(x)),
+
+so that each is a row like any other reading's. All of them are kept. (Five directions, those in
+which z varies around x*, and S as it is at x*, moved the posterior of T1T from three scans alone by
+half its sd; twelve directions widen it by a tenth where the scan is a poor one.) The errors of a
+simulation at two scans of one blade are taken as independent.
+
+A discrepancy (`core.discrepancy`) joins the best fit: a constant offset c adds Q^T D c to z (D
+repeats x, y, z) and makes the remainder a quadratic, RSS(c) = RSS_0 + (c − c_0)^T A (c − c_0); a
+gain leaves the remainder alone and moves z along itself.
 """
 
 from __future__ import annotations
@@ -40,11 +43,10 @@ from core.discrepancy import AXES, Affine, Term, affine, parameters, total
 from core.model import Model
 from core.observation import Inspection
 from core.prior import Prior
-from core.response import Response
+from core.response import Response, monomials
 
 Array = NDArray[np.float64]
-DIRECTIONS = 5
-STARTS, SAMPLE = 4096, 400
+STARTS = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +114,6 @@ class _Shift:
         offset = eta[:, eta.shape[1] - self.column.shape[1] :]
         return self.gain[0] + self.gain[1] * free, self.mean + offset @ self.column.T
 
-    def directions(self, model: Array, whiten: Array) -> Array:
-        """Orthonormal directions (J, at most dim) in which eta moves whitened z."""
-        gain = (self.gain[1] * model)[:, None] if self.gain[1] > 0 else model[:, None][:, :0]
-        u, s, _ = np.linalg.svd(whiten @ np.hstack([gain, self.column]), full_matrices=False)
-        return np.asarray(u[:, s > 1e-6])
-
 
 def scan_rows(
     model: Model,
@@ -126,7 +122,7 @@ def scan_rows(
     boxed: Callable[[Response], Response],
     degree: int,
 ) -> ScanRows:
-    """One scan as a few rows: DIRECTIONS at most, and those of the discrepancy.
+    """One scan as rows, one for each of its modes.
 
     sigma   name of the shared noise, or its known value
     boxed   brings a response to the boxes of the priors
@@ -149,18 +145,18 @@ def scan_rows(
     best, eta = _best_fit(response, shift, y, noise, share_of(y))
     (gain,), (offset,) = shift.at(eta[None])
     numerical = share_of(y - offset)
-    at_best, sd = response.evaluate(best[None])
-    # the surrogate's error in z is correlated: R C R^T, scaled to its sd at the best fit
+    _, sd = response.evaluate(best[None])
     covariance = r @ surrogate.mode_covariance(reading.time_h) @ r.T
     root = gain * sd[0] / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    unknown = covariance * np.outer(root, root) + np.diag(numerical)
-    unknown += seen[0].left ** 2 * np.outer(y, y)
+    simulated = covariance * np.outer(root, root)
+    unknown = simulated + np.diag(numerical) + seen[0].left ** 2 * np.outer(y, y)
     whiten = np.linalg.inv(np.linalg.cholesky(unknown + noise**2 * np.eye(len(y))))
-    kept = shift.directions(at_best[0], whiten)
-    weight = _directions(response, best, whiten, kept).T @ whiten  # (Q, J)
+    part, turn = np.linalg.eigh(whiten @ simulated @ whiten.T)
+    part = np.clip(part, 0.0, 1.0)  # of a component's variance at x*: the surrogate's
+    weight = turn.T @ whiten
     share = np.sqrt(np.sum(weight**2, axis=1))
-    weight /= share[:, None]  # a row's noise is sigma² + extra
-    extra = np.maximum(1.0 / share**2 - noise**2, 0.0)
+    weight /= share[:, None]  # a row's noise is sigma² + extra, and the surrogate's
+    extra = np.maximum((1.0 - part) / share**2 - noise**2, 0.0)
     zero = np.zeros(len(weight))
     mixed = Response(
         response.names,
@@ -169,9 +165,9 @@ def scan_rows(
         response.degree,
         weight @ response.a,
         np.tile(response.b[0], (len(weight), 1)),  # one mean CEEQ for the scan's time
+        np.sqrt(part) / (share * gain * _scale(response, best)),
         zero,
-        zero,
-        np.zeros((len(weight), response.a.shape[1])),
+        response.log_v[:1].repeat(len(weight), axis=0),
     )
     rows = tuple(
         Affine(
@@ -180,6 +176,12 @@ def scan_rows(
         for row in weight @ moved
     )
     return ScanRows(mixed, weight @ y, extra, dense, rows, weight @ r)
+
+
+def _scale(response: Response, x: Array) -> float:
+    """E sqrt(v) at x: what the surrogate's error goes with, over the inputs (`core.response`)."""
+    basis = monomials(response.scale(x[None]), response.degree)[0]
+    return float(np.exp(basis @ response.b[0] + 0.5 * basis @ response.log_v[0]))
 
 
 def _split(
@@ -258,24 +260,3 @@ def _best_fit(
     ]
     best = min(fits, key=lambda f: f.cost).x
     return np.asarray(response.low + best[:d] * (response.high - response.low)), best[d:]
-
-
-def _directions(response: Response, best: Array, whiten: Array, kept: Array) -> Array:
-    """Orthonormal directions (J, Q): `kept`, and those in which the whitened rows vary across."""
-    d = len(best)
-    half = 0.5 * (response.high - response.low)
-
-    def whitened(unit: Array) -> Array:
-        inside = np.clip(best + unit * half, response.low, response.high)
-        values = response.evaluate(inside)[0] @ whiten.T
-        return np.asarray(values - (values @ kept) @ kept.T)
-
-    step = 1e-4 * np.eye(d)
-    jacobian = (whitened(step) - whitened(-step)).T / 2e-4
-    _, s, turn = np.linalg.svd(jacobian, full_matrices=False)
-    spread = np.minimum(5.0 / np.maximum(s, 1e-9), 2.0)
-    cloud = np.random.default_rng(0).standard_normal((SAMPLE, len(s))) * spread @ turn
-    values = whitened(cloud)
-    u, _, _ = np.linalg.svd((values - values.mean(axis=0)).T, full_matrices=False)
-    more = min(DIRECTIONS, len(whiten) - kept.shape[1])
-    return np.asarray(np.hstack([kept, u[:, :more]]))

@@ -158,7 +158,7 @@ def test_an_offset_of_the_blade_s_scans_places_its_nodes() -> None:
     model = Model(replace(blade.network, quantities=quantities), blade.surrogate)
     names = tuple(sorted({r.blade for r in readings}))
     state = update(model, RotorSpec("r", names, 1000, 1), readings)
-    assert state.meta["health"]["ess_ratio"] > 0.4, "0.02 from the whole box"
+    assert state.meta["health"]["ess_ratio"] > 0.3, "0.02 from the whole box"
     posterior = shared_posterior(state.meta, state.arrays.__getitem__)
     w = posterior.particles.w
     for axis, truth in zip("xyz", shift, strict=True):
