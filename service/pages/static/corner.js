@@ -6,6 +6,8 @@ import { legend } from "./chart.js";
 import { span, ticks } from "./scale.js";
 import { density, histogram, quantile } from "./stats.js";
 
+const SMALL = "11px system-ui, sans-serif";
+
 function canvas(width, height, label) {
   const made = h("canvas", { class: "plot", role: "img", "aria-label": label });
   const ratio = Math.max(1, devicePixelRatio);
@@ -14,8 +16,15 @@ function canvas(width, height, label) {
   made.style.maxWidth = `${width}px`;
   const ctx = made.getContext("2d");
   ctx.scale(ratio, ratio);
-  ctx.font = "11px system-ui, sans-serif";
+  ctx.font = SMALL;
   return [made, ctx];
+}
+
+/** How wide the widest of some words is drawn. */
+function widest(texts) {
+  const ctx = document.createElement("canvas").getContext("2d");
+  ctx.font = SMALL;
+  return Math.max(...texts.map((text) => ctx.measureText(text).width));
 }
 
 /** The declared prior of a parameter, and its unit; null where the network declares none. */
@@ -61,7 +70,8 @@ function marginal(name, values, told) {
   ctx.textAlign = "center";
   const at = ticks([low, high], 4);
   labels(at).forEach((text, i) => {
-    if (X(at[i]) > 14 && X(at[i]) < W - 14) ctx.fillText(text, X(at[i]), H - 19);
+    const half = ctx.measureText(text).width / 2;
+    if (X(at[i]) > half && X(at[i]) < W - half) ctx.fillText(text, X(at[i]), H - 19);
   });
   ctx.fillText(axis(words(name), told?.unit), W / 2, H - 4);
   return made;
@@ -106,7 +116,8 @@ export function corner(place, draws) {
   const n = draws.names.length;
   const of = draws.names.map((_, i) => draws.values.map((row) => row[i]));
   const spans = of.map((values) => span(values));
-  const [left, bottom, cell] = [64, 62, Math.min(150, Math.max(90, 600 / n))];
+  const called = draws.names.map((name) => words(name).split(/[ .]/));
+  const [left, bottom, cell] = [12 + widest(called.flat()), 62, Math.min(150, Math.max(90, 600 / n))];
   const size = cell * n;
   const [made, ctx] = canvas(left + size + 8, size + bottom, `Draws of ${n} parameters in pairs; the table below has the correlations`);
   const place1 = (value, [low, high]) => 6 + ((value - low) / (high - low)) * (cell - 12);
@@ -137,13 +148,13 @@ export function corner(place, draws) {
         ctx.textAlign = "center";
         ctx.font = "14px system-ui, sans-serif";
         ctx.fillText(fixed(r, 2), x0 + cell / 2, y0 + cell / 2 + 5);
-        ctx.font = "11px system-ui, sans-serif";
+        ctx.font = SMALL;
       }
     }
   }
   ctx.fillStyle = colour("soft");
   for (let i = 0; i < n; i += 1) {
-    const text = words(draws.names[i]).split(/[ .]/);
+    const text = called[i];
     ctx.textAlign = "center";
     text.forEach((word, k) => ctx.fillText(word, left + (i + 0.5) * cell, size + 30 + 13 * k));
     const at = ticks(spans[i], 2);

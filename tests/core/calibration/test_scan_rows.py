@@ -51,9 +51,8 @@ def whole(model: Model, reading: Inspection, x: Array, sigma: float) -> Array:
     return out
 
 
-def by_rows(model: Model, reading: Inspection, x: Array, sigma: float) -> Array:
+def by_rows(rows: scans.ScanRows, x: Array, sigma: float) -> Array:
     """The same by the rows that the calibration reads."""
-    rows = scans.scan_rows(model, reading, sigma, partial(_boxed, model), DEGREE)
     mean, sd = rows.response.evaluate(x)
     variance = sd**2 + rows.extra + sigma**2
     return np.asarray(np.sum(-0.5 * (rows.y - mean) ** 2 / variance - 0.5 * np.log(variance), 1))
@@ -72,13 +71,14 @@ def off(rotor: int) -> tuple[Array, Array]:
     All four inputs are unknown; points from a wide Student-t around the whole scans' posterior.
     """
     model, readings, sigma = scanned(rotor)
+    kept = [scans.scan_rows(model, r, sigma, partial(_boxed, model), DEGREE) for r in readings]
     box = np.array([model.network.parameter(name).prior.box for name in model.input_names])
     low, high = box.T
     rng = np.random.default_rng(rotor)
     unit, drawn = rng.random((20_000, len(low))), np.zeros(20_000)
     for _ in range(6):  # from the box to the posterior, by rows alone
         x = low + unit * (high - low)
-        told = sum(by_rows(model, one, x, sigma) for one in readings) - drawn
+        told = sum(by_rows(one, x, sigma) for one in kept) - drawn
         power = 1.0
         while True:
             w = np.exp(power * (told - told.max()))
@@ -95,8 +95,8 @@ def off(rotor: int) -> tuple[Array, Array]:
         unit, z = unit[inside], z[inside]
         drawn = -(6 + len(low)) / 2 * np.log1p(np.sum(z**2, axis=1) / 6)
     x = low + unit * (high - low)
-    sure = [sum(of(model, one, x, sigma) for one in readings) for of in (whole, by_rows)]
-    (mean, sd), (mean_rows, sd_rows) = (posterior_of(one, drawn, x) for one in sure)
+    mean, sd = posterior_of(sum(whole(model, r, x, sigma) for r in readings), drawn, x)
+    mean_rows, sd_rows = posterior_of(sum(by_rows(one, x, sigma) for one in kept), drawn, x)
     return (mean_rows - mean) / sd, sd_rows / sd
 
 
