@@ -23,7 +23,7 @@ KEPT = [
 # studies that missed .68 ± .05, kept as they came out: two shared parameters at a standard error of
 # .031 miss by chance one time in four; ranks are inside their bands
 MISSED = {("rotor-100", 200, 7)}
-# Table 1's mixed data: T1T, and with it the scanned blade's coating, are 8 % too sure
+# Table 1's mixed data: T1T, and with it the scanned blade's coating, lie too rarely inside 95 %
 SURE = {("mixed", 200, 10)}
 # one rotor of 500 ended below its floor (0.0159 of its nodes carry it); it is counted as well
 BELOW = {("rotor-100", 500, 8): 0.01}
