@@ -120,10 +120,10 @@ def inspect(
             from service.commands import check_file
 
             told = check_file.checked(twin, rotor, file, quiet=as_json)
+            lines = check_file.lines_of(told)
         else:
             told = gathered(twin, rotor, quantity, time_h, node)
     if file is not None:
-        lines = check_file.lines_of(told)
         typer.echo(json.dumps(told) if as_json else "\n".join(lines))
         raise typer.Exit(REFUSED if told["faults"] else 0)
     if limit is not None:

@@ -152,3 +152,26 @@ def test_commands_have_linear_algebra_on_one_thread_unless_told_otherwise() -> N
             [sys.executable, "-c", seen], env=environ, capture_output=True, text=True, check=True
         )
         assert run.stdout.strip() == found
+
+
+LOADED = """
+import sys
+import service.cli, service.bootstrap
+from service.bootstrap import Later
+
+made = []
+science = Later(lambda: made.append(1) or "science")
+assert not made
+assert science.upper() == science.upper() == "SCIENCE"
+assert made == [1]
+print(*sorted({name.partition(".")[0] for name in sys.modules}))
+"""
+
+
+def test_a_worker_loads_neither_the_api_nor_a_science_before_it_is_asked() -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", LOADED], capture_output=True, text=True, check=True
+    )
+    loaded = set(done.stdout.split())
+    assert {"sqlalchemy", "typer"} <= loaded
+    assert not {"fastapi", "uvicorn", "httpx", "rich", "psycopg", "numba", "sklearn"} & loaded

@@ -24,13 +24,13 @@ let view = null;
 let shown = "";
 let shownHour = null;
 let slider = null;
-let playing = 0;
-let running = false;
+let films = 0;
+let playing = 0; // number of the film that runs; 0: none
 let dots = [];
 let series = { key: "", fields: [] };
 
 function change(given, again = true) {
-  if (running) stop();
+  if (playing) stop();
   Object.assign(chosen, given);
   remember(given);
   if (again) shown = "";
@@ -69,8 +69,7 @@ const shift = (found) => (chosen.warp && Array.isArray(found.mean[0]) ? found.me
 
 /** Ends the film. */
 function stop() {
-  playing += 1;
-  running = false;
+  playing = 0;
   show(film, h("button", { type: "button", onclick: play, disabled: !view }, "Play over the hours"));
 }
 
@@ -80,8 +79,9 @@ function stop() {
  */
 async function play() {
   stop();
-  const mine = playing;
-  running = true;
+  films += 1;
+  const mine = films;
+  playing = mine;
   const version = drawn.version;
   const told = h("span", { class: "soft small", role: "status" });
   show(film, h("button", { type: "button", class: "main", onclick: () => { stop(); redraw(); } }, "Stop"), told);
@@ -98,9 +98,11 @@ async function play() {
       fields.push(next);
     }
   } catch (error) {
+    if (mine === playing) {
+      playing = 0;
+      told.textContent = error.message;
+    }
     if (!(error instanceof Problem)) throw error;
-    if (mine === playing) told.textContent = error.message;
-    running = running && mine !== playing;
     return;
   }
   const used = [...new Set(surface.triangles.flat())];
@@ -156,7 +158,7 @@ async function draw() {
   const now = await get(path`/v1/rotors/${rotor}`);
   drawn.version = now.version;
   show($("states"), badges(statesOf(now)));
-  if (running) {
+  if (playing) {
     notices(warningsOf(now)); // what the film shows stays; its end draws the newest
     return;
   }
@@ -170,7 +172,7 @@ async function draw() {
   surface ??= await get(path`/v1/models/${now.model}/surface`);
   const quantity = fields.includes(chosen.quantity) ? chosen.quantity : fields[0];
   const found = await get(`${own}/field`, { quantity, time_h: chosen.time_h });
-  if (running) return; // begun meanwhile
+  if (playing) return; // begun meanwhile
   const kind = model.outputs[quantity].kind;
   const numbers = shownOf(found);
   const used = [...new Set(surface.triangles.flat())];
@@ -204,7 +206,7 @@ async function draw() {
     { name: "± sd", value: (n) => plain(at(found.sd[n]), 2), sort: (n) => at(found.sd[n]), number: true },
   ], used.filter((_, i) => i % 100 === 0)))));
   const scansOf = await scanned(quantity);
-  if (running) return;
+  if (playing) return;
   const looked = scansOf.find((r) => r.id === chosen.scan);
   const colours = drawMisfit(looked, found);
   dots = [...new Set(scansOf.flatMap((r) => r.nodes ?? []))];
