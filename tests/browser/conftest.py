@@ -246,4 +246,5 @@ def watching(browser: Browser, service: Running) -> Iterator[Watched]:
         ),
     )
     yield seen
+    page.unroute_all(behavior="ignoreErrors")  # a page that asks again while it closes
     context.close()
