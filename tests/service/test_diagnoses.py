@@ -274,12 +274,12 @@ def test_a_long_step_keeps_its_lease_by_the_heartbeat(
     store: SqlStore, settings: Settings, straight: str, science: FakeScience
 ) -> None:
     request_diagnosis(store, science, "r1", (), compare=True, horizon_h=None)
-    short = settings.model_copy(update={"lease_s": 0.6})
+    short = settings.model_copy(update={"lease_s": 1.5})
     claims: list[object] = []
 
     def at(done: int) -> None:
         if done == 0:
-            threading.Event().wait(1.5)
+            threading.Event().wait(3.0)
             claims.append(claim_job(store.engine, "second", 30.0, "diagnose"))
 
     make_worker(store, stepped(at), short, "first", "diagnose").drain()

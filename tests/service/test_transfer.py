@@ -34,7 +34,6 @@ from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore
 from service.worker.rebuild import replay
-from tests.conftest import _postgres_copy
 from tests.service.smooth import formula_science
 
 Make = Callable[..., Inspection]
@@ -47,16 +46,17 @@ def elsewhere(
 ) -> Iterator[SqlStore]:
     """An empty, migrated database of the other kind, without any model."""
     if is_sqlite(store.engine):
-        server = request.getfixturevalue("postgres_server")
-        made = _postgres_copy(server, request.getfixturevalue("postgres_template"))
-        url = next(made)
+        databases = request.getfixturevalue("databases")
+        name = databases.take()
+        url = databases.url(name)
     else:
         shutil.copy(sqlite_template, tmp_path / "elsewhere.db")
-        made, url = iter(()), f"sqlite:///{tmp_path / 'elsewhere.db'}"
+        url = f"sqlite:///{tmp_path / 'elsewhere.db'}"
     opened = SqlStore(open_engine(url))
     yield opened
     opened.close()
-    next(made, None)
+    if is_sqlite(store.engine):
+        databases.give(name)
 
 
 def work(store: SqlStore, science: Science, settings: Settings) -> None:
