@@ -132,6 +132,9 @@ EXTREMES = {
     "hottest": (HOTTEST, 60.0),
     "coolest": (COOLEST, 10000.0),
 }
+# mm, by `elongation_at(place, "fine")`, which takes 10 s each; where the physics changes, the
+# default mesh leaves these, too, and they are to be made again
+FINE = {"centre": 0.105561, "hottest": 0.151305, "coolest": 0.0217736}
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +153,7 @@ def elongation_at(place: str, mesh: str | BladeMesh) -> float:
 def test_default_mesh_elongates_within_one_percent_of_the_finer_one(
     place: str, stretched: dict[str, float]
 ) -> None:
-    fine = elongation_at(place, "fine")
-    assert fine > 0.01
-    assert stretched[place] == pytest.approx(fine, rel=0.01)
+    assert stretched[place] == pytest.approx(FINE[place], rel=0.01)
 
 
 def test_one_element_through_the_wall_misses_that_percent(stretched: dict[str, float]) -> None:

@@ -16,7 +16,7 @@ from tests.core.calibration.bar import bar, measured
 from tests.core.diagnosis.test_diagnose import OFFSET
 
 MODEL, BLADES, TIMES = bar(), 12, (0.4e4, 0.8e4, 1.2e4, 1.6e4, 2.0e4)
-SPEC = RotorSpec("r", tuple(f"b{b}" for b in range(BLADES)), 1000, 3)
+SPEC = RotorSpec("r", tuple(f"b{b}" for b in range(BLADES)), 300, 3)
 HORIZON = MODEL.surrogate.horizon_h
 
 
