@@ -12,7 +12,8 @@ model's own answer counts as the parameters', the rest as its own. As r is uncor
 the first and third term are exactly Var_w(Y_m + delta),
 so the squares of the sources add up to the square of the total. Quantiles and bounds are those
 of the mixture of normals Σ w_i N(Y_m,i + delta_i, g_i² s_i² + sigma_delta² + sigma_i²), not of a
-fitted bell: they are the bounds between which a *reading* falls with the stated probability.
+fitted bell (`core.mixture`): the bounds between which a *reading* falls with the stated
+probability.
 Whoever wants the band of the blade itself, without the instrument, asks for ``noise=False``.
 """
 
@@ -23,12 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from core.calibration.space import nominal
 from core.calibration.state import Posterior
 from core.discrepancy import affine, parameters, total
 from core.errors import InputError, RangeError
+from core.mixture import mixture_quantiles
 from core.model import Model
 from core.network import Quantity
 from core.prior import Prior
@@ -151,56 +152,6 @@ def split_variance(mean: Array, delta: Array, w: Array) -> tuple[Array, Array]:
     variance = w @ centred**2
     slope = (w @ (centred * apart)) / np.where(variance > 0, variance, 1.0)
     return (1 + slope) ** 2 * variance, w @ (apart - slope * centred) ** 2
-
-
-GROUPS = 160
-
-
-def mixture_quantiles(mean: Array, sd: Array, w: Array, p: Array) -> Array:
-    """Quantiles of Σ w_i N(mean_i, sd_i²), shape (len(p), T); mean and sd (n, T).
-
-    Components are sorted by mean and merged into groups of equal weight that keep mean and
-    variance; then the distribution function is bisected inside a bracket that holds them all.
-
-    >>> one = mixture_quantiles(np.zeros((1, 1)), np.ones((1, 1)), np.ones(1), np.array([0.975]))
-    >>> round(float(one[0, 0]), 4)
-    1.96
-    >>> middles, half = np.array([[1.0], [3.0]]), np.array([0.5, 0.5])
-    >>> sure = mixture_quantiles(middles, np.zeros((2, 1)), half, np.array([0.9]))
-    >>> round(float(sure[0, 0]), 9)
-    3.0
-    """
-    n, t = mean.shape
-    if n > GROUPS:
-        order = np.argsort(mean, axis=0, kind="stable")
-        share = w[order]
-        group = np.minimum((np.cumsum(share, axis=0) * GROUPS).astype(np.int64), GROUPS - 1)
-        flat = (group + GROUPS * np.arange(t)).ravel()
-        m = np.take_along_axis(mean, order, axis=0)
-        second = m**2 + np.take_along_axis(sd, order, axis=0) ** 2
-
-        def gather(values: Array) -> Array:
-            sums = np.bincount(flat, values.ravel(), GROUPS * t)
-            return np.asarray(sums.reshape(t, GROUPS).T, float)
-
-        mass = gather(share)
-        safe = np.maximum(mass, 1e-300)
-        mean = gather(share * m) / safe
-        sd = np.sqrt(np.maximum(gather(share * second) / safe - mean**2, 0.0))
-    else:
-        mass = np.repeat(w[:, None], t, axis=1)
-    sd = np.maximum(sd, 1e-300)
-    here = mass > 0
-    low = np.tile(np.min(np.where(here, mean - 9 * sd, np.inf), axis=0), (len(p), 1))
-    high = np.tile(np.max(np.where(here, mean + 9 * sd, -np.inf), axis=0), (len(p), 1))
-    for _ in range(32):
-        mid = 0.5 * (low + high)
-        with np.errstate(over="ignore"):  # far from a component without a width, ndtr is 0 or 1
-            z = (mid[:, None, :] - mean) / sd
-        f = np.einsum("pgt,gt->pt", ndtr(z), mass)
-        above = f < p[:, None]
-        low, high = np.where(above, mid, low), np.where(above, high, mid)
-    return np.asarray(0.5 * (low + high))
 
 
 def predict(
