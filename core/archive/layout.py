@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5netcdf
 import numpy as np
 
 from core.archive.declaration import DIMENSIONS, Declaration, Mesh, Quantity
 from core.errors import ModelError
+
+if TYPE_CHECKING:  # whoever loads a built model has this module, and reads no netCDF
+    import h5netcdf
 
 
 def mesh_of(data: h5netcdf.File, declared: Declaration) -> Mesh:
@@ -47,7 +49,16 @@ def variable_of(out: h5netcdf.File, quantity: Quantity, *, runs: bool = False) -
 
 def opened(path: Path) -> h5netcdf.File:
     """A netCDF file for reading; ModelError where it is none."""
+    import h5netcdf
+
     try:
         return h5netcdf.File(path, "r")
     except (OSError, ValueError) as error:
         raise ModelError(f"{path} cannot be read as netCDF: {error}") from error
+
+
+def created(path: Path) -> h5netcdf.File:
+    """A new netCDF file, for writing."""
+    import h5netcdf
+
+    return h5netcdf.File(path, "w")

@@ -21,7 +21,6 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import h5netcdf
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +34,7 @@ from core.archive.declaration import (
     Run,
 )
 from core.archive.disk import flush, link_file, part_of, replace_file
-from core.archive.layout import mesh_of, opened, variable_of, write_mesh
+from core.archive.layout import created, mesh_of, opened, variable_of, write_mesh
 from core.errors import InputError, ModelError, RangeError
 
 
@@ -82,7 +81,7 @@ class Archive:
         path.mkdir(parents=True, exist_ok=True)
 
         def fill(name: Path) -> None:
-            with h5netcdf.File(name, "w") as out:
+            with created(name) as out:
                 out.dimensions = {"node": len(mesh.points), "xyz": 3}
                 write_mesh(out, mesh)
 
@@ -142,7 +141,7 @@ class Archive:
 
     def _fill(self, name: Path, run: Run) -> None:
         declared = self.declaration
-        with h5netcdf.File(name, "w") as out:
+        with created(name) as out:
             out.dimensions = declared.dimensions()
             inputs = np.array([float(run.inputs[item.name]) for item in declared.inputs])
             out.create_variable("inputs", ("input",), data=inputs)
@@ -208,7 +207,7 @@ class Archive:
         mesh = self.mesh()
 
         def fill(name: Path) -> None:
-            with h5netcdf.File(name, "w") as out:
+            with created(name) as out:
                 out.attrs["declaration"] = declared.to_json()
                 out.dimensions = {"run": len(done), **declared.dimensions()}
                 if declared.nodes:

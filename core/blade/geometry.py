@@ -24,7 +24,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-import meshio
 import numpy as np
 
 from core.blade.element import EDGES, NODES, Array, Index, gauss, shape
@@ -128,6 +127,8 @@ class BladeMesh:
                     f"does not fit {len(self.points)} nodes",
                     "give one row per node",
                 )
+        import meshio
+
         meshio.write(
             path,
             meshio.Mesh(self.points, [("hexahedron20", self.cells)], point_data=point_data or {}),

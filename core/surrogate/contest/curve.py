@@ -10,16 +10,19 @@ process that `train` uses is one of them, with hyperparameters fitted inside eac
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
 from core.archive import Archive
 from core.errors import ModelError
 from core.response import monomials, multi_indices
 from core.rng import seed_of, stream
 from core.surrogate.kernel import SharedGP, fit_hyper
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
 Array = NDArray[np.float64]
 Contestant = Callable[[Array, Array, Array], Array]
@@ -46,6 +49,8 @@ def _polynomial(degree: int) -> Contestant:
 
 def contestants(n: int, d: int, seed: int) -> dict[str, Contestant]:
     """Those that n runs of d inputs can carry."""
+    # here, because whoever loads a model that was built loads this module, and no tree
+    from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
     def trees(kind: type[ExtraTreesRegressor] | type[RandomForestRegressor]) -> Contestant:
         state = seed_of(seed, kind.__name__) % 2**32
