@@ -1,4 +1,4 @@
-"""The main job, small (two outages, ten blades read): a killed worker changes nothing in it."""
+"""The main job, small (one outage, ten blades read): killed workers change nothing in it."""
 
 from __future__ import annotations
 
@@ -31,13 +31,11 @@ def workers_of(pid: int) -> list[int]:
     return [int(line.split()[0]) for line in found.splitlines() if " worker" in line]
 
 
-def two_outages(every: Iterable[Step]) -> Iterator[Step]:
-    """The steps of the plan up to the end of its second outage."""
-    ended = 0
+def one_outage(every: Iterable[Step]) -> Iterator[Step]:
+    """The steps of the plan up to the end of its first outage."""
     for step in every:
         yield step
-        ended += step.through
-        if ended == 2:
+        if step.through:
             return
 
 
@@ -55,7 +53,7 @@ def main_job(folder: Path, kills: int) -> tuple[dict[str, Any], dict[str, Any], 
         def deadly(rotor: str, inspections: Any) -> int:
             nonlocal done
             seq = post(rotor, inspections)
-            if done < kills and seq > 5 * (done + 1):
+            if done < kills and seq > 2 * (done + 1):
                 end = time.monotonic() + 60
                 while not (victims := workers_of(running.process.pid)):
                     assert time.monotonic() < end, "no worker came back"
@@ -75,7 +73,7 @@ def main_job(folder: Path, kills: int) -> tuple[dict[str, Any], dict[str, Any], 
 def test_killing_the_workers_with_9_changes_nothing_in_the_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(demo, "steps", lambda plan, seed: two_outages(steps(plan, seed)))
+    monkeypatch.setattr(demo, "steps", lambda plan, seed: one_outage(steps(plan, seed)))
     calm, calm_posterior, _ = main_job(tmp_path / "calm", kills=0)
     wild, wild_posterior, kills = main_job(tmp_path / "wild", kills=3)
     assert kills == 3

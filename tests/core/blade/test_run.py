@@ -213,8 +213,10 @@ def test_an_unknown_mesh_is_refused(base: dict[str, float]) -> None:
 def test_the_papers_size_of_mesh_agrees_with_the_refined_one(base: dict[str, float]) -> None:
     """At 300 h; over the whole horizon by `tests/benchmarks/bench_blade.py paper`."""
     hours = np.array([0.0, 300.0])
-    runs = {mesh: simulate(base, mesh, time_h=hours) for mesh in ("paper", "coarse")}
+    runs = {
+        mesh: simulate(base, mesh, time_h=hours, tolerance=LOOSE) for mesh in ("paper", "coarse")
+    }
     assert runs["paper"].ceeq.shape[1] == 27_360
-    fine = 0.032717  # mm, by the mesh `fine`, whose run takes as long as that of `paper`
+    fine = 0.032693  # mm, by the mesh `fine` in the same steps
     assert abs(runs["paper"].elongation[-1] / fine - 1) < 0.002
     assert abs(runs["coarse"].elongation[-1] / fine - 1) > 0.002  # negative control

@@ -235,8 +235,8 @@ def test_six_shared_parameters_are_calibrated() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_order_of_arrival_changes_nothing(kind: str) -> None:
     model = drifting(KINDS[kind])
-    data = by_two_instruments(0.03, 0.03)[:40]
+    data = by_two_instruments(0.03, 0.03)[: 40 if kind == "gp" else 24]
     state = calibrated(model, data)
-    before = calibrated(model, data[:36])
+    before = calibrated(model, data[:-4])
     again = update(model, RotorSpec("r", state.meta["blades"], 2000, 3), data[::-1], before)
     assert again.digest == state.digest
