@@ -162,6 +162,9 @@ class _Search:
             )
             if made is not None:
                 known[cells] = made
+            elif len(cells) > 1:  # what has no room together may have it alone
+                for i in cells:
+                    ask((i,))
 
         for one in [h for h in apart(weighed) if h.weight >= NOTICEABLE][:RIVALS]:
             ask(one.cells)

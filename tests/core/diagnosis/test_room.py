@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,10 @@ from core.calibration.online import RotorSpec, Workspace, update
 from core.course import Course, Drift, How
 from core.diagnosis import Case, Facts
 from core.diagnosis.adopt import _room, with_effects
+from core.diagnosis.conclude import Rival
 from core.diagnosis.diagnose import _Search
 from core.diagnosis.grammar import FAMILIES, Cell
+from core.diagnosis.verdict import Hypothesis
 from core.errors import InputError
 from core.model import Model, rotor_blade_wide
 from core.observation import Inspection
@@ -21,8 +25,9 @@ FOULING = Cell(FAMILY["fouling"], "linear", "all")
 STEP = Cell(FAMILY["firing temperature step"], "step", "all", step_h=17_500.0)
 
 
-def test_effects_that_leave_the_runs_together_are_refused_and_the_search_goes_on() -> None:
-    """One blade joined late, so that each has a course of its own: nothing is seen before."""
+@pytest.fixture(scope="module")
+def search() -> _Search:
+    """Two blades; one joined late, so that each has a course of its own: nothing is seen before."""
     names = ("B1", "B2")
     data = tuple(
         Inspection(f"{b}-{t}", b, "elongation", t, np.array([0.3 + 1e-6 * t]), sigma=0.02)
@@ -32,8 +37,14 @@ def test_effects_that_leave_the_runs_together_are_refused_and_the_search_goes_on
     facts = {"B1": Facts(), "B2": Facts(offset_h=14e3)}
     model, spec, work = rotor_blade_wide(), RotorSpec("r", names, 100, 1), Workspace()
     case = Case(spec, data, facts)
-    search = _Search(model, update(model, spec, data, workspace=work), case, work, lambda *a: None)
-    both = with_effects(model, (FOULING, STEP), facts, {"elongation": 0.02})
+    state = update(model, spec, data, workspace=work)
+    return _Search(model, state, case, work, lambda *a: None)
+
+
+def test_effects_that_leave_the_runs_together_are_refused_and_the_search_goes_on(
+    search: _Search,
+) -> None:
+    both = with_effects(search.model, (FOULING, STEP), search.case.facts, {"elongation": 0.02})
     assert len(both.network.drifts) == 2, "nothing is refused before a blade is asked for"
     assert search.calibrated((FOULING, STEP)) is None
     ((effects, why),) = search.refused.items()
@@ -41,6 +52,25 @@ def test_effects_that_leave_the_runs_together_are_refused_and_the_search_goes_on
     assert "leaves the runs" in why
     alone = search.calibrated((STEP,))
     assert alone is not None
+
+
+def test_where_a_pair_has_no_room_each_of_the_two_is_tried(
+    search: _Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However little the scan gives it alone."""
+    scan = search.case.scan(search.model, search.state)
+    pair = tuple(
+        next(i for i, c in enumerate(scan.cells) if (c.name, c.shape) == (one.name, one.shape))
+        for one in (FOULING, STEP)
+    )
+    names = tuple(scan.cells[i].name for i in pair)
+    only = [Hypothesis(pair, names, 20.0, 1.0)]
+    monkeypatch.setattr(sys.modules[_Search.__module__], "weighed_all", lambda *a, **k: only)
+    monkeypatch.setattr(sys.modules[_Search.__module__], "SIBLINGS", 0)
+    nothing = Rival((), search.model, lambda: search.state, 0.0)
+    turn = search.turn(scan, nothing)
+    assert names in search.refused
+    assert set(turn.rivals) == {(name,) for name in names}
 
 
 def drift(course: list[tuple[float, float]], moved: str, how: How = "plus") -> Drift:
