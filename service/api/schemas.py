@@ -5,6 +5,7 @@ JSON's ``NaN`` and ``Infinity``, which some writers emit, are read and then refu
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Annotated, Any, Self
 
@@ -24,9 +25,10 @@ from pydantic import (
 from pydantic.config import JsonValue
 from pydantic_core import from_json
 
+from core.errors import InputError
 from core.observation import Inspection
 from service.api.csv_rows import csv_rows
-from service.api.problems import Fault, RequestError, fault, faults_of_validation, invalid
+from service.api.problems import Fault, RequestError, fault, fault_of, faults_of_validation, invalid
 from service.api.sensorthings import sensorthings_rows
 from service.export.sensorthings import MEDIA
 from service.handlers.inspections import Item
@@ -159,8 +161,16 @@ class Nothing(Body):
     """A body without fields."""
 
 
-def read_inspections(body: bytes, content_type: str) -> list[Item]:
-    """The readings of a request, by its media type. RequestError lists every fault."""
+def read_inspections(
+    body: bytes,
+    content_type: str,
+    also: Callable[[Sequence[Item]], Sequence[InputError]] | None = None,
+) -> list[Item]:
+    """The readings of a request, by its media type. RequestError lists every fault.
+
+    also  what else keeps readings out: asked of those that can be read where others cannot, so
+          that whoever posts many is told all at once
+    """
     kind = content_type.split(";")[0].strip().lower()
     if kind == "text/csv":
         rows = csv_rows(body)
@@ -182,7 +192,7 @@ def read_inspections(body: bytes, content_type: str) -> list[Item]:
         except ValidationError as error:
             faults += faults_of_validation(error.errors(), where)
     if faults:
-        raise invalid(faults)
+        raise invalid([*faults, *map(fault_of, also(items) if also and items else ())])
     return items
 
 

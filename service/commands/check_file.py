@@ -7,7 +7,7 @@ blades and the readings that are there already. Nothing is posted.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from service.api.problems import RequestError, fault, fault_of
 from service.api.schemas import InspectionIn, read_inspections
 from service.client import Client, ProblemError
 from service.export.sensorthings import MEDIA
-from service.handlers.inspections import faults_of
+from service.handlers.inspections import Item, faults_of
 from service.progress import bar
 
 Told = dict[str, Any]
@@ -45,14 +45,18 @@ def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
     now = twin.rotor(rotor)
     model = twin.model(now["model"])
     told: Told = {"rotor": rotor, "file": str(file), "readings": 0, "new": 0, "same": 0}
+    reach = Reach(model["horizon_h"], model["node_count"])
+    network, blades = Network.from_json(model["network"]), {one["id"] for one in now["blades"]}
+
+    def also(items: Sequence[Item]) -> list[InputError]:
+        return faults_of(items, network, reach, blades, rotor)
+
     try:
-        items = read_inspections(body, media_type(file, body))
+        items = read_inspections(body, media_type(file, body), also)
     except RequestError as error:
         unread = [fault("file", file.name, error.detail, "correct it, or save it as CSV in UTF-8")]
         return told | {"faults": error.faults or unread}
-    reach = Reach(model["horizon_h"], model["node_count"])
-    network, blades = Network.from_json(model["network"]), {one["id"] for one in now["blades"]}
-    faults = [fault_of(one) for one in faults_of(items, network, reach, blades, rotor)]
+    faults = [fault_of(one) for one in also(items)]
     seen: dict[str, str] = {}
     with bar("looking at the rotor", len(items), quiet=quiet) as shown:
         for done, item in enumerate(items, start=1):

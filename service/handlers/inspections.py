@@ -58,16 +58,20 @@ class Log:
 
 def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list[Appended]:
     """Append readings to the log; FaultsError lists every fault of every item."""
-    with store.read() as tx:
-        rotor = tx.records.rotor(rotor_id)
-        card = tx.records.model(rotor.model_id, rotor.model_version)
-        blades = {blade.id for blade in tx.records.blades(rotor_id)}
-    found = faults_of(items, card.network, card, blades, rotor_id)
-    if found:
+    if found := faults_here(store, rotor_id, items):
         raise FaultsError(found)
     events = [_event(item.reading) for item in items]
     with store.write() as tx:
         return tx.log.append(rotor_id, events)
+
+
+def faults_here(store: Store, rotor_id: str, items: Sequence[Item]) -> list[InputError]:
+    """`faults_of` a rotor as it stands."""
+    with store.read() as tx:
+        rotor = tx.records.rotor(rotor_id)
+        card = tx.records.model(rotor.model_id, rotor.model_version)
+        blades = {blade.id for blade in tx.records.blades(rotor_id)}
+    return faults_of(items, card.network, card, blades, rotor_id)
 
 
 def faults_of(

@@ -244,6 +244,14 @@ def test_every_fault_of_a_batch_is_listed_by_its_index(created: httpx.Client) ->
     assert body["faults"][4]["value"] == -2.0
 
 
+def test_a_row_that_cannot_be_read_hides_no_fault_of_the_others(created: httpx.Client) -> None:
+    batch = {"inspections": [one("a", value="long"), one("b", blade="B9"), one("c")]}
+    body = refuse(created.post("/v1/rotors/r1/inspections", json=batch), 422)
+    named = [fault["field"] for fault in body["faults"]]
+    assert named == ["inspections[0].value", "inspections[1].blade"]
+    assert head(created) == 0
+
+
 def test_csv_is_read_row_by_row(created: httpx.Client, worker: Worker) -> None:
     text = (
         "id,blade,quantity,time_h,value,node,unit,campaign\r\n"

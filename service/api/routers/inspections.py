@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
@@ -99,7 +100,11 @@ def listed_out(item: use.Listed, *, full: bool) -> dict[str, Any]:
 def post_inspections(
     r: Name, request: Request, services: Wired, body: Annotated[bytes, Depends(raw_body)]
 ) -> JSONResponse:
-    items = read_inspections(body, request.headers.get("content-type", ""))
+    kind, also = (
+        request.headers.get("content-type", ""),
+        partial(use.faults_here, services.store, r),
+    )
+    items = read_inspections(body, kind, also)
     return accepted(use.post_inspections(services.store, r, items))
 
 
