@@ -99,18 +99,25 @@ def field_of(
     gain, offset, sigma, left = (
         np.stack([part[i] for part in parts], axis=-1)[..., 0, :] for i in range(4)
     )
+    # a particle says g Y + o ± sqrt(g² s² + (nu g Y)² + (left g Y)²): summed are Y, Y² and s²
+    share = w[:, None] * gain
+    square = share * gain
+    swollen = square * (1.0 + declared.numerical**2 + left**2)
     sums: list[Array] = []
     for start in range(0, len(w), BLOCK):
         block = slice(start, start + BLOCK)
-        mean, sd = surrogate.predict(x[block], quantity, time, places)
-        shape = (len(mean), len(places), len(parts))
-        mean, sd = mean.reshape(shape), sd.reshape(shape)
-        g = gain[block, None]
-        own = (g * np.hypot(sd, declared.numerical * mean)) ** 2 + (left * g * mean) ** 2
-        y = g * mean + offset[block, None]
-        share = w[block]
-        centre = np.einsum("i,ijk->jk", share, y)
-        sums.append(np.stack([centre, np.einsum("i,ijk->jk", share, y**2 + own)]))
+        y, sd = surrogate.predict(x[block], quantity, time, places)
+        y, sd = (part.reshape(len(y), len(places), len(parts)) for part in (y, sd))
+        o = offset[block]
+
+        def over(weights: Array, values: Array) -> Array:
+            return np.asarray(np.einsum("ik,ijk->jk", weights, values), float)
+
+        first = over(share[block], y) + w[block] @ o
+        twice = over(2.0 * share[block] * o, y) + w[block] @ o**2 if o.any() else 0.0
+        np.square(y, out=y)
+        np.square(sd, out=sd)
+        sums.append(np.stack([first, twice + over(swollen[block], y) + over(square[block], sd)]))
     mean, second = np.sum(sums, axis=0)
     deviation = np.sqrt(np.maximum(second - mean**2, 0.0) + sigma**2)
     if declared.kind == "field":
