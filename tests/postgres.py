@@ -1,9 +1,9 @@
 """Databases on PostgreSQL for tests: a server, and migrated, empty databases on it.
 
 A copy of a database takes longer than most tests. So a database that a test leaves is emptied and
-taken again: its connections are ended, its rows deleted, its sequences set back. It comes under
-another name, so that no process which a test left behind finds it. Where its schema or its settings
-are no longer those of a fresh one it is dropped instead.
+taken again: it is closed, its connections are ended, and it opens under another name, so that
+nobody who goes on after a test finds it; then its rows are deleted and its sequences set back.
+Where its schema or its settings are no longer those of a fresh one it is dropped instead.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from service.store.engine import open_engine
 from service.store.migrate import migrate
 
 NUMBER = count(1)
-PATIENCE_S = 60.0
+PATIENCE_S = 20.0
 # What a migration leaves: columns, indexes, constraints, triggers, functions, sequences, settings
 # and the rows of its own table.
 SHAPE = """
@@ -61,7 +61,7 @@ END $$
 """
 OTHERS = """
 SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity
-WHERE datname = current_database() AND backend_type = 'client backend' AND pid <> pg_backend_pid()
+WHERE datname = :name AND backend_type = 'client backend'
 """
 
 
@@ -179,16 +179,14 @@ class Databases:
 
     def bare(self) -> str:
         """Name of a new database without tables."""
-        name = f"bladetwin_test_{os.getpid()}_{next(NUMBER)}"
+        name = self._name()
         self.run(f"CREATE DATABASE {name}")
         return name
 
     def take(self) -> str:
         """Name of a migrated, empty database."""
         if self._free:
-            name = f"bladetwin_test_{os.getpid()}_{next(NUMBER)}"
-            self.run(f"ALTER DATABASE {self._free.pop()} RENAME TO {name}")
-            return name
+            return self._free.pop()
         name = self.bare()
         engine = open_engine(self.url(name))
         migrate(engine)
@@ -199,10 +197,15 @@ class Databases:
 
     def give(self, name: str) -> None:
         """Take back what `take` gave: emptied for the next, or dropped where it was changed."""
-        if self._emptied(name):
-            self._free.append(name)
-        else:
+        try:
+            other = self._renamed(name)
+        except DBAPIError:  # dropped by the test, or a user who may not do this
             self.drop(name)
+            return
+        if self._emptied(other):
+            self._free.append(other)
+        else:
+            self.drop(other)
 
     def drop(self, name: str) -> None:
         self.run(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
@@ -211,20 +214,32 @@ class Databases:
         while self._free:
             self.drop(self._free.pop())
 
+    def _name(self) -> str:
+        return f"bladetwin_test_{os.getpid()}_{next(NUMBER)}"
+
+    def _renamed(self, name: str) -> str:
+        """Its new name, by which none of those who were connected knows it."""
+        other, end = self._name(), time.monotonic() + PATIENCE_S
+        self.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false")
+        with _engine(self.server.render_as_string(False)).connect() as connection:
+            while connection.execute(text(OTHERS), {"name": name}).scalar():
+                if time.monotonic() > end:
+                    break  # the next statement says who is there
+                time.sleep(0.001)
+        self.run(f"ALTER DATABASE {name} RENAME TO {other}")
+        self.run(f"ALTER DATABASE {other} ALLOW_CONNECTIONS true")
+        return other
+
     def _emptied(self, name: str) -> bool:
+        """Whether it has the shape of a fresh one; then it is empty, too."""
         engine = create_engine(self.url(name), isolation_level="AUTOCOMMIT", poolclass=NullPool)
-        end = time.monotonic() + PATIENCE_S
         try:
             with engine.connect() as connection:
-                while connection.execute(text(OTHERS)).scalar():
-                    if time.monotonic() > end:
-                        return False
-                    time.sleep(0.001)
                 if _shape(connection) != self._shape:
                     return False
                 connection.execute(text(EMPTY))
                 return True
-        except DBAPIError:  # dropped by the test, or a user who may not do this
+        except DBAPIError:
             return False
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from threading import Event, Thread
 from typing import Any
 
 import pytest
-from sqlalchemy import create_engine, text
+from sqlalchemy import NullPool, create_engine, text
 from sqlalchemy.exc import OperationalError
 
 from service.fake import FakeScience
@@ -55,6 +56,33 @@ def test_what_a_test_left_is_emptied_and_found_by_nobody_who_knew_it(databases: 
     with pytest.raises(OperationalError, match="does not exist"), left.engine.connect():
         pass
     databases.give(second)
+
+
+def test_whoever_connects_again_and_again_holds_nothing_up(databases: Databases) -> None:
+    """A thread of a test that is over, for instance, that waits for news."""
+    name, stop, turned_away = databases.take(), Event(), Event()
+    engine = create_engine(databases.url(name), poolclass=NullPool)
+
+    def again() -> None:
+        while not stop.is_set():
+            try:
+                with engine.connect() as connection:
+                    connection.execute(text("SELECT pg_sleep(60)"))
+            except OperationalError as error:
+                if "does not exist" in str(error):
+                    turned_away.set()
+
+    others = [Thread(target=again) for _ in range(4)]
+    for other in others:
+        other.start()
+    databases.give(name)
+    assert turned_away.wait(30)
+    stop.set()
+    for other in others:
+        other.join(30)
+    following = databases.take()
+    assert following != name
+    databases.give(following)
 
 
 @pytest.mark.parametrize(
