@@ -29,8 +29,6 @@ from tests.service.adopting import Offsets
 from tests.service.conftest import RunningServer, served
 from tests.service.test_adoption import NAME, OFF, visits
 
-expect.set_options(timeout=20_000)
-
 
 @dataclass(frozen=True)
 class Twin:
@@ -100,7 +98,7 @@ def test_what_a_diagnosis_named_is_adopted_and_backed_out_by_its_page(
     expect(page.locator("#states")).to_contain_text("queued")
     page.evaluate("window.same = true")
     twin.diagnoser.drain()
-    expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible(timeout=20_000)
+    expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible()
     expect(page.locator("main")).to_contain_text(NAME)
     standing = page.locator("section", has=page.get_by_role("heading", name="In the model"))
     expect(standing).to_contain_text("Not in the model.")

@@ -96,7 +96,7 @@ def test_an_inspection_that_is_posted_appears_without_reload(
     expect(rows).to_have_count(1)
     name = f"new-{time.time_ns()}"
     service.client.post("/v1/rotors/r1/inspections", json=reading(name, "B3", 24000, 0.31))
-    expect(rows).to_have_count(2, timeout=20_000)
+    expect(rows).to_have_count(2)
     expect(rows.nth(1)).to_contain_text(name)
     assert page.evaluate("window.same") is True
     assert watched.errors == []
@@ -118,7 +118,7 @@ def test_a_page_that_is_drawn_again_stays_as_it_was_left(
     before = rows.count()
     name = f"late-{time.time_ns()}"
     service.client.post("/v1/rotors/r1/inspections", json=reading(name, "B2", 20000, 0.25))
-    expect(rows).to_have_count(before + 1, timeout=20_000)
+    expect(rows).to_have_count(before + 1)
     page.wait_for_function(
         "label => !document.querySelector(`[aria-label='${label}']`).old",
         arg="Prediction as a table",
@@ -245,14 +245,14 @@ def test_the_field_is_played_over_the_hours_in_the_same_colours(watched: Watched
     expect(page.get_by_text("instant 3 of 11, version")).to_be_visible(timeout=60_000)
     bar = page.locator("svg.bar").first
     legend, picture = bar.get_attribute("aria-label"), canvas.evaluate("c => c.toDataURL()")
-    expect(page.get_by_text("instant 9 of 11, version")).to_be_visible(timeout=20_000)
+    expect(page.get_by_text("instant 9 of 11, version")).to_be_visible()
     assert bar.get_attribute("aria-label") == legend
     assert canvas.evaluate("c => c.toDataURL()") != picture, "another hour, another picture"
     slider = page.get_by_role("slider")
     assert float(slider.input_value()) > 30_000
     page.get_by_role("button", name="Stop").click()
     expect(page.get_by_role("button", name="Play over the hours")).to_be_visible()
-    expect(slider).to_have_value("50000", timeout=20_000)
+    expect(slider).to_have_value("50000")
     assert watched.errors == []
 
 
@@ -273,7 +273,7 @@ def test_news_do_not_end_the_film(watched: Watched, service: Running) -> None:
     expect(page.get_by_role("button", name="Stop")).to_be_visible()
     with page.expect_response(lambda answer: "/field?" in answer.url):
         page.get_by_role("button", name="Stop").click()
-    expect(page.get_by_role("slider")).to_have_value("50000", timeout=20_000)
+    expect(page.get_by_role("slider")).to_have_value("50000")
     assert watched.errors == []
 
 
@@ -382,7 +382,7 @@ def test_a_service_that_is_away_is_told_and_the_page_comes_back(watched: Watched
     expect(page.locator("#notice")).to_contain_text("what was known before")
     assert page.locator(".ring a").count() == 4, "what was known stays"
     page.unroute("**/v1/**")
-    expect(page.locator("#notice")).to_be_empty(timeout=10_000)
+    expect(page.locator("#notice")).to_be_empty()
     expect(page.get_by_role("columnheader", name="Margin")).to_be_visible()
 
 
