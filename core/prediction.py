@@ -154,6 +154,87 @@ def split_variance(mean: Array, delta: Array, w: Array) -> tuple[Array, Array]:
     return (1 + slope) ** 2 * variance, w @ (apart - slope * centred) ** 2
 
 
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """What each particle says of a quantity over time, without a reading's noise; all (N, T).
+
+    model   the surrogate's mean; mean, with the discrepancy
+    sd      of the surrogate and the mesh, beside `mean`; left: of the discrepancy
+    """
+
+    model: Array
+    mean: Array
+    sd: Array
+    left: Array
+
+    @property
+    def width(self) -> Array:
+        """sd of both."""
+        return np.asarray(np.hypot(self.sd, self.left))
+
+
+def checked_times(model: Model, quantity: str, times: Sequence[float] | Array) -> Array:
+    """Times (T,) [h] inside the model's horizon; RangeError."""
+    time = np.atleast_1d(np.asarray(times, float))
+    horizon_h = model.part(quantity).horizon_h
+    if time.size == 0 or not np.all((time >= 0) & (time <= horizon_h)):
+        raise RangeError(
+            "times",
+            time.tolist()[:5],
+            f"are not all within 0 … {horizon_h:g} h",
+            "ask for times that the model covers",
+        )
+    return time
+
+
+def curves(
+    model: Model,
+    posterior: Posterior,
+    quantity: str,
+    time: Array,
+    node: int | None = None,
+    component: int | None = None,
+    known: Mapping[str, float] | None = None,
+    reader: tuple[str | None, str | None] | None = None,
+) -> Curves:
+    """The curves of the particles of `posterior`; options as of `predict`."""
+    declared, surrogate = model.network.quantity(quantity), model.part(quantity)
+    nodes = None
+    if declared.kind != "scalar":
+        if node is None:
+            node = surrogate.named[declared.node or "tip"]
+        if not 0 <= node < surrogate.node_count:
+            raise RangeError(
+                "node", node, f"does not exist: 0 … {surrogate.node_count - 1}", "name a node"
+            )
+        nodes = [node]
+    if declared.kind == "vector" and component not in (0, 1, 2):
+        raise InputError("component", component, "is none of 0, 1, 2", "choose x, y or z")
+    mean, sd = surrogate.predict(
+        inputs_of(model, posterior, quantity, known), quantity, time, nodes
+    )
+    if declared.kind == "field":
+        mean, sd = mean[:, :, 0], sd[:, :, 0]
+    elif declared.kind == "vector":
+        mean, sd = mean[:, :, 0, component], sd[:, :, 0, component]
+    gain, offset, sigma_delta, left = corrected(model, posterior, declared, time, component, reader)
+    return Curves(
+        mean,
+        gain * mean + offset,
+        gain * np.hypot(sd, declared.numerical * mean),
+        np.hypot(sigma_delta, left * gain * mean),
+    )
+
+
+def thinned(posterior: Posterior) -> Posterior:
+    """At most ENOUGH equally weighted particles, by systematic resampling from a fixed stream."""
+    if len(posterior.particles.log_w) <= ENOUGH:
+        return posterior
+    return Posterior(
+        posterior.names, posterior.particles.resampled(ENOUGH, np.random.default_rng(0))
+    )
+
+
 def predict(
     model: Model,
     posterior: Posterior,
@@ -181,40 +262,14 @@ def predict(
     Raises RangeError for times or nodes outside the model, InputError for a bad probability and
     for an instrument where readings have one noise for all.
     """
-    declared, surrogate = model.network.quantity(quantity), model.part(quantity)
+    declared = model.network.quantity(quantity)
     if not 0 < probability < 1:
         raise InputError("probability", probability, "lies outside 0 … 1", "give 0.95, say")
-    time = np.atleast_1d(np.asarray(times, float))
-    if time.size == 0 or not np.all((time >= 0) & (time <= surrogate.horizon_h)):
-        raise RangeError(
-            "times",
-            time.tolist()[:5],
-            f"are not all within 0 … {surrogate.horizon_h:g} h",
-            "ask for times that the model covers",
-        )
-    nodes = None
-    if declared.kind != "scalar":
-        if node is None:
-            node = surrogate.named[declared.node or "tip"]
-        if not 0 <= node < surrogate.node_count:
-            raise RangeError(
-                "node", node, f"does not exist: 0 … {surrogate.node_count - 1}", "name a node"
-            )
-        nodes = [node]
-    if declared.kind == "vector" and component not in (0, 1, 2):
-        raise InputError("component", component, "is none of 0, 1, 2", "choose x, y or z")
     declared.check_instrument(instrument)
-    thin = _thinned(posterior)
+    thin = thinned(posterior)
     w = thin.particles.w
-    mean, sd = surrogate.predict(inputs_of(model, thin, quantity, known), quantity, time, nodes)
-    if declared.kind == "field":
-        mean, sd = mean[:, :, 0], sd[:, :, 0]
-    elif declared.kind == "vector":
-        mean, sd = mean[:, :, 0, component], sd[:, :, 0, component]
-    gain, offset, sigma_delta, left = corrected(model, thin, declared, time, component, reader)
-    sd = gain * np.hypot(sd, declared.numerical * mean)
-    corrected_mean = gain * mean + offset
-    own = sigma_delta**2 + (left * gain * mean) ** 2  # of the discrepancy, by particle
+    time = checked_times(model, quantity, times)
+    one = curves(model, thin, quantity, time, node, component, known, reader)
     if instrument is None and noise and sigma is None:
         instrument = instrument_of(thin, declared)
     own_noise = np.zeros(len(w))
@@ -223,23 +278,22 @@ def predict(
             own_noise = noise_of(model, thin, quantity, instrument)
         else:
             own_noise += sigma
-    centre = w @ corrected_mean
-    by_parameters, by_discrepancy = split_variance(mean, corrected_mean - mean, w)
+    by_parameters, by_discrepancy = split_variance(one.model, one.mean - one.model, w)
     parts = {
         "parameters": np.sqrt(by_parameters),
-        "surrogate": np.sqrt(w @ sd**2),
-        "discrepancy": np.sqrt(by_discrepancy + w @ own),
+        "surrogate": np.sqrt(w @ one.sd**2),
+        "discrepancy": np.sqrt(by_discrepancy + w @ one.left**2),
         "noise": np.full(time.size, np.sqrt(w @ own_noise**2)),
     }
     parts["total"] = np.sqrt(sum(v**2 for v in parts.values()))
     tail = (1 - probability) / 2
     p = np.array([tail, 1 - tail, *QUANTILES])
-    q = mixture_quantiles(corrected_mean, np.sqrt(sd**2 + own + own_noise[:, None] ** 2), w, p)
+    q = mixture_quantiles(one.mean, np.hypot(one.width, own_noise[:, None]), w, p)
     return Prediction(
         quantity,
         declared.unit,
         time,
-        centre,
+        w @ one.mean,
         parts,
         q[0],
         q[1],
@@ -247,13 +301,4 @@ def predict(
         {float(k): v for k, v in zip(QUANTILES, q[2:], strict=True)},
         len(w),
         instrument,
-    )
-
-
-def _thinned(posterior: Posterior) -> Posterior:
-    """At most ENOUGH equally weighted particles, by systematic resampling from a fixed stream."""
-    if len(posterior.particles.log_w) <= ENOUGH:
-        return posterior
-    return Posterior(
-        posterior.names, posterior.particles.resampled(ENOUGH, np.random.default_rng(0))
     )

@@ -1,0 +1,140 @@
+"""When a quantity passes a limit: the distribution of the time to it.
+
+Elongation, strain and damage of creep only grow. Then the blade has passed a limit L by the hour t
+exactly where y(t) >= L, and with the curves m_i(t) ± s_i(t) of the particles (`prediction.curves`:
+parameters, surrogate and discrepancy, without a reading's noise)
+
+    P(T <= t) = P(y(t) >= L) = Σ w_i Φ((m_i(t) − L) / s_i(t))
+
+which is no bell: where a blade may run hot or cool it is skewed, and its early tail, which decides
+on an outage, lies elsewhere than mean ± sd of the curves would have it. Where the sum falls again
+(a quantity that shrinks for a while) what was passed stays passed: its running maximum counts.
+
+The hour at which the sum reaches p is the p-quantile of the time to the limit. What lies beyond the
+model's hours has none: the model says nothing of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from core.calibration.state import Posterior
+from core.errors import InputError
+from core.model import Model
+from core.prediction import QUANTILES, checked_times, curves, thinned
+
+Array = NDArray[np.float64]
+TURNS = 30  # between two of the hours; three or four where the share is smooth
+EXACT = 1e-5  # of a probit
+NARROW_H = 0.1  # or so near in hours
+LEAST = 1e-12  # shares are kept this far from 0 and 1 where their probits are taken
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """The time until `quantity` passes `limit` [unit], in operating hours.
+
+    time_h     hours (T,); passed: share of belief that it has passed it by then (T,)
+    quantiles  {p: hour by which it has passed it with probability p}; None: not in these hours
+    """
+
+    quantity: str
+    unit: str
+    limit: float
+    time_h: Array
+    passed: Array
+    quantiles: Mapping[float, float | None]
+    particles: int
+
+
+def life(
+    model: Model,
+    posterior: Posterior,
+    quantity: str,
+    limit: float,
+    times: Sequence[float] | Array,
+    node: int | None = None,
+    *,
+    component: int | None = None,
+    known: Mapping[str, float] | None = None,
+    levels: Sequence[float] = QUANTILES,
+) -> Life:
+    """The distribution of the time to a limit, from a blade's posterior.
+
+    times      hours between which quantiles are looked for, no further apart than curves bend
+    component  for 3-D deformation: 0, 1, 2 for x, y, z
+
+    Raises InputError for a limit that is no number, and what `predict` raises.
+    """
+    if not math.isfinite(limit):
+        raise InputError("limit", limit, "is no number", "give it in the quantity's unit")
+    time = np.unique(checked_times(model, quantity, times))
+    thin = thinned(posterior)
+    w = thin.particles.w
+
+    def share(at: Array) -> Array:
+        one = curves(model, thin, quantity, at, node, component, known)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = (one.mean - limit) / one.width
+        z = np.where(one.width > 0, z, np.where(one.mean >= limit, np.inf, -np.inf))
+        return np.asarray(np.clip(w @ ndtr(z) / w.sum(), 0.0, 1.0))
+
+    passed = np.maximum.accumulate(share(time))
+    hours = crossings(time, passed, np.array(levels, float), share)
+    found = {
+        float(p): None if np.isnan(h) else float(h) for p, h in zip(levels, hours, strict=True)
+    }
+    unit = model.network.quantity(quantity).unit
+    return Life(quantity, unit, float(limit), time, passed, found, len(w))
+
+
+def crossings(time: Array, passed: Array, levels: Array, share: Callable[[Array], Array]) -> Array:
+    """Hours at which `passed` (T,), which does not fall, reaches each level; nan: it does not.
+
+    share  the same at any hours: probits between two hours are nearly straight, and are made exact
+
+    >>> hours = np.array([0.0, 10.0, 20.0])
+    >>> def share(t): return ndtr((t - 12.0) / 3.0)
+    >>> crossings(hours, share(hours), np.array([0.5, 0.9999]), share).round(6)
+    array([12., nan])
+    """
+    after = np.searchsorted(passed, levels)
+    out = np.where(after == 0, time[0], np.nan)
+    inside = np.flatnonzero((after > 0) & (after < len(time)))
+    if not len(inside):
+        return out
+    i, goal = after[inside], probit(levels[inside])
+    low, high, floor = time[i - 1], time[i], passed[i - 1]
+    below, above = probit(floor) - goal, probit(passed[i]) - goal
+    stayed, found = np.zeros(len(i), int), high.copy()
+    left = np.arange(len(i))  # of them, those that are still looked for
+    for turn in range(TURNS):
+        a, b = below[left], above[left]
+        straight = low[left] - a * (high[left] - low[left]) / (b - a)
+        halved = turn > 2 and turn % 2  # where straight does not lead on: a step, say
+        at = 0.5 * (low[left] + high[left]) if halved else straight
+        here = probit(np.maximum(share(at), floor[left])) - goal[left]
+        reached, before = here >= 0, stayed[left]
+        # Illinois: an end that stays for a second time counts half
+        below[left] = np.where(reached, np.where(before > 0, 0.5, 1.0) * a, here)
+        above[left] = np.where(reached, here, np.where(before < 0, 0.5, 1.0) * b)
+        low[left], high[left] = np.where(reached, low[left], at), np.where(reached, at, high[left])
+        stayed[left] = np.where(reached, 1, -1)
+        near = np.abs(here) < EXACT
+        found[left] = np.where(near, at, high[left])
+        left = left[~near & (high[left] - low[left] > NARROW_H)]
+        if not len(left):
+            break
+    out[inside] = found
+    return out
+
+
+def probit(share: Array) -> Array:
+    """Φ⁻¹, of shares that are not quite 0 or 1."""
+    return np.asarray(ndtri(np.clip(share, LEAST, 1.0 - LEAST)))

@@ -1,0 +1,135 @@
+"""The time to a limit is that of all particles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr, ndtri
+
+from core.calibration.state import Posterior
+from core.errors import InputError, RangeError
+from core.life import Life, life
+from core.model import Model, rotor_blade
+from core.network import Network, Parameter, Quantity
+from core.prediction import QUANTILES, curves
+from core.prior import Prior
+from core.smc.particles import Particles
+from core.surrogate.formula import FormulaInput, FormulaModel
+
+Array = NDArray[np.float64]
+HORIZON = 50_000.0
+HOURS = np.linspace(0.0, HORIZON, 40)
+
+
+def growing(shrinks: bool = False) -> Model:
+    """y = rate (t / 10,000 h)^0.8; with `shrinks`, back from the middle of the hours on."""
+
+    def formula(x: Array, t: float) -> Array:
+        return x[:, 0] * ((min(t, HORIZON - t) if shrinks else t) / 1e4) ** 0.8
+
+    rate = Parameter("rate", "local", Prior("uniform", 0.0, 50.0))
+    quantity = Quantity("y", "mm", "scalar", Prior("log_uniform", 1e-3, 1.0), -1.0, 1e3)
+    quantity = replace(quantity, numerical=0.0)
+    inputs = (FormulaInput("rate", 0.0, 50.0),)
+    network = Network("growing", (rate,), (quantity,))
+    return Model(network, FormulaModel(inputs, {"y": formula}, "growing", horizon_h=HORIZON))
+
+
+def belief(rates: Array) -> Posterior:
+    rates = np.asarray(rates, float)
+    columns = np.stack([rates, np.full(len(rates), 0.01)], axis=1)
+    return Posterior(("rate", "sigma_obs.y"), Particles(columns, np.zeros(len(rates))))
+
+
+def of(rates: Array, limit: float, model: Model | None = None) -> Life:
+    return life(model or growing(), belief(rates), "y", limit, HOURS)
+
+
+def test_quantiles_are_those_of_the_particles_own_hours() -> None:
+    """Each rate has its hour, (limit / rate)^1.25 · 10,000; a skewed belief of 3,000 rates."""
+    rates = np.exp(0.5 * ndtri((np.arange(3000) + 0.5) / 3000))
+    own = 1e4 * (1.5 / rates) ** 1.25
+    found = of(rates, 1.5)
+    for p, hour in found.quantiles.items():
+        exact = float(np.quantile(own, p))
+        if exact > HORIZON:
+            assert hour is None
+        else:
+            assert hour == pytest.approx(exact, rel=3e-3)
+    assert found.quantiles[0.975] is None
+    assert found.quantiles[0.84] is not None
+    assert found.passed[-1] == pytest.approx(np.mean(own <= HORIZON), abs=1e-3)
+    assert np.all(np.diff(found.passed) >= 0)
+    assert (found.unit, found.limit, found.particles) == ("mm", 1.5, 3000)
+
+
+def test_by_mean_and_sd_the_early_hours_would_be_wrong() -> None:
+    """Negative control: what the page did once. The fast few drag the bell's tail to 0."""
+    rates = np.exp(0.5 * ndtri((np.arange(3000) + 0.5) / 3000))
+    y = rates[:, None] * (HOURS / 1e4) ** 0.8
+    bell = ndtr((y.mean(axis=0) - 1.5) / np.maximum(y.std(axis=0), 1e-9))
+    early = float(np.interp(0.05, bell, HOURS))
+    exact = of(rates, 1.5).quantiles[0.05]
+    assert exact is not None
+    assert abs(early / exact - 1) > 0.08
+
+
+def test_the_surrogate_s_error_counts_and_a_reading_s_noise_does_not() -> None:
+    """The shipped model against its own curves, solved for the hour by bisection."""
+    model, rng, n = rotor_blade(), np.random.default_rng(3), 200
+    names = [*model.input_names, "sigma_obs.elongation"]
+    low, high = model.surrogate.low, model.surrogate.high  # type: ignore[union-attr]
+    psi = np.column_stack([rng.uniform(low, high, (n, len(low))), np.full(n, 0.05)])
+    own = Posterior(tuple(names), Particles(psi, rng.normal(size=n)))
+    instants = model.surrogate.time_h  # type: ignore[union-attr]
+    found = life(model, own, "elongation", 0.2, instants)
+
+    def share(hour: float) -> float:
+        one = curves(model, own, "elongation", np.array([hour]))
+        assert one.sd.min() > 0
+        return float(own.particles.w @ ndtr((one.mean[:, 0] - 0.2) / one.width[:, 0]))
+
+    told = {p: h for p, h in found.quantiles.items() if h is not None}
+    assert len(told) > 4
+    for p, hour in told.items():
+        assert hour == pytest.approx(brentq(lambda t, p=p: share(t) - p, 1.0, HORIZON), abs=1.0)
+
+
+def test_a_limit_far_off_is_never_passed_and_one_below_was_at_once() -> None:
+    never, at_once = of(np.ones(50), 1e6), of(np.ones(50), -0.5)
+    assert set(never.quantiles.values()) == {None}
+    assert never.passed[-1] == 0.0
+    assert set(at_once.quantiles.values()) == {0.0}
+    assert at_once.passed[0] == pytest.approx(1.0)
+
+
+def test_what_was_passed_stays_passed_where_a_quantity_shrinks() -> None:
+    found = of(np.ones(50), 1.0, growing(shrinks=True))
+    assert found.quantiles[0.5] == pytest.approx(1e4, abs=1.0)
+    assert found.passed[-1] == pytest.approx(1.0)
+
+
+def test_the_order_and_number_of_the_hours_do_not_matter() -> None:
+    rates = np.exp(0.5 * ndtri((np.arange(777) + 0.5) / 777))
+    one = of(rates, 1.5)
+    other = life(growing(), belief(rates), "y", 1.5, [*HOURS[::-1], *HOURS[::7]])
+    assert other.quantiles == one.quantiles
+    finer = life(growing(), belief(rates), "y", 1.5, np.linspace(0.0, HORIZON, 997))
+    assert [finer.quantiles[p] for p in QUANTILES[:5]] == pytest.approx(
+        [one.quantiles[p] for p in QUANTILES[:5]], rel=1e-4
+    )
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(InputError, match=r"limit = nan is no number"):
+        of(np.ones(5), float("nan"))
+    with pytest.raises(RangeError, match="60000"):
+        life(growing(), belief(np.ones(5)), "y", 1.0, [0.0, 6e4])
+    model = rotor_blade()
+    own = Posterior(model.input_names, Particles(np.ones((5, len(model.input_names))), np.zeros(5)))
+    with pytest.raises(InputError, match="choose x, y or z"):
+        life(model, own, "deformation", 0.1, [1e4])
