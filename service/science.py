@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
+from core.life import Life, life
 from core.model import Model
 from core.network import Network
 from core.observation import Inspection
@@ -141,6 +142,25 @@ class CoreScience:
         model, posterior = self.models.of(card).for_blade(blade), blade_posterior(meta, get, blade)
         return bands_of(
             model, posterior, quantity, times, node, probability, instrument=instrument, known=known
+        )
+
+    def life(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        limit: float,
+        times: Sequence[float],
+        node: int | None,
+        *,
+        component: int | None,
+        known: Mapping[str, float] | None,
+    ) -> Life:
+        model, posterior = self.models.of(card).for_blade(blade), blade_posterior(meta, get, blade)
+        return life(
+            model, posterior, quantity, limit, times, node, component=component, known=known
         )
 
     def joint_draws(

@@ -17,6 +17,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.quantity",
         "core.prior",
         "core.response",
+        "core.mixture",
         "core.observation",
         "core.archive",
         "core.course",
@@ -28,7 +29,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.model",),
     ("core.discrepancy",),
     ("core.calibration",),
-    ("core.prediction", "core.planning", "core.diagnosis", "core.posterior_region"),
+    ("core.prediction",),
+    ("core.life", "core.planning", "core.diagnosis", "core.posterior_region"),
     ("core.validation",),
 )
 """From the ground up: a module imports its own room and lower floors; within the second floor

@@ -30,6 +30,7 @@ from service.api.routers import (
     reports,
     residuals,
     rotors,
+    series,
     system,
     webhooks,
 )
@@ -101,6 +102,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         glance,
         draws,
         fields,
+        series,
         plans,
         events,
         diagnoses,

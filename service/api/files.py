@@ -17,6 +17,8 @@ SENSORTHINGS, ZIP, NPZ = MEDIA, "application/zip", "application/x-npz"
 BLADE = "/v1/rotors/{r}/blades/{b}"
 FILES: dict[str, tuple[str, ...]] = {
     "GET /v1/rotors/{r}/inspections": (CSV, PARQUET, SENSORTHINGS),
+    "GET /v1/rotors/{r}/posterior": (NETCDF,),
+    f"GET {BLADE}/posterior": (NETCDF,),
     "GET /v1/rotors/{r}/draws": (NETCDF,),
     f"GET {BLADE}/draws": (NETCDF,),
     f"GET {BLADE}/field": (VTU, ZIP, NPZ),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from service.client.errors import MissingError
-from service.client.steps import Json, Steps, ask, fetch, path, told
+from service.client.steps import Call, Json, Steps, ask, fetch, path, told
 
 
 def _of(rotor: str, blade: str | None, what: str) -> str:
@@ -47,6 +47,67 @@ def prediction(
     """
     params = _asked(quantity, times, node, probability, instrument, version, at)
     return ask("GET", _of(rotor, blade, "prediction"), params=params)
+
+
+def life(
+    rotor: str,
+    blade: str,
+    limit: float,
+    quantity: str | None = None,
+    *,
+    times: Sequence[float] | None = None,
+    node: int | str | None = None,
+    component: str | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[Json]:
+    """When a blade passes a limit [the quantity's unit]: hours by which it has, and how surely.
+
+    ``answer["quantiles"]["0.05"]`` is the hour by which it has passed it with probability 0.05;
+    None: not within the model's hours.
+
+    quantity   default: the model's first one
+    component  x, y or z of a vector; default: z, the radius
+    """
+    params = told(
+        limit=limit,
+        quantity=quantity,
+        times=_listed(times),
+        node=node,
+        component=component,
+        version=version,
+        at=at,
+    )
+    return ask("GET", _of(rotor, blade, "life"), params=params)
+
+
+def series(
+    rotor: str,
+    quantity: str | None = None,
+    *,
+    blade: str | None = None,
+    times: Sequence[float] | None = None,
+    node: int | str | None = None,
+    component: str | None = None,
+    probability: float = 0.95,
+    version: int | None = None,
+    at: str | None = None,
+) -> Call:
+    """Predictions as flat rows (blade, time, value, lower, upper), of all blades that run.
+
+    time   operating hours; lower and upper hold a reading with the probability
+    """
+    params = told(
+        quantity=quantity,
+        blade=blade,
+        times=_listed(times),
+        node=node,
+        component=component,
+        probability=probability,
+        version=version,
+        at=at,
+    )
+    return Call("GET", path("rotors", rotor, "series"), params)
 
 
 def prediction_csv(

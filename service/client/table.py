@@ -45,6 +45,8 @@ class Calls:
     prediction = call(_beliefs.prediction)
     prediction_csv = call(_beliefs.prediction_csv)
     prediction_sensorthings = call(_beliefs.prediction_sensorthings)
+    life = call(_beliefs.life)
+    series = pages(_beliefs.series)
     draws = call(_beliefs.draws)
     draws_netcdf = call(_beliefs.draws_netcdf)
     draws_arviz = call(_beliefs.draws_arviz)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from service.fake.conjugate import HORIZON_H, SIGMA, moments
 from service.ports import Array, Field, Get, ModelCard, NoiseFrom, Surface
@@ -28,6 +28,15 @@ class FakePrediction:
     quantiles: Mapping[float, Array]
     instrument: str | None = None
     noise_from: NoiseFrom = "prior"
+
+
+@dataclass(frozen=True, slots=True)
+class FakeLife:
+    """When a blade passes a limit."""
+
+    time_h: Array
+    passed: Array
+    quantiles: Mapping[float, float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +95,33 @@ def banded(
         centre + half,
         {level: centre + ndtri(level) * total for level in LEVELS},
     )
+
+
+def life_of(
+    card: ModelCard,
+    get: Get,
+    blade: str,
+    quantity: str,
+    limit: float,
+    times: Sequence[float],
+    node: int | None,
+    component: int | None,
+) -> FakeLife:
+    """y = r h a passes L > 0 by the hour at which r = L / (h a), r normal; exactly."""
+    mean, covariance = moments(get, blade)
+    rate, sd = float(mean.sum()), float(np.sqrt(covariance.sum()))
+    part = along(card, quantity, node)[0 if component is None else component]
+    time_h = np.unique(np.asarray(times, float))
+    h = time_h / HORIZON_H * part
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.where(h > 0, (rate * h - limit) / (sd * h), np.where(limit <= 0, np.inf, -np.inf))
+    passed = np.maximum.accumulate(ndtr(z))
+    hours: dict[float, float | None] = {}
+    for level in LEVELS:
+        needed = part * (rate + sd * float(ndtri(1 - level)))
+        at = 0.0 if limit <= 0 else HORIZON_H * limit / needed if needed > 0 else np.inf
+        hours[level] = at if at <= time_h[-1] else None
+    return FakeLife(time_h, passed, hours)
 
 
 def field_of(

@@ -18,7 +18,15 @@ from core.network import Network
 from core.observation import Inspection
 from service.fake import draws, questions
 from service.fake.conjugate import HORIZON_H, FakeState, fake_network, fitted
-from service.fake.outputs import FakeForward, FakePrediction, banded, field_of, surface_of
+from service.fake.outputs import (
+    FakeForward,
+    FakeLife,
+    FakePrediction,
+    banded,
+    field_of,
+    life_of,
+    surface_of,
+)
 from service.ports import (
     BladeRecord,
     Draws,
@@ -221,3 +229,19 @@ class FakeScience:
         known: Mapping[str, float] | None,
     ) -> FakePrediction:
         return banded(card, get, blade, quantity, times, node, probability)
+
+    def life(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        limit: float,
+        times: Sequence[float],
+        node: int | None,
+        *,
+        component: int | None,
+        known: Mapping[str, float] | None,
+    ) -> FakeLife:
+        return life_of(card, get, blade, quantity, limit, times, node, component)

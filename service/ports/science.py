@@ -18,6 +18,7 @@ from service.ports.values import (
     Get,
     JointDraws,
     Json,
+    Life,
     Mesh,
     ModelCard,
     Prediction,
@@ -126,6 +127,24 @@ class Science(Protocol):
         instrument: str | None,
         known: Mapping[str, float] | None,
     ) -> Prediction: ...
+
+    def life(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        quantity: str,
+        limit: float,
+        times: Sequence[float],
+        node: int | None,
+        *,
+        component: int | None,
+        known: Mapping[str, float] | None,
+    ) -> Life:
+        """When the blade passes a limit; component: 0, 1, 2 of a vector."""
+        ...
+
     def plan(
         self,
         card: ModelCard,

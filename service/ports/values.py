@@ -146,6 +146,21 @@ class Prediction(Protocol):
     def noise_from(self) -> NoiseFrom: ...
 
 
+class Life(Protocol):
+    """The distribution of the hours until a quantity passes a limit (see core.life).
+
+    time_h, passed  (T,): share of belief that it has passed it by then
+    quantiles       {p: hour}; None: not in the model's hours
+    """
+
+    @property
+    def time_h(self) -> Array: ...
+    @property
+    def passed(self) -> Array: ...
+    @property
+    def quantiles(self) -> Mapping[float, float | None]: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Surface:
     """What of a mesh is seen: points (N, 3) [mm] of all its nodes, triangles (M, 3) of numbers.

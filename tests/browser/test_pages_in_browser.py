@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -370,6 +371,25 @@ def test_a_posterior_that_is_not_trusted_or_provisional_is_shown_as_such(watched
     expect(page.locator("#states")).to_contain_text("provisional")
     row = page.get_by_role("region", name="Blades").locator("tr", has_text="B2")
     expect(row).to_contain_text("contradicts the rotor")
+
+
+def test_the_time_to_a_limit_is_the_service_s(watched: Watched, service: Running) -> None:
+    """Of a scalar, and of one direction of a vector."""
+    for quantity, limit, more in (
+        ("elongation", 0.3, {}),
+        ("deformation", 0.1, {"component": "z"}),
+    ):
+        asked = {"quantity": quantity, "limit": limit} | more
+        told = service.client.get("/v1/rotors/r1/blades/B1/life", params=asked).json()
+        half, chance = told["quantiles"]["0.5"], 100 * told["passed"][-1]
+        page = watched.open(f"/rotors/r1/blades/B1?quantity={quantity}&limit={limit}")
+        heading = page.get_by_role("heading", name="At the end")
+        panel = page.locator("section").filter(has=heading)
+        assert half is not None
+        said = f"{round(half / 10) * 10:,}".replace(",", r"\D?") + r"\sh"
+        expect(panel.locator(".figure").last).to_have_text(re.compile(said))
+        expect(panel).to_contain_text(f" h: {chance:.1f} %.")
+    assert watched.errors == []
 
 
 def test_a_service_that_is_away_is_told_and_the_page_comes_back(watched: Watched) -> None:

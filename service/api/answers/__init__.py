@@ -12,10 +12,12 @@ from service.api.answers.beliefs import (
     HEALTH,
     INSPECTION,
     JOB,
+    LIFE,
     MADE,
     POSTERIOR_OF_ROTOR,
     PREDICTION,
     RESTS_ON,
+    SERIES,
     STANDING,
     SUMMARY,
 )
@@ -74,6 +76,8 @@ ANSWERS: dict[str, Json] = {
     f"GET {ROTOR}/posterior": having(**SUMMARY),
     f"GET {ROTOR}/blades/{{b}}/posterior": having(**SUMMARY, blade=TEXT),
     f"GET {ROTOR}/blades/{{b}}/prediction": PREDICTION,
+    f"GET {ROTOR}/blades/{{b}}/life": LIFE,
+    f"GET {ROTOR}/series": SERIES,
     f"GET {ROTOR}/plan": having(
         rotor=TEXT,
         target=having(

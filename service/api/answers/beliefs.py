@@ -104,6 +104,32 @@ PREDICTION = having(
     health=HEALTH,
     rests_on=RESTS_ON,
 )
+LIFE = having(
+    rotor=TEXT,
+    blade=TEXT,
+    quantity=TEXT,
+    unit=TEXT,
+    node=maybe(WHOLE),
+    component={"enum": ["x", "y", "z", None]},
+    limit=NUMBER,
+    time_h=each(NUMBER),
+    passed=each(NUMBER),
+    quantiles=named(maybe(NUMBER)),
+    health=HEALTH,
+    rests_on=RESTS_ON,
+)
+SERIES = having(
+    items=each(having(blade=TEXT, time=NUMBER, value=NUMBER, lower=NUMBER, upper=NUMBER)),
+    next=maybe(TEXT),
+    rotor=TEXT,
+    quantity=TEXT,
+    unit=TEXT,
+    node=maybe(WHOLE),
+    component={"enum": ["x", "y", "z", None]},
+    probability=NUMBER,
+    health=HEALTH,
+    rests_on=RESTS_ON,
+)
 READING_MAY_LACK = (
     *("nodes", "unit", "sigma", "instrument", "campaign", "observed_at", "replaces", "count"),
 )

@@ -1,4 +1,4 @@
-"""Posterior and prediction, with an ETag of everything that they rest on."""
+"""Posterior, prediction and life, with an ETag of everything that they rest on."""
 
 from __future__ import annotations
 
@@ -8,29 +8,42 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
+from pydantic import FiniteFloat
 
 from service.api.files import CSV, SENSORTHINGS, file
 from service.api.problems import RequestError, fault
+from service.api.routers.draws import get_draws, get_rotor_draws
 from service.api.services import Name, Wired, moment, tag_of_basis, tagged, unchanged
 from service.api.which import Asked
 from service.export import sensorthings
 from service.export.tables import prediction_csv
 from service.handlers import reads as use
+from service.handlers.life import along_question, life
 from service.ports import Which
 
 router = APIRouter(prefix="/v1/rotors/{r}", tags=["reads"])
+DRAWS = 1000  # in a file; `…/draws?format=netcdf` gives as many as are asked for
+Form = Annotated[
+    Literal["json", "netcdf"], Query(description=f"netcdf: {DRAWS} draws in ArviZ's schema")
+]
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
 @router.get("/posterior", summary="The shared parameters of the rotor")
-def get_posterior(r: Name, request: Request, services: Wired, which: Asked) -> Response:
+def get_posterior(
+    r: Name, request: Request, services: Wired, which: Asked, format: Form = "json"
+) -> Response:
+    if format == "netcdf":
+        return get_rotor_draws(r, request, services, which, DRAWS, format)
     return _posterior(request, services, r, None, which)
 
 
 @router.get("/blades/{b}/posterior", summary="The parameters of one blade")
 def get_blade_posterior(
-    r: Name, b: Name, request: Request, services: Wired, which: Asked
+    r: Name, b: Name, request: Request, services: Wired, which: Asked, format: Form = "json"
 ) -> Response:
+    if format == "netcdf":
+        return get_draws(r, b, request, services, which, DRAWS, format)
     return _posterior(request, services, r, b, which)
 
 
@@ -85,6 +98,34 @@ def get_prediction(
         written = json.dumps(made, ensure_ascii=False).encode()
         return file(written, SENSORTHINGS, saved, "json", tag, found)
     return tagged(body, tag)
+
+
+@router.get("/blades/{b}/life", summary="When a quantity passes a limit: a distribution of hours")
+def get_life(
+    r: Name,
+    b: Name,
+    request: Request,
+    services: Wired,
+    which: Asked,
+    limit: Annotated[FiniteFloat, Query(description="in the quantity's unit")],
+    quantity: Annotated[
+        str | None, Query(max_length=100, description="default: the model's first one")
+    ] = None,
+    times: Annotated[
+        str | None, Query(description="hours, with commas between; default: the model's")
+    ] = None,
+    node: Annotated[str | None, Query(max_length=100)] = None,
+    component: Annotated[
+        Literal["x", "y", "z"] | None, Query(description="of a vector; default: z, the radius")
+    ] = None,
+) -> Response:
+    found = use.basis(services.store, services.science, r, which, b)
+    asked, part = along_question(found.card, quantity, read_times(times), node, component)
+    tag = tag_of_basis(request, found)
+    if (same := unchanged(request, tag)) is not None:
+        return same
+    told = life(services.store, services.science, found, asked, part, limit)
+    return tagged({"rotor": r} | told | {"rests_on": found.to_json()}, tag)
 
 
 def read_times(text: str | None) -> list[float] | None:

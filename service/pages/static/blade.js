@@ -7,7 +7,6 @@ import { $, asked, h, names, panel, remember, scroll, select, show, table } from
 import { ago, fixed, hours, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
-import { timeTo } from "./stats.js";
 import { kindsOf, readingsTable } from "./reading.js";
 
 const [rotor, blade] = [names.r, names.b];
@@ -44,7 +43,7 @@ function drawControls(found) {
     h("label", {}, "Limit", h("input", { type: "number", step: "any", value: chosen.limit ?? "", onchange: (e) => change({ limit: e.target.value || null }) }), unit(found.unit)));
 }
 
-function drawBands(found, readings) {
+function drawBands(found, readings, life) {
   const mean = part(found.mean);
   const sd = Object.fromEntries(Object.entries(found.sd).map(([name, values]) => [name, part(values)]));
   const bladeSd = sd.total.map((total, i) => Math.sqrt(Math.max(0, total ** 2 - sd.noise[i] ** 2)));
@@ -74,20 +73,20 @@ function drawBands(found, readings) {
   show(sourcesTable, legend(SOURCES.map(([name, way]) => [way, name, name])),
     h("p", { class: "small soft" }, "The squares of the sources add up to the square of the total."),
     numbers("Sources as a table", found.time_h, lines, found.unit));
-  drawFigures(found, mean, sd, bladeSd, limit);
+  drawFigures(found, mean, sd, bladeSd, life);
 }
 
-function drawFigures(found, mean, sd, bladeSd, limit) {
+function drawFigures(found, mean, sd, bladeSd, life) {
   const last = mean.length - 1;
   const figure = (text, more) => h("p", {}, h("span", { class: "figure" }, text), h("br"), h("span", { class: "soft small" }, more));
   const parts = [figure(inUnit(withSd(mean[last], bladeSd[last]), found.unit), `at ${hours(found.time_h[last])}: the blade itself; a reading then: ± ${inUnit(plain(sd.total[last], 2), found.unit)}`)];
-  if (limit === null) parts.push(h("p", { class: "soft" }, "Give a limit above to see the time to it."));
+  if (life === null) parts.push(h("p", { class: "soft" }, "Give a limit above to see the time to it."));
   else {
-    const { at, passed } = timeTo(limit, found.time_h, mean, bladeSd, [0.05, 0.5, 0.95]);
-    const beyond = `beyond ${hours(found.time_h[last])}`;
-    parts.push(figure(at[1] === null ? beyond : hours(Math.round(at[1] / 100) * 100), `median time to ${inUnit(plain(limit), found.unit)}`),
-      h("p", { class: "small" }, `5 %: ${at[0] === null ? beyond : hours(Math.round(at[0] / 10) * 10)}; 95 %: ${at[2] === null ? beyond : hours(Math.round(at[2] / 10) * 10)}. Chance to have passed it by ${hours(found.time_h[last])}: ${fixed(100 * passed, 1)} %.`),
-      h("p", { class: "small soft" }, "From mean ± sd of the blade at each hour, taken as normal, for a quantity that does not shrink."));
+    const end = hours(life.time_h.at(-1));
+    const at = (share) => (life.quantiles[share] === null ? `beyond ${end}` : hours(Math.round(life.quantiles[share] / 10) * 10));
+    parts.push(figure(at("0.5"), `median time to ${inUnit(plain(life.limit), life.unit)}`),
+      h("p", { class: "small" }, `5 %: ${at("0.05")}; 95 %: ${at("0.95")}. Chance to have passed it by ${end}: ${fixed(100 * life.passed.at(-1), 1)} %.`),
+      h("p", { class: "small soft" }, "From all particles of the blade at each hour, without a reading's noise, for a quantity that does not shrink."));
   }
   show(figures, parts);
 }
@@ -127,6 +126,16 @@ async function drawHistory(found, kept, came) {
   show(history, scroll("Versions", table(columns, rows, { caption: "The newest kept versions; moved: change of the mean in sd of the version before" })));
 }
 
+/** When the blade passes the limit that was given; null: none was. */
+async function lifeOf(found) {
+  const limit = Number(chosen.limit);
+  if (!chosen.limit || !Number.isFinite(limit)) return null;
+  const given = new URLSearchParams({ limit, quantity: found.quantity });
+  if (found.node !== null) given.set("node", found.node);
+  if (Array.isArray(found.mean[0])) given.set("component", AXES[chosen.component]);
+  return get(`${own}/life?${given}`); // a limit of ours, not a page's length
+}
+
 async function draw() {
   const rest = Promise.all([
     get(`${own}/prediction`, { quantity: chosen.quantity }), pages(`${url}/inspections`, { blade }, 2000),
@@ -145,7 +154,7 @@ async function draw() {
   notices([...warningsOf(now), readings.length === 0 && ["wait", "No reading of this blade yet: what is shown is what the rotor tells of it."],
     all.more && ["wait", "Only the first 2 000 readings of this blade are drawn."]]);
   drawControls(found);
-  drawBands(found, readings);
+  drawBands(found, readings, await lifeOf(found));
   show(list, readings.length ? readingsTable(rotor, readings.slice(-ROWS), { blade: false }) : h("p", { class: "soft" }, "None yet."),
     readings.length > ROWS ? h("p", { class: "small" }, `The last ${ROWS} to arrive of ${all.more ? "more than " : ""}${fixed(readings.length, 0)}. `, h("a", { href: `${path`/rotors/${rotor}/readings`}?blade=${encodeURIComponent(blade)}` }, "All of them, page by page")) : null);
   marginals(prior, draws, model.network);

@@ -5,7 +5,7 @@ const erf = (x) => {
   const y = 1 - (((((1.061405429 * t - 1.453152027) * t) + 1.421413741) * t - 0.284496736) * t + 0.254829592) * t * Math.exp(-x * x);
   return x >= 0 ? y : -y;
 };
-export const cdf = (z) => 0.5 * (1 + erf(z / Math.SQRT2));
+const cdf = (z) => 0.5 * (1 + erf(z / Math.SQRT2));
 
 /** Density of a prior as the network declares it (core.prior), at x. */
 export function density(prior, x) {
@@ -30,23 +30,3 @@ export function histogram(values, low, high, count) {
 }
 
 export const quantile = (sorted, p) => sorted[Math.min(sorted.length - 1, Math.floor(p * sorted.length))];
-
-/**
- * When a quantity that only grows passes a limit, by its mean and sd at each hour: the share of
- * blades (in belief) that have passed it is 1 - Phi((limit - mean) / sd), so the hour at which that
- * is p is the p-quantile of the time to the limit. null: not within the hours.
- */
-export function timeTo(limit, time, mean, sd, shares) {
-  let most = 0;
-  const passed = mean.map((m, i) => {
-    most = Math.max(most, sd[i] > 0 ? 1 - cdf((limit - m) / sd[i]) : Number(m >= limit));
-    return most;
-  });
-  const at = shares.map((p) => {
-    const i = passed.findIndex((share) => share >= p);
-    if (i < 0) return null;
-    if (i === 0) return time[0];
-    return time[i - 1] + ((p - passed[i - 1]) / (passed[i] - passed[i - 1])) * (time[i] - time[i - 1]);
-  });
-  return { at, passed: passed.at(-1) };
-}

@@ -1,0 +1,80 @@
+"""When a blade passes a limit, with everything that it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from core.errors import InputError
+from service.errors import FaultsError
+from service.handlers.reads import Basis, Question, health, question
+from service.ports import Json, ModelCard, Science, Store
+
+AXES = ("x", "y", "z")
+RADIUS = "z"
+
+
+def along_question(
+    card: ModelCard,
+    quantity: str | None,
+    times: Sequence[float] | None,
+    node: str | None,
+    component: str | None,
+    probability: float = 0.95,
+) -> tuple[Question, int | None]:
+    """What is asked for, and the component of a vector (default: z).
+
+    FaultsError names each fault.
+    """
+    faults: list[InputError] = []
+    name = card.network.quantities[0].name if quantity is None else quantity
+    output = card.outputs.get(name)
+    vector = output is not None and output.kind == "vector"
+    if component is not None and output is not None and not vector:
+        faults.append(InputError("component", component, f"{name} has none", "leave it out"))
+    try:
+        asked = question(card, quantity, times, node, probability)
+    except FaultsError as error:
+        raise FaultsError([*error.faults, *faults]) from None
+    if faults:
+        raise FaultsError(faults)
+    return asked, AXES.index(component or RADIUS) if vector else None
+
+
+def life(
+    store: Store,
+    science: Science,
+    found: Basis,
+    asked: Question,
+    component: int | None,
+    limit: float,
+) -> Json:
+    """The distribution of the time to the limit, as plain lists."""
+    blade = found.blade
+    assert blade is not None
+    with store.read() as tx:
+        told = science.life(
+            found.card,
+            found.state.meta,
+            tx.states.reader(found.state),
+            blade.id,
+            asked.quantity,
+            limit,
+            asked.times,
+            asked.node,
+            component=component,
+            known=blade.known,
+        )
+    return {
+        "blade": blade.id,
+        "quantity": asked.quantity,
+        "unit": found.card.outputs[asked.quantity].unit,
+        "node": asked.node,
+        "component": None if component is None else AXES[component],
+        "limit": limit,
+        "time_h": np.asarray(told.time_h).tolist(),
+        "passed": np.asarray(told.passed).tolist(),
+        "quantiles": {str(p): hour for p, hour in told.quantiles.items()},
+        "health": health(found.state),
+    }

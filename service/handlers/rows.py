@@ -1,0 +1,57 @@
+"""Bands over hours as flat rows, for dashboards that read tables (Grafana)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from service.handlers.reads import Basis, Question
+from service.handlers.rotors import blades_at
+from service.ports import BladeRecord, Json, Science, Store
+
+
+def running(store: Store, found: Basis, after: str, count: int) -> list[BladeRecord]:
+    """Blades that run in the version, in the order of their names, after one name."""
+    state = found.state
+    with store.read() as tx:
+        blades = blades_at(tx.records.blades(state.rotor_id), state.through_seq)
+    there = sorted((b for b in blades if not b.retired_seq), key=lambda blade: blade.id)
+    return [blade for blade in there if blade.id > after][:count]
+
+
+def rows(
+    store: Store,
+    science: Science,
+    found: Basis,
+    asked: Question,
+    component: int | None,
+    blades: Sequence[BladeRecord],
+) -> list[Json]:
+    """A row for each blade and hour: ``blade, time, value, lower, upper``.
+
+    time   operating hours; value: the mean; lower, upper: between which a reading falls with the
+           probability asked for
+    """
+    out: list[Json] = []
+    with store.read() as tx:
+        get = tx.states.reader(found.state)
+        for blade in blades:
+            bands = science.predict(
+                found.card,
+                found.state.meta,
+                get,
+                blade.id,
+                asked.quantity,
+                asked.times,
+                asked.node,
+                asked.probability,
+                instrument=asked.instrument,
+                known=blade.known,
+            )
+            parts = [np.asarray(part) for part in (bands.mean, bands.lower, bands.upper)]
+            along = [(p if component is None else p[:, component]).tolist() for p in parts]
+            for time, value, lower, upper in zip(asked.times, *along, strict=True):
+                row = {"time": time, "value": value, "lower": lower, "upper": upper}
+                out.append({"blade": blade.id} | row)
+    return out
