@@ -129,8 +129,8 @@ class Archive:
             self._fill(part, run)
             flush(part)
             first = link_file(part, file)
-        except FileNotFoundError:
-            if not file.exists():
+        except OSError:  # HDF5 has words of its own for a file that is gone
+            if part.exists() or not file.exists():
                 raise
             first = False  # swept away below, by the one who was first
         finally:

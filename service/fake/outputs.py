@@ -14,6 +14,7 @@ from service.fake.conjugate import HORIZON_H, SIGMA, moments
 from service.ports import Array, Field, Get, ModelCard, NoiseFrom, Surface
 
 LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
+LIFE_LEVELS = (0.025, 0.05, 0.16, 0.5, 0.84, 0.95, 0.975)  # those of core.life
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +118,7 @@ def life_of(
         z = np.where(h > 0, (rate * h - limit) / (sd * h), np.where(limit <= 0, np.inf, -np.inf))
     passed = np.maximum.accumulate(ndtr(z))
     hours: dict[float, float | None] = {}
-    for level in LEVELS:
+    for level in LIFE_LEVELS:
         needed = part * (rate + sd * float(ndtri(1 - level)))
         at = 0.0 if limit <= 0 else HORIZON_H * limit / needed if needed > 0 else np.inf
         hours[level] = at if at <= time_h[-1] else None

@@ -16,6 +16,7 @@ from core.calibration.state import blade_posterior
 from core.life import life
 from core.model import rotor_blade
 from core.observation import Inspection
+from core.prediction import QUANTILES
 from service.bootstrap import make_worker
 from service.client import Client
 from service.handlers.inspections import Item, post_inspections
@@ -65,6 +66,7 @@ def test_the_time_to_a_limit_is_the_exact_one(api: httpx.Client, read: str) -> N
     assert (told is None) == (half > 50_000)
     if told is not None:
         assert told == pytest.approx(half, rel=1e-9)
+    assert [*map(float, body["quantiles"])] == [*QUANTILES], "as of the real science"
     known = [hour for hour in body["quantiles"].values() if hour is not None]
     assert known == sorted(known)
     assert body["rests_on"]["version"] == 1

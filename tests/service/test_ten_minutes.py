@@ -66,7 +66,7 @@ def test_the_first_ten_minutes_go_as_they_are_written(
 ) -> None:
     first, last = blocks()
     lines = commands(first)
-    assert [line.split()[0] for line in lines] == ["curl"] * 4
+    assert [line.split()[0] for line in lines] == ["curl"] * 5
     port = free_port()
     begun = time.monotonic()
     with (tmp_path / "log").open("wb") as log:
@@ -85,7 +85,7 @@ def test_the_first_ten_minutes_go_as_they_are_written(
             assert server.poll() is None, (tmp_path / "log").read_text()[-2000:]
             assert time.monotonic() - begun < 240, (tmp_path / "log").read_text()[-2000:]
             time.sleep(0.2)
-        create, post, wait, predict = lines
+        create, post, wait, predict, limit = lines
         made, posted = (json.loads(run(one, shell, tmp_path, port)) for one in (create, post))
         assert [blade["id"] for blade in made["blades"]] == ["B01", "B02"]
         assert posted == {
@@ -101,6 +101,10 @@ def test_the_first_ten_minutes_go_as_they_are_written(
         assert 0.1 < band["mean"][0] < band["mean"][1] < 1.0
         assert all(a < b < c for a, b, c in zip(band["lower"], band["mean"], band["upper"],
                                                 strict=True))  # fmt: skip
+        life = json.loads(run(limit, shell, tmp_path, port))
+        hours = [hour for hour in life["quantiles"].values() if hour is not None]
+        assert hours == sorted(hours)
+        assert 0.0 < life["passed"][-1] < 1.0
         gateway = re.search(r"```sh\n(curl [^`]*sensorthings\+json[^`]*)```", README)
         assert gateway is not None
         assert json.loads(run(gateway[1], shell, tmp_path, port))["head_seq"] == 3

@@ -100,11 +100,8 @@ def listed_out(item: use.Listed, *, full: bool) -> dict[str, Any]:
 def post_inspections(
     r: Name, request: Request, services: Wired, body: Annotated[bytes, Depends(raw_body)]
 ) -> JSONResponse:
-    kind, also = (
-        request.headers.get("content-type", ""),
-        partial(use.faults_here, services.store, r),
-    )
-    items = read_inspections(body, kind, also)
+    also = partial(use.faults_here, services.store, r)
+    items = read_inspections(body, request.headers.get("content-type", ""), also)
     return accepted(use.post_inspections(services.store, r, items))
 
 
