@@ -6,7 +6,8 @@ those that were calibrated; but a name is claimed only where it has `NAMED` of t
 evidence, so that a lesser rival does not get the name of one that could not be calibrated. Where
 families that differ in their course alone share it (a coating that wears, or comes off at once),
 their cause is claimed (loss of coating), and the course is said to be open. A turn without either
-leaves the smallest set that has `CREDIBLE` of the evidence: not separable.
+leaves the smallest set that has `CREDIBLE` of the evidence, causes where courses are open: not
+separable.
 """
 
 from __future__ import annotations
@@ -88,6 +89,21 @@ class Turn:
             h.weight for h in self.hypotheses if cause in {causes.get(n, n) for n in h.names}
         )
         return cause if share >= NAMED else None
+
+    def called(self, name: str) -> str:
+        """A name, or its cause, where others of this cause share the cause's evidence."""
+        causes = self.causes
+        cause = causes.get(name, name)
+        shares = self.evidence
+        whole = sum(shares.get(n, 0.0) for n, c in causes.items() if c == cause)
+        return name if shares.get(name, 0.0) >= NAMED * whole else cause
+
+    @property
+    def in_doubt(self) -> tuple[str, ...]:
+        """What the evidence leaves, and what was taken; causes where their courses are open."""
+        return tuple(
+            sorted({*credible(self.hypotheses, self.called), *map(self.called, self.took)})
+        )
 
     @property
     def settled(self) -> bool:
@@ -189,7 +205,7 @@ def conclude(
             )
         return replace(said, names=tuple(sure), reasons=tuple(whys))
     doubt = [t for t in took if any(claims.get(n, n) is None for n in t.took)]
-    rest = {n for turn in doubt for n in credible(turn.hypotheses)}
+    rest = {n for turn in doubt for n in turn.in_doubt}
     several = sorted({*sure, *rest})
     why = f"{len(rest)} names share the evidence"
     if sure:

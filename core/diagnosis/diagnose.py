@@ -149,9 +149,11 @@ class _Search:
         """Calibrate the weightiest of what a scan finds, beside what is taken already.
 
         Of the best of them the other courses of the same causes too: the scan, of second order,
-        tells causes from each other, and large effects' courses hardly.
+        tells causes from each other, and large effects' courses hardly. Scatter between blades
+        discounts what they say of an alarm, but not here: the filter knows no discount, and an
+        effect that few blades tell of would stand back behind one that is said of these alone.
         """
-        weighed = weighed_all(scan, least=0.0)
+        weighed = weighed_all(scan.undiscounted, least=0.0)
         noise = self.case.noise(self.model, self.state)
         known: dict[tuple[int, ...], Rival] = {}
 
@@ -170,16 +172,22 @@ class _Search:
             ask(one.cells)
         if known:
             there = {h.cells: h.weight for h in weighed}
-            courses = [c for c in siblings(scan, _best(known)) if c in there]
+            courses = [c for c in siblings(scan, self._best(known)) if c in there]
             for cells_ in sorted(courses, key=lambda c: -there[c])[:SIBLINGS]:
                 ask(cells_)
         names = {c: tuple(scan.cells[i].name for i in c) for c in known}
         rivals = {names[c]: known[c] for c in sorted(known, key=lambda c: known[c].gained)}
         found = reweighed(weighed, {c: r.gained for c, r in known.items()})
         took: tuple[str, ...] = ()
-        if known and known[_best(known)].gained >= taken.gained + self.price * len(_best(known)):
-            took = names[_best(known)]
+        if known:
+            best = self._best(known)
+            if known[best].gained >= taken.gained + self.price * len(best):
+                took = names[best]
         return Turn(found, took, rivals, tuple(scan.cells), taken.effects)
+
+    def _best(self, known: Mapping[tuple[int, ...], Rival]) -> tuple[int, ...]:
+        """The most gained, less the price of each effect: two have to be worth two."""
+        return max(known, key=lambda c: known[c].gained - self.price * len(c))
 
     def _only(self, taken: Rival, effects: tuple[Cell, ...]) -> Rival | None:
         """Calibrated with some of the effects that are taken."""
@@ -208,10 +216,6 @@ class _Search:
             return None
         _, found = _left(self, rest, len(turns))
         return (rest, found.p) if found.word == "adequate" else None
-
-
-def _best(known: Mapping[tuple[int, ...], Rival]) -> tuple[int, ...]:
-    return max(known, key=lambda c: known[c].gained)
 
 
 def siblings(scan: Scan, which: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -28,7 +28,8 @@ def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) 
     rivals: list[Rival] = []
     for one in turn.hypotheses:
         covered = {n for r in rivals for n in r.names}
-        if not set(one.names) - covered or not set(one.names) <= allowed:
+        said = {n if n in allowed else turn.called(n) for n in one.names}
+        if not set(one.names) - covered or not said <= allowed:
             continue
         if (known := turn.rivals.get(one.names)) is not None:
             rivals.append(Rival(one.names, known.model, known.state, one.weight))

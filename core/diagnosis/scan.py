@@ -26,7 +26,7 @@ compared with that of the dealt sets: family-wise, over everything tried.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -105,6 +105,12 @@ class Scan:
     def _scaled(self) -> tuple[Array, Array]:
         root = np.sqrt(self.phi)
         return self.u / self.phi, self.information / np.outer(root, root)
+
+    @cached_property
+    def undiscounted(self) -> Scan:
+        """With phi = 1 but for cells of one blade: evidence as the particle filter weighs it."""
+        alone = _alone(self.cells, self.g.shape[2])
+        return replace(self, phi=np.where(alone, self.phi, 1.0))
 
     def gain(self, *which: int) -> float:
         """log BF of a set of cells together; −inf where one goes against its sign."""

@@ -26,7 +26,7 @@ from core.prior import Prior
 
 Array = NDArray[np.float64]
 POINTS = 32  # particles of a blade at which effects of physics are computed
-FAINT, CUT = 0.01, 3.0
+FAINT, CUT = 0.25, 3.0
 
 
 def scores(
@@ -171,7 +171,7 @@ def _blade(
     q = w @ r
     return _Blade(
         q,
-        _bounded(np.linalg.inv(c), q),
+        _bounded(np.linalg.inv(c), typical, q),
         slope[:, len(own) :],
         answer,
         (w[:, None] * r).T @ (f - answer),
@@ -180,18 +180,19 @@ def _blade(
     )
 
 
-def _bounded(information: Array, q: Array) -> Array:
+def _bounded(information: Array, typical: Array, q: Array) -> Array:
     """Q (n, n), but along a direction in which it is faint, at least what `CUT` sds of q say.
 
-    There the blade's own parameters imitate nearly all, by their priors' variances; one that leans
-    on a bound cannot, and q along it is many sds of what Q says (7 in one blade of a hundred, which
-    looked like an effect of that blade, and made the null of all others wide).
+    Faint is what is left less than `FAINT` of what it would be without the blade's own parameters,
+    1 / V (typical, (n,)). They imitate nearly all there, by their priors' variances; where a blade
+    leans on a bound they cannot, and q along it is many sds of what Q says (8 in one blade of a
+    hundred, which looked like an effect of that blade, and made the null of all others wide).
     """
-    value, vector = np.linalg.eigh(information)
-    along = vector.T @ q
-    faint = value < FAINT * value[-1]
-    value = np.where(faint, np.maximum(value, (along / CUT) ** 2), value)
-    return np.asarray((vector * value) @ vector.T)
+    root = np.sqrt(typical)
+    value, vector = np.linalg.eigh(information * np.outer(root, root))
+    along = vector.T @ (q * root)
+    value = np.where(value < FAINT, np.maximum(value, (along / CUT) ** 2), value)
+    return np.asarray((vector * value) @ vector.T / np.outer(root, root))
 
 
 def _evenly(w: Array, f: Array) -> NDArray[np.int64]:

@@ -20,7 +20,7 @@ without a name (bins of hours) explains much more than the best name, the verdic
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -212,11 +212,16 @@ def _best(hypotheses: Sequence[Hypothesis], named: tuple[str, ...]) -> Hypothesi
     return hypotheses[0]
 
 
-def credible(hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
-    """The names of the fewest hypotheses that together have `CREDIBLE` of the evidence."""
+def credible(
+    hypotheses: Sequence[Hypothesis], called: Callable[[str], str] = str
+) -> tuple[str, ...]:
+    """The names of the fewest hypotheses that together have `CREDIBLE` of the evidence.
+
+    called  what a name is called; hypotheses with the same ones count as one
+    """
     by_names: dict[tuple[str, ...], float] = {}
     for one in hypotheses:
-        key = tuple(sorted(one.names))
+        key = tuple(sorted({called(n) for n in one.names}))
         by_names[key] = by_names.get(key, 0.0) + one.weight
     names: list[str] = []
     total = 0.0

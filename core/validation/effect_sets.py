@@ -46,12 +46,14 @@ COATING, GAS = ("coating wear", "coating loss"), ("firing temperature step", "ga
 class Set:
     """A simulated rotor: readings, facts of its blades, and the names that would be right.
 
-    exact  readings without noise, by their id; ahead: blades' elongation at the plan's horizon
+    exact  readings without noise, by their id; sound: those without what is planted as well
+    ahead  blades' elongation at the plan's horizon
     """
 
     case: Case
     truth: frozenset[str]
     exact: dict[str, float]
+    sound: dict[str, float]
     ahead: dict[str, float]
 
 
@@ -80,18 +82,17 @@ class Labels:
         reader, visit = self.readers[0], self.visits[plan.odd_visits[0]]
         lot = f"(coating lot {self.coats[0]})"
         scanner = self.readers[plan.odd_visits[0] % INSTRUMENTS]
+        zero = ("instrument offset", "wrong zero")
         names: dict[str, tuple[str, ...]] = {
             "campaign": (f"campaign offset (campaign {visit})",),
-            "instrument": tuple(
-                f"{name} (instrument {reader})" for name in ("instrument offset", "wrong zero")
-            ),
+            "instrument": tuple(f"{name} (instrument {reader})" for name in zero),
             "gain": (f"instrument gain (instrument {reader})",),
             "wear": COATING,
             "worn lot": tuple(f"{name} {lot}" for name in COATING),
             "fouling": ("fouling", "gas temperature"),
             "step": GAS,
             "tertiary": ("accelerating creep",),
-            ALIKE[0]: (f"instrument offset (instrument {scanner})",),
+            ALIKE[0]: tuple(f"{name} (instrument {scanner})" for name in zero),
         }
         return frozenset(names.get(condition, ()))
 
@@ -123,14 +124,14 @@ def made(
     rotor = among[number % len(among)]
     labels = Labels.drawn(rng, plan)
     strength = size if plan.scaled else None
-    curves = plan.changed(rotor, effect, strength)
+    curves, plain = plan.changed(rotor, effect, strength), plan.changed(rotor, None)
     if condition == "clean, bursts":
-        curves = bursts(rng, curves)
+        curves = plain = bursts(rng, curves)
     offset, gain, odd = faults(plan, rotor, size)
     own_h, count = plan.own_h, plan.blades
     late = set(rng.choice(count, count // 3, replace=False).tolist())
     odd_visit, odd_from = plan.odd_visits
-    readings, exact = [], dict[str, float]()
+    readings, exact, sound = [], dict[str, float](), dict[str, float]()
     for b in range(count):
         for v in range(len(plan.visits_h)):
             if not np.isfinite(curves[b, v]):
@@ -149,7 +150,7 @@ def made(
             readings.append(
                 Inspection(*at, values, instrument=labels.readers[by], campaign=labels.visits[v])
             )
-            exact[name] = y
+            exact[name], sound[name] = y, float(plain[b, v])
     facts = {
         name: Facts(lot=labels.lots[b % 3 if not plan.scaled else b // 2 % 3],
                     coating_lot=labels.coats[plan.coat[b]])
@@ -162,7 +163,7 @@ def made(
     case = Case(spec, data, with_offsets(facts, data, {}))
     ahead = plan.ahead(rotor, effect, strength)
     at_horizon = {} if ahead is None else dict(zip(labels.blades, ahead.tolist(), strict=True))
-    return Set(case, labels.right(condition, plan), exact, at_horizon)
+    return Set(case, labels.right(condition, plan), exact, sound, at_horizon)
 
 
 def bursts(rng: np.random.Generator, curves: Array) -> Array:

@@ -115,6 +115,7 @@ def compared(told: Diagnosis, given: Set, horizon_h: float, work: Workspace) -> 
             "rmse": round(scored.rmse, 5),
             "bias": round(scored.bias, 5),
             "exact_rmse": round(float(np.sqrt(np.mean(off**2))), 5),
+            "exact_bias": round(float(np.mean(off)), 5),
             "log_score": round(scored.log_score, 4),
             "inside_95": round(scored.within_95, 4),
             "width_95": round(scored.width, 5),
@@ -138,6 +139,42 @@ def table(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
         }
         alarms = sum(bool(r.get("alarm")) for r in own) / len(own)
         found[condition] = {"sets": len(own), "alarms": alarms, **shares}
+    return found
+
+
+def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
+    """By condition, what an effect in the model changes on readings that neither model used.
+
+    sets         with an effect in the model after, whether its name is settled or not
+    rmse, bias   after over before, of predictions against readings without noise: rms over the
+                 sets, and of the mean of the bias's sizes
+    better       share of the sets whose log score is better after
+    inside 95    share of the readings in their 95 % interval after
+    forecast     error of the fleet's mean at the horizon after over before, means of its sizes,
+                 where the plan has a horizon
+    """
+    found: dict[str, Mapping[str, float]] = {}
+    for condition in CONDITIONS:
+        own = [r for r in records if r["condition"] == condition and "after" in r]
+        if not own:
+            continue
+
+        def ratio(what: str, own: Sequence[Record] = own) -> float:
+            sizes = [[abs(r[when][what]) for when in ("before", "after")] for r in own]
+            before, after = np.mean(sizes, axis=0)
+            return float(after / before)
+
+        squares = [[r[when]["exact_rmse"] ** 2 for when in ("before", "after")] for r in own]
+        rms = np.sqrt(np.mean(squares, axis=0))
+        held = sum(r["held"] for r in own)
+        found[condition] = {
+            "sets": len(own),
+            "rmse": float(rms[1] / rms[0]),
+            "bias": ratio("exact_bias"),
+            "better": sum(r["after"]["log_score"] > r["before"]["log_score"] for r in own)
+            / len(own),
+            "inside 95": sum(r["held"] * r["after"]["inside_95"] for r in own) / held,
+        } | ({"forecast": ratio("forecast_error")} if "forecast_error" in own[0]["after"] else {})
     return found
 
 

@@ -46,6 +46,7 @@ def effects(
 ) -> None:
     """Verdicts on finite-element rotors with and without undeclared effects, all sets counted."""
     from core.validation import effects_study as study
+    from core.validation.effect_oracle import bounds
     from core.validation.effect_plans import plan as plan_of
     from core.validation.effect_sets import CLEAN, conditions
 
@@ -65,6 +66,9 @@ def effects(
             progress=lambda done, total: step(done),
         )
     table = study.table(found)
+    planted_ones = [c for c in sets if c not in CLEAN]
+    with bar("bounds", len(planted_ones)) as step:
+        best = bounds(plan_of(plan), planted_ones, seed, particles, size, step)
     facts = {
         "model": study.model_digest(),
         "plan": plan,
@@ -74,6 +78,8 @@ def effects(
         "seconds": round(time.monotonic() - start, 1),
         "table": table,
         "marks": study.marks(table),
+        "possible": best,
+        "improvement": study.improvement(found),
         "sets": found,
     }
     write(facts, made_by, out)

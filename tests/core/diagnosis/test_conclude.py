@@ -115,7 +115,14 @@ def test_where_the_course_is_open_the_cause_is_claimed_and_said() -> None:
     assert sure.names == ("coating wear (coating lot C2)",)
     other = said((names[0],), of(0.5, 0.1, 0.4))
     assert other.word == "not separable"
-    assert set(other.names) == set(names)
+    assert other.names == ("coating loss (coating lot C2)", names[2])
+    named = said((names[0],), of(0.58, 0.02, 0.4))
+    assert named.names == (names[2], names[0])
+
+
+def test_a_set_holds_what_was_taken_even_where_another_cause_has_the_evidence() -> None:
+    found = said(("wear",), turn("wear", cooling=0.99, wear=0.01))
+    assert (found.word, found.names) == ("not separable", ("cooling", "wear"))
 
 
 def test_what_has_no_room_in_the_runs_is_told_and_not_claimed() -> None:

@@ -80,3 +80,19 @@ def test_readings_in_another_order_give_the_same_scan() -> None:
     seen, facts = rotor(4, lambda b, k: SIGMA if k == 1 else 0.0)
     again: Scan = scan(seen, dict(reversed(facts.items())))
     assert again.found == scan(seen, facts).found
+
+
+def test_the_choice_of_rivals_knows_no_discount_but_for_what_concerns_one_blade() -> None:
+    """Blades that walk: an alarm is discounted; a rival's evidence is not, but one blade's is."""
+    one = scan(*rotor(3, noise="walk"))
+    alone = np.array([c.whom == "blade" for c in one.cells])
+    common = np.flatnonzero(~alone & (one.phi[: len(alone)] > 1.2))
+    assert len(common) > 0
+    plain = one.undiscounted
+    assert np.all(plain.phi[common] == 1.0)
+    assert np.array_equal(plain.phi[: len(alone)][alone], one.phi[: len(alone)][alone])
+    u, information = one.u[common], np.diag(one.information)[common]
+    exact = 0.5 * u**2 / (1 + information) - 0.5 * np.log1p(information)
+    free = [one.cells[i].family.sign == 0 for i in common]
+    assert plain.gains[common][free] == pytest.approx(exact[free])
+    assert np.array_equal(one.u, plain.u)

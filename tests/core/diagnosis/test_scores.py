@@ -128,15 +128,30 @@ def test_a_change_that_goes_with_the_parameters_leans_as_over_all_particles() ->
     assert again[1].sum() == pytest.approx(half[1].sum(), rel=1e-6)
 
 
-def test_where_a_bound_forbids_to_imitate_there_is_information() -> None:
-    faint = np.diag([1e-4, 1.0, 2.0])
+@pytest.mark.parametrize("left", [1e-4, 0.09])  # of 1 / V, where parameters imitate the rest
+def test_where_a_bound_forbids_to_imitate_there_is_information(left: float) -> None:
+    v = 0.4
+    seen = np.array([left, 0.9, 1.0]) / v
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-    q = turn @ np.array([0.07, 0.9, -1.5])  # 7 sds of a direction that is all but imitated
-    found = np.linalg.eigvalsh(_bounded(turn @ faint @ turn.T, q))
-    assert found == pytest.approx([(0.07 / 3.0) ** 2, 1.0, 2.0], rel=1e-9)
-    within = turn @ np.array([0.02, 9.0, -1.5])  # 2 sds there; 9 in a direction that is seen well
-    same = np.linalg.eigvalsh(_bounded(turn @ faint @ turn.T, within))
-    assert same == pytest.approx([1e-4, 1.0, 2.0], rel=1e-9)
+    information = turn @ np.diag(seen) @ turn.T
+    typical = np.full(3, v)
+
+    def found(*sds: float) -> np.ndarray:
+        q = turn @ (np.array(sds) * np.sqrt(seen))
+        return np.linalg.eigvalsh(_bounded(information, typical, q))
+
+    least = (8.5 / 3.0) ** 2 * left / v
+    assert found(8.5, 0.9, -1.5) == pytest.approx(sorted([least, *seen[1:]]), rel=1e-9)
+    # 2 sds there, and 9 in a direction that is seen well
+    assert found(2.0, 9.0, -1.5) == pytest.approx(seen, rel=1e-9)
+
+
+def test_directions_that_are_imitated_are_told_by_each_rows_own_variance() -> None:
+    """Two rows of noises 10 times apart, neither imitated: nothing is bounded."""
+    typical = np.array([1.0, 100.0])
+    information = np.diag(1.0 / typical)
+    q = np.array([0.0, 0.9])  # 9 sds of the second row, whose information is the lesser by far
+    assert np.allclose(_bounded(information, typical, q), information, rtol=1e-12)
 
 
 def test_a_state_of_other_readings_is_refused() -> None:

@@ -1,0 +1,144 @@
+"""What the readings of a plan could tell of an effect at best, before any of them is drawn.
+
+An oracle knows where every parameter and every noise lies, and what the effect does to each
+reading, g, to first order. Blades' parameters and shared ones imitate of it what they can; with
+the information I of `core.diagnosis.scores` between signatures,
+
+    alone     ½ I_gg nats of log likelihood are expected for the effect, if it is there
+    left      ½ (I_gg − I_gj² / (1 + I_jj)) of them once a rival j of another cause is in the model,
+              at its best amplitude; the least over all rivals of the grammar
+    alarm     chance of a one-sided test at 5 % that knows what it looks for, Φ(√I_gg − 1.645)
+    name      chance that the log odds against the nearest rival, normal with mean `left` and
+              variance 2 `left`, pass those of `core.diagnosis.verdict.NAMED`
+
+No diagnosis can do better, and one that searches a whole grammar does worse. Where `name` is low,
+"not separable" is the right answer and a right name is luck; where `alarm` is low, so is an alarm.
+Two rivals together may come nearer than one; priors may tell rivals apart by their sizes. Both are
+left out. What the oracle is asked about is what the study plants (`effect_sets`), never a cell of
+the grammar; the sensitivities come from a calibration of the same rotor without the effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from core.calibration.online import Workspace, update
+from core.diagnosis.grammar import Cell
+from core.diagnosis.verdict import NAMED
+from core.errors import InputError
+from core.model import Model, rotor_blade_wide
+from core.rng import stream
+from core.validation.effect_plans import NOISE, Plan
+from core.validation.effect_sets import Set, effect_of, made
+
+Array = NDArray[np.float64]
+ALARM = 1.645
+MOST_ROTORS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Possible:
+    """Expected nats for an effect, alone and beside its nearest rival, and what they allow."""
+
+    alone: float
+    rival: str | None
+    left: float
+
+    @property
+    def alarm(self) -> float:
+        """Chance of an alarm.
+
+        >>> round(Possible(2.0, None, 2.0).alarm, 2)
+        0.64
+        """
+        return float(ndtr(np.sqrt(2.0 * self.alone) - ALARM))
+
+    @property
+    def name(self) -> float:
+        """Chance of the right name, not a rival's and not both.
+
+        >>> [round(Possible(40.0, "fouling", left).name, 2) for left in (0.1, 2.2, 10.0)]
+        [0.0, 0.5, 0.96]
+        """
+        if self.left <= 0:
+            return 0.0
+        odds = np.log(NAMED / (1.0 - NAMED))
+        return float(ndtr((self.left - odds) / np.sqrt(2.0 * self.left)))
+
+
+def possible(
+    model: Model, given: Set, seed: int = 0, workspace: Workspace | None = None
+) -> Possible:
+    """Of what is planted in a set; InputError where nothing is."""
+    data = given.case.readings
+    change = {r.id: given.exact[r.id] - given.sound[r.id] for r in data}
+    if not any(change.values()):
+        raise InputError("set", given.case.spec.id, "has no effect", "plant one")
+    rng = stream(seed, "oracle")
+    sound = tuple(
+        replace(r, values=np.array([given.sound[r.id] + NOISE * rng.normal()])) for r in data
+    )
+    case = replace(given.case, readings=sound)
+    state = update(model, case.spec, sound, workspace=workspace)
+    scan = case.scan(model, state)
+    seen = scan.seen
+    g = np.zeros((*seen.place.shape, 1))
+    for b, i in np.argwhere(seen.real):
+        g[b, i, 0] = change[seen.reading(b, i).id]
+    named = len(scan.cells)
+    information = seen.cross(np.concatenate([g, scan.g[:, :, :named]], axis=2))
+    alone = 0.5 * float(information[0, 0])
+    rivals = [c for c in range(named) if not _right(scan.cells[c], given.truth)]
+    left = {c: _left(information, c + 1, scan.cells[c]) for c in rivals}
+    nearest = min(rivals, key=lambda c: left[c], default=None)
+    if nearest is None:
+        return Possible(alone, None, alone)
+    return Possible(alone, scan.cells[nearest].name, left[nearest])
+
+
+def _right(cell: Cell, truth: frozenset[str]) -> bool:
+    return bool({cell.name, cell.cause} & truth)
+
+
+def _left(information: Array, j: int, cell: Cell) -> float:
+    """Expected nats of column 0 once column j is in, at its best amplitude (0 against its sign)."""
+    across = float(information[0, j])
+    if cell.family.sign and across < 0:  # columns are directed: what goes the other way is none
+        return 0.5 * float(information[0, 0])
+    return 0.5 * float(information[0, 0] - across**2 / (1.0 + information[j, j]))
+
+
+def bounds(
+    plan: Plan,
+    conditions: Sequence[str],
+    seed: int,
+    particles: int,
+    size: float,
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, dict[str, float | list[str]]]:
+    """By condition, means over the plan's rotors; `rivals` are those nearest in any of them."""
+    model, work = rotor_blade_wide(), Workspace()
+    found: dict[str, dict[str, float | list[str]]] = {}
+    for done, condition in enumerate(conditions):
+        effect = effect_of(condition, plan)
+        scaled = size if plan.scaled else None
+        rotors = plan.with_effect(effect, scaled) if effect else range(plan.rotors)
+        every = [
+            possible(model, made(plan, condition, n, seed, particles, size), seed, work)
+            for n in range(min(len(rotors), MOST_ROTORS))
+        ]
+        found[condition] = {
+            **{
+                what: round(float(np.mean([getattr(one, what) for one in every])), 3)
+                for what in ("alone", "left", "alarm", "name")
+            },
+            "rivals": sorted({one.rival.split(" (")[0] for one in every if one.rival}),
+        }
+        if progress is not None:
+            progress(done + 1)
+    return found
