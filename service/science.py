@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
 from core.life import Life, life
 from core.model import Model
@@ -123,7 +125,7 @@ class CoreScience:
         return _draws(shared_posterior(meta, get))
 
     def blade_draws(self, meta: Mapping[str, Any], get: Get, blade: str) -> Draws:
-        return _draws(blade_posterior(meta, get, blade))
+        return _draws(blade_posterior(meta, get, blade), len(get("shared/log_w")))
 
     def predict(
         self,
@@ -288,5 +290,8 @@ class CoreScience:
         return computed(self.models.of(card), spec, facts, readings, progress)
 
 
-def _draws(posterior: Posterior) -> Draws:
-    return Draws(posterior.names, posterior.particles.psi, posterior.particles.log_w)
+def _draws(posterior: Posterior, nodes: int | None = None) -> Draws:
+    """With the shared node of each particle; nodes: how many, if not as many as particles."""
+    own = posterior.particles
+    each = len(own.log_w) // (nodes or len(own.log_w))
+    return Draws(posterior.names, own.psi, own.log_w, np.arange(len(own.log_w)) // each)

@@ -18,14 +18,14 @@ from service.ports import Draws, Get, JointDraws, ModelCard
 def shared_draws(meta: Mapping[str, Any], get: Get) -> Draws:
     mean, variance = get("shared/moments")
     z = stream(meta["seed"], "shared").standard_normal((meta["particles"], 1))
-    return Draws(("rate",), mean + np.sqrt(variance) * z, np.zeros(len(z)))
+    return Draws(("rate",), mean + np.sqrt(variance) * z, np.zeros(len(z)), np.arange(len(z)))
 
 
 def blade_draws(meta: Mapping[str, Any], get: Get, blade: str) -> Draws:
     mean, covariance = moments(get, blade)
     z = stream(meta["seed"], "blade", blade).standard_normal((meta["particles"], 2))
     root = np.linalg.cholesky(covariance + 1e-15 * np.eye(2))
-    return Draws(("rate", "offset"), mean + z @ root.T, np.zeros(len(z)))
+    return Draws(("rate", "offset"), mean + z @ root.T, np.zeros(len(z)), np.arange(len(z)))
 
 
 def joint_draws(meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int) -> JointDraws:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from core.errors import InputError, RangeError
 from service.adopted import adopted_at
 from service.errors import FaultsError, NotFoundError, NotYetError
+from service.handlers.moments import summary
 from service.handlers.rotors import state_of
 from service.ports import (
     BladeRecord,
-    Draws,
     Json,
     ModelCard,
     Prediction,
@@ -25,7 +24,6 @@ from service.ports import (
     Which,
 )
 
-LEVELS = (0.025, 0.05, 0.16, 0.5, 0.84, 0.95, 0.975)
 MOST_TIMES = 2000
 DEFAULT_NODE = {"field": "critical", "vector": "tip"}
 
@@ -95,7 +93,7 @@ def basis(
 
 
 def posterior(store: Store, science: Science, found: Basis) -> Json:
-    """Mean, sd, quantiles, correlations and ESS of the shared or of one blade's parameters."""
+    """Mean, sd, quantiles, R, correlations and ESS of the shared or of one blade's parameters."""
     meta = found.state.meta
     with store.read() as tx:
         get = tx.states.reader(found.state)
@@ -104,43 +102,6 @@ def posterior(store: Store, science: Science, found: Basis) -> Json:
         else:
             draws = science.blade_draws(meta, get, found.blade.id)
     return summary(draws) | {"health": health(found.state)}
-
-
-def summary(draws: Draws) -> Json:
-    """Weighted moments and quantiles of draws.
-
-    >>> import numpy as np
-    >>> two = Draws(("a",), np.array([[1.0], [3.0]]), np.log([0.75, 0.25]))
-    >>> summary(two)["parameters"]["a"]["mean"], round(summary(two)["ess"], 3)
-    (1.5, 1.6)
-    """
-    w = np.exp(draws.log_w - draws.log_w.max())
-    w /= w.sum()
-    mean = w @ draws.values
-    centred = draws.values - mean
-    covariance = (centred * w[:, None]).T @ centred
-    sd = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = np.nan_to_num(covariance / np.outer(sd, sd))
-    np.fill_diagonal(correlation, 1.0)
-    parameters: dict[str, Any] = {}
-    for i, name in enumerate(draws.names):
-        order = np.argsort(draws.values[:, i], kind="stable")
-        reached = np.cumsum(w[order])
-        at = np.minimum(np.searchsorted(reached, LEVELS), len(order) - 1)
-        values = draws.values[order[at], i]
-        parameters[name] = {
-            "mean": float(mean[i]),
-            "sd": float(sd[i]),
-            "quantiles": {str(p): float(v) for p, v in zip(LEVELS, values, strict=True)},
-        }
-    return {
-        "parameters": parameters,
-        "names": list(draws.names),
-        "correlation": correlation.tolist(),
-        "ess": float(1.0 / (w @ w)),
-        "draws": len(w),
-    }
 
 
 @dataclass(frozen=True, slots=True)

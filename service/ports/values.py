@@ -97,11 +97,15 @@ class RotorState(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Draws:
-    """Weighted draws: names (d,), values (n, d), log_w (n,), and how well they mix."""
+    """Weighted draws: names (d,), values (n, d), log_w (n,).
+
+    node  (n,) which of the shared nodes a draw hangs on; draws of one node are no replicates
+    """
 
     names: tuple[str, ...]
     values: NDArray[np.float64]
     log_w: NDArray[np.float64]
+    node: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

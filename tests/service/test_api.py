@@ -518,6 +518,7 @@ def test_a_posterior_is_summarised(created: httpx.Client, worker: Worker) -> Non
     assert list(rate["quantiles"]) == ["0.025", "0.05", "0.16", "0.5", "0.84", "0.95", "0.975"]
     assert [row[i] for i, row in enumerate(body["correlation"])] == [1.0, 1.0]
     assert body["ess"] == pytest.approx(1000.0)
+    assert 1.0 <= rate["r_hat"] <= body["r_hat"] < 1.02  # 1 + 4 / (2 ESS) is expected
 
 
 def test_who_waits_is_answered_when_the_entry_is_applied(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,9 @@ def test_any_order_of_arrival_ends_in_the_same_sealed_posterior_and_a_band_that_
     parts = sum(np.array(v) ** 2 for k, v in bands["sd"].items() if k != "total")
     assert parts == pytest.approx(total)
     assert "t1t_rate" in reads.posterior(real_store, science, basis)["parameters"]
+    own = reads.posterior(real_store, science, replace(basis, blade=BladeRecord("B1")))
+    assert 1.0 <= own["parameters"]["tbc_thickness"]["r_hat"] <= own["r_hat"] < 1.1
+    assert own["parameters"]["t1t_rate"]["r_hat"] > 1.0
 
 
 def test_a_model_of_another_release_is_refused_by_name(real_store: SqlStore) -> None:

@@ -77,10 +77,13 @@ RESTS_ON = having(
 )
 SUMMARY = {
     "rotor": TEXT,
-    "parameters": named(having(mean=NUMBER, sd=NUMBER, quantiles=named(NUMBER))),
+    "parameters": named(
+        having(mean=NUMBER, sd=NUMBER, r_hat=maybe(NUMBER), quantiles=named(NUMBER))
+    ),
     "names": each(TEXT),
     "correlation": each(each(NUMBER)),
     "ess": NUMBER,
+    "r_hat": maybe(NUMBER),
     "draws": WHOLE,
     "health": HEALTH,
     "rests_on": RESTS_ON,
