@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("core.errors", "core.rng", "core.compiled", "core.digest", "core.units"),
+    ("core.errors", "core.rng", "core.compiled", "core.digest", "core.units", "core.pools"),
     (
         "core.network",
         "core.quantity",

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from core.pools import process_pool
 
 Array = NDArray[np.float64]
 
@@ -32,8 +33,8 @@ def kept_runs(
     own = Path(folder)
     own.mkdir(parents=True, exist_ok=True)
     done = {name: np.load(own / f"{name}.npy") for name in todo if (own / f"{name}.npy").exists()}
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        waiting = {pool.submit(run, *given): n for n, given in todo.items() if n not in done}
+    with process_pool(workers) as made:
+        waiting = {made.submit(run, *given): n for n, given in todo.items() if n not in done}
         for finished in as_completed(waiting):
             name = waiting[finished]
             done[name] = finished.result()

@@ -13,21 +13,16 @@ to the process that asked for it. Those that join later are used, those that lea
 
 from __future__ import annotations
 
-import os
-import threading
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any
 
 from core.errors import BladetwinError, InputError, ModelError
+from core.pools import one_thread, process_pool
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""Set to 1 for the processes: libraries read them when they are loaded."""
 JOIN_S = 60.0  # until a cluster without workers is given up
 Errors = tuple[type[Exception], ...]
 
@@ -57,23 +52,12 @@ def spread(
     Where the caller's block raises, calls that run are waited for and others dropped.
     """
     with ExitStack() as held:
-        held.enter_context(_one_thread())
         if dask is not None:
+            held.enter_context(one_thread())
             yield held.enter_context(_cluster(dask, code))
             return
-        pool = held.enter_context(
-            ProcessPoolExecutor(
-                processes,
-                mp_context=get_context("spawn"),
-                initializer=_end_with_parent,
-                initargs=(os.getpid(),),
-            )
-        )
-        try:
-            yield Pool(pool.submit, lambda: processes, broken=(BrokenProcessPool,))
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+        own = held.enter_context(process_pool(processes))
+        yield Pool(own.submit, lambda: processes, broken=(BrokenProcessPool,))
 
 
 @contextmanager
@@ -119,28 +103,3 @@ def _same_code(theirs: dict[str, str], ours: str) -> None:
             f"Dask worker {odd[0]} ({len(odd)} of {len(theirs)}) has other finite-element code: "
             f"{theirs[odd[0]][:12]} there, {ours[:12]} here. Install the same release on it"
         )
-
-
-def _end_with_parent(parent: int) -> None:
-    """A process whose parent was killed would wait for ever: let it end."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True, name="end with parent").start()
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

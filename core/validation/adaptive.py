@@ -27,10 +27,8 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +39,7 @@ from core.archive import Archive
 from core.design import Region, maximin_lhs
 from core.network import Network, rotor_blade_network
 from core.observation import Inspection
+from core.pools import process_pool
 from core.posterior_region import from_readings, of_prior
 from core.rng import seed_of, stream
 from core.surrogate import Surrogate, train
@@ -291,8 +290,8 @@ def run(
     known = reference(study, first)
     tasks = [(study, k, str(folder), known) for k in range(study.seeds)]
     rows = []
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        for one in [pool.submit(_seed, *task) for task in tasks]:
+    with process_pool(processes) as made:
+        for one in [made.submit(_seed, *task) for task in tasks]:
             rows.append(one.result())
             progress("seeds", len(rows), study.seeds)
     return rows

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from functools import cache
 from hashlib import sha256
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
 import core
+from core.pools import process_pool
 
 Record = dict[str, Any]
 Key = TypeVar("Key")
@@ -58,14 +58,9 @@ def records(
         for given in todo:
             keep(work(*given))
     elif todo:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            waiting = [pool.submit(work, *given) for given in todo]
-            try:
-                for finished in as_completed(waiting):
-                    keep(finished.result())
-            except BaseException:
-                pool.shutdown(wait=True, cancel_futures=True)
-                raise
+        with process_pool(processes) as made:
+            for finished in as_completed([made.submit(work, *given) for given in todo]):
+                keep(finished.result())
     return [done[k] for k in calls]
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any
 
 import service.one_thread  # noqa: F401  before numpy, as in every process
 from core.builtin import inspection_plan
 from core.errors import InputError
+from core.pools import process_pool
 from core.validation import paper, paper_scan
 from core.validation.paper import CASES, WAYS, Case, Strategy
 from service.studies.paper.numbers import Drawn, Told, surrogate, told
@@ -69,7 +69,7 @@ def run(
     start = time.monotonic()
     made: dict[str, list[Told]] = {}
     literal: dict[str, Json] = {}
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+    with process_pool(processes) as pool:
         jobs: dict[Future[Any], Case | None] = {
             pool.submit(both, d, blades, particles, seed): None for d in (True, False)
         }

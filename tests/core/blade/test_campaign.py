@@ -1,10 +1,7 @@
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.archive.claims import started
 from core.blade import BladeRun, Properties, run_campaign, simulate
 from core.errors import InputError, ModelError, RangeError
 
@@ -159,41 +155,6 @@ def test_a_shared_campaign_computes_what_it_is_given_and_waits_for_the_others(
     assert result.completed == (1, 3)
     assert {k: run.inputs for k, run in got.items()} == {k: points[k] for k in (1, 3)}
     assert told[-1] == (4, 4)
-
-
-ORPHANS = """
-import sys, time
-from core.blade import spread
-if sys.argv[1] == "left":
-    spread._end_with_parent = id  # any function of one argument that does nothing
-def main():
-    with spread.spread(1) as pool:
-        import os
-        print(pool.submit(os.getpid).result(), flush=True)
-        pool.submit(time.sleep, 60)
-        time.sleep(60)
-if __name__ == "__main__":
-    main()
-"""
-
-
-@pytest.mark.parametrize("kind", ["watched", "left"])
-def test_a_process_ends_when_its_parent_is_killed(tmp_path: Path, kind: str) -> None:
-    """`left` is the negative control: without the watch it lives on."""
-    script = tmp_path / "parent.py"
-    script.write_text(ORPHANS)
-    parent = subprocess.Popen([sys.executable, script, kind], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    child = int(parent.stdout.readline())
-    parent.kill()
-    parent.wait()
-    parent.stdout.close()
-    until = time.monotonic() + (20 if kind == "watched" else 2)
-    while (alive := started(child) is not None) and time.monotonic() < until:
-        time.sleep(0.05)
-    if alive:
-        os.kill(child, signal.SIGKILL)
-    assert alive == (kind == "left")
 
 
 DASK = """

@@ -1,0 +1,69 @@
+"""Processes that share out work, and end with the one that asked for it.
+
+Python's pool leaves its processes behind where their parent is killed: each holds the pipe that it
+reads from open for the others, so that none ever sees its end. A process of ours watches its parent
+and ends with it, whatever it is doing; what it was at is lost, and nothing else.
+
+Libraries of linear algebra compute on one thread each: processes are as many as there are
+processors, and results must not depend on how many threads there were.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""Set to 1 for the processes: libraries read them when they are loaded."""
+WATCH_S = 0.5
+
+
+@contextmanager
+def process_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """So many processes, started anew.
+
+    Where the caller's block raises, calls that run are waited for and others dropped.
+    """
+    with (
+        one_thread(),
+        ProcessPoolExecutor(
+            processes,
+            mp_context=get_context("spawn"),
+            initializer=_end_with_parent,
+            initargs=(os.getpid(),),
+        ) as made,
+    ):
+        try:
+            yield made
+        except BaseException:
+            made.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Processes that start meanwhile compute on one thread."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _end_with_parent(parent: int) -> None:
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True, name="end with parent").start()
