@@ -141,8 +141,13 @@ def test_the_code_digest_changes_with_the_code(
     (tmp_path / "__init__.py").write_text("a = 1\n")
     monkeypatch.setattr("core.blade.__file__", str(tmp_path / "__init__.py"))
     first = built.blade_digest()
+    (tmp_path / "spread.py").write_text("where runs are computed")
+    assert built.blade_digest() == first
     (tmp_path / "__init__.py").write_text("a = 2\n")
-    assert built.blade_digest() != first
+    second = built.blade_digest()
+    assert second != first
+    (tmp_path / "creep.py").write_text("")
+    assert built.blade_digest() not in (first, second)
 
 
 def test_runs_of_the_wide_plan_go_through_the_finite_elements(tmp_path: Path) -> None:
