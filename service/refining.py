@@ -253,7 +253,7 @@ def readings_of(body: bytes, network: Network, archive: Archive) -> list[Inspect
     Raises FaultsError with every fault.
     """
     from service.api.problems import RequestError
-    from service.api.schemas import read_inspections
+    from service.api.reading_bodies import read_inspections
 
     try:
         items = read_inspections(body, "text/csv")

@@ -16,7 +16,7 @@ from core.errors import InputError
 from core.network import Network
 from core.observation import Inspection
 from service.api.problems import RequestError, fault, fault_of
-from service.api.schemas import InspectionIn, read_inspections
+from service.api.reading_bodies import InspectionIn, read_inspections
 from service.client import Client, ProblemError
 from service.export.sensorthings import MEDIA
 from service.handlers.inspections import Item, faults_of

@@ -252,6 +252,37 @@ def test_a_row_that_cannot_be_read_hides_no_fault_of_the_others(created: httpx.C
     assert head(created) == 0
 
 
+ROWS: list[tuple[Json, list[str]]] = [
+    ({"value": "long", "blade": "B9"}, ["value", "blade"]),
+    ({"time_h": "soon", "unit": "m", "blade": "B9"}, ["time_h", "blade", "unit"]),
+    ({"sigma": -1.0, "value": 1e6}, ["sigma", "values"]),
+    ({"blade": 7, "time_h": -1.0}, ["blade", "time_h"]),
+    ({"id": "", "unit": "m"}, ["id", "unit"]),
+    ({"colour": "red", "time_h": -1.0}, ["colour", "time_h"]),
+    ({"quantity": 3, "blade": "B9"}, ["quantity", "blade"]),
+    ({"value": None, "unit": "m"}, ["body", "unit"]),
+    ({"value": None, "values": [[0.1]], "nodes": ["one"], "time_h": -1.0}, ["nodes[0]", "time_h"]),
+    ({"id": 1, "blade": 2, "quantity": 3, "time_h": "4", "value": "5"},
+     ["id", "blade", "quantity", "time_h", "value"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("fields", "named"), ROWS)
+def test_a_field_that_cannot_be_read_hides_no_other_fault_of_its_row(
+    created: httpx.Client, fields: Json, named: list[str]
+) -> None:
+    body = refuse(created.post("/v1/rotors/r1/inspections", json=one("a", **fields)), 422)
+    assert [fault["field"] for fault in body["faults"]] == named
+    assert "unread" not in str(body), "what stands in for a field is never told"
+    assert head(created) == 0
+
+
+def test_a_row_that_is_no_reading_at_all_is_told_as_that(created: httpx.Client) -> None:
+    body = refuse(created.post("/v1/rotors/r1/inspections", json={"inspections": [3, "a"]}), 422)
+    named = [fault["field"] for fault in body["faults"]]
+    assert len(named) == 2
+
+
 def test_csv_is_read_row_by_row(created: httpx.Client, worker: Worker) -> None:
     text = (
         "id,blade,quantity,time_h,value,node,unit,campaign\r\n"

@@ -11,7 +11,8 @@ from fastapi.responses import JSONResponse, Response
 from service.api.csv_rows import CSV_EXAMPLE
 from service.api.files import CSV, PARQUET, SENSORTHINGS, file
 from service.api.problems import fault, invalid
-from service.api.schemas import READINGS, InspectionIn, Nothing, read_inspections
+from service.api.reading_bodies import READINGS, InspectionIn, read_inspections
+from service.api.schemas import Nothing
 from service.api.sensorthings import ARRAY_EXAMPLE, EXAMPLE
 from service.api.services import (
     Cursor,
