@@ -26,7 +26,10 @@ from core.prior import Prior
 
 Array = NDArray[np.float64]
 POINTS = 32  # particles of a blade at which effects of physics are computed
+SLOPES = 256  # particles of a blade at which slopes by its own parameters are taken
+STEP = 0.05  # of a prior's sd, for them
 FAINT, CUT = 0.25, 3.0
+SURE = 3.0  # standard errors
 
 
 def scores(
@@ -129,19 +132,24 @@ def _blade(
         axis=1,
     )
 
-    def column(name: str, moved: str | None = None, by: float = 0.0) -> Array:
-        return posterior.column(name) + (by if name == moved else 0.0)
+    def answered(
+        moved: str | None = None, to: Array | None = None, of: NDArray[np.int64] | None = None
+    ) -> tuple[Array, Array]:
+        """The rows and their surrogate's sd (P, n), at particles `of`, one parameter moved."""
+        at = x.copy() if of is None else x[of]
+        if to is not None and moved in names:
+            at[:, names.index(moved)] = to
 
-    def answered(moved: str | None = None, by: float = 0.0) -> tuple[Array, Array]:
-        """The rows and their surrogate's sd (P, n), with one parameter moved."""
-        at = x.copy()
-        if moved in names:
-            at[:, names.index(moved)] += by
+        def column(name: str) -> Array:
+            if to is not None and name == moved:
+                return to
+            return posterior.column(name) if of is None else posterior.column(name)[of]
+
         f, sd = (a[:, :count] for a in rows.response.evaluate(at))
         for i, one in enumerate(rows.discrepancy[:count]):
             if one.gain or one.offset:
-                gain = 1.0 + total(one.gain, lambda n: column(n, moved, by))
-                f[:, i] = gain * f[:, i] + total(one.offset, lambda n: column(n, moved, by))
+                gain = 1.0 + total(one.gain, column)
+                f[:, i] = gain * f[:, i] + total(one.offset, column)
                 sd[:, i] = gain * sd[:, i]
         return f, sd
 
@@ -152,32 +160,54 @@ def _blade(
     v = v * rows.discount[:count] + sd**2  # the surrogate's scale holds the discount already
     locals_ = [p for p in locals_of(model) if p.name in names]
     others = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
-    columns = np.stack([posterior.column(n) for n in (*(p.name for p in locals_), *others)], axis=1)
-    mean, answer = w @ columns, w @ f
-    off = columns - mean
+    columns = np.array([posterior.column(n) for n in others]).reshape(len(others), len(w)).T
+    answer, off = w @ f, columns - w @ columns
     size = np.sqrt(w @ off**2) + 1e-300
-    weighted = (off / size) * np.sqrt(w)[:, None]
-    slope = np.linalg.lstsq(weighted, (f - answer) * np.sqrt(w)[:, None], rcond=1e-6)[0].T / size
-    for k, name in enumerate(others, start=len(locals_)):
-        step = size[k]
-        change = answered(name, step)[0] - answered(name, -step)[0]
-        slope[:, k] = w @ change / (2.0 * step)
-    own = np.array([_own_variance(p, posterior) for p in locals_])
-    j = slope[:, : len(own)]
+    slope = np.zeros((count, len(others)))
+    for k, name in enumerate(others):
+        ends = (columns[:, k] + size[k], columns[:, k] - size[k])
+        slope[:, k] = w @ (answered(name, ends[0])[0] - answered(name, ends[1])[0]) / (2 * size[k])
+    some = _evenly(w, f, SLOPES)
+    spread = np.zeros((count, len(locals_)))
+    for k, p in enumerate(locals_):
+        at, sd_ = posterior.column(p.name)[some], np.sqrt(_own_variance(p, posterior))
+        ends = tuple(np.clip(at + e * STEP * sd_, p.prior.low, p.prior.high) for e in (1, -1))
+        change = answered(p.name, ends[0], some)[0] - answered(p.name, ends[1], some)[0]
+        spread[:, k] = sd_ * np.mean(change / (ends[0] - ends[1])[:, None], axis=0)
     typical = 1.0 / (w @ (1.0 / v))
-    c = np.diag(typical) + (j * own) @ j.T
     r = (rows.y[:count] - f) / v
-    some = _evenly(w, f)
+    some = _evenly(w, f, POINTS)
     q = w @ r
+    seen = _information(typical, spread, f - answer - off @ slope.T, w)
     return _Blade(
         q,
-        _bounded(np.linalg.inv(c), typical, q),
-        slope[:, len(own) :],
+        _bounded(seen, typical, q),
+        slope,
         answer,
         (w[:, None] * r).T @ (f - answer),
         dict(zip(names, x[some].T, strict=True)),
         f[some],
     )
+
+
+def _information(typical: Array, spread: Array, off: Array, w: Array) -> Array:
+    """Q (n, n) of one blade, given the shared parameters.
+
+    spread  J P^½ (n, l): change of the rows by a prior sd of each of its own parameters
+    off     the rows at the particles, without their mean and what shared parameters do, (N, n)
+
+    Normal priors would leave (V + J P Jᵀ)⁻¹, and no prior of the same variance leaves less. One
+    with bounds leaves more, in blades that lean on them: by Louis' identity V⁻¹ − V⁻¹ Cov[f] V⁻¹,
+    a small difference of large numbers, which counts where it is `SURE` standard errors above.
+    """
+    root = np.sqrt(typical)
+    scaled = spread / root[:, None]
+    value, vector = np.linalg.eigh(np.linalg.inv(np.eye(len(root)) + scaled @ scaled.T))
+    along = (off / root) @ vector
+    left = 1.0 - w @ along**2
+    error = (1.0 - left) * np.sqrt(2.0 * (w @ w))
+    value = np.where(left > value + SURE * error, np.minimum(left, 1.0), value)
+    return np.asarray((vector * value) @ vector.T / np.outer(root, root))
 
 
 def _bounded(information: Array, typical: Array, q: Array) -> Array:
@@ -195,11 +225,11 @@ def _bounded(information: Array, typical: Array, q: Array) -> Array:
     return np.asarray((vector * value) @ vector.T / np.outer(root, root))
 
 
-def _evenly(w: Array, f: Array) -> NDArray[np.int64]:
-    """`POINTS` particles of equal weight, evenly along the sum of the answers f (P, n)."""
+def _evenly(w: Array, f: Array, count: int) -> NDArray[np.int64]:
+    """So many particles of equal weight, evenly along the sum of the answers f (P, n)."""
     spread = np.sqrt(w @ (f - w @ f) ** 2) + 1e-300
     order = np.argsort(np.sum(f / spread, axis=1), kind="stable")
-    levels = (np.arange(POINTS) + 0.5) / POINTS
+    levels = (np.arange(count) + 0.5) / count
     places = np.searchsorted(np.cumsum(w[order]), levels)
     return np.asarray(order[np.minimum(places, len(w) - 1)])
 

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
-from core.diagnosis.scoring import _bounded, scores
+from core.diagnosis.scoring import _bounded, _information, scores
 from core.diagnosis.signature import Signatures
 from core.errors import InputError
 from core.family import Family
@@ -126,6 +127,41 @@ def test_a_change_that_goes_with_the_parameters_leans_as_over_all_particles() ->
     half = seen.in_proportion(np.full(seen.place.shape, 0.5))
     again = seen.over(0.5 * seen.answers)
     assert again[1].sum() == pytest.approx(half[1].sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize("beyond", [-20.0, 0.0, 2.0])  # noises beyond the bound
+def test_a_bound_tells_more_than_a_normal_prior_of_the_same_variance(beyond: float) -> None:
+    """y = x + noise, x uniform within ±20 noises: −d² log p(y) / dy², exactly, where it shows."""
+    sigma, half = 0.5, 10.0
+    y = half + beyond * sigma
+    low, high = ((end - y) / sigma for end in (-half, half))
+    rng = np.random.default_rng(4)
+    x = y + sigma * truncnorm.rvs(low, high, size=4000, random_state=rng)
+    w = np.full(len(x), 1.0 / len(x))
+    spread = np.array([[2.0 * half / np.sqrt(12.0)]])  # sd of the prior
+    found = _information(np.array([sigma**2]), spread, (x - x.mean())[:, None], w)[0, 0]
+    exact = (1.0 - truncnorm.var(low, high)) / sigma**2
+    least = 1.0 / (sigma**2 + spread[0, 0] ** 2)
+    if beyond < -5:  # deep inside a bound says nothing, and what a normal prior says stands
+        assert exact < least
+        assert found == pytest.approx(least, rel=1e-9)
+    else:
+        assert exact > 20 * least
+        assert found == pytest.approx(exact, rel=0.1)
+
+
+def test_where_particles_show_nothing_the_information_is_the_normal_ones_bit_by_bit() -> None:
+    rng = np.random.default_rng(7)
+    v, spread = np.array([0.4, 0.1, 0.2]), rng.normal(size=(3, 2))
+    exact = np.linalg.inv(np.diag(v) + spread @ spread.T)
+    posterior = np.linalg.inv(np.eye(2) + spread.T @ np.diag(1 / v) @ spread)
+    x = rng.multivariate_normal(np.zeros(2), posterior, size=1000)
+    w = np.full(1000, 1e-3)
+    off = (x - x.mean(axis=0)) @ spread.T
+    assert _information(v, spread, off, w) == pytest.approx(exact, rel=1e-9)
+    # without a standard error, chance would be taken for bounds
+    noisy = np.diag(1 / v) - np.diag(1 / v) @ (off.T @ off / 1000) @ np.diag(1 / v)
+    assert not np.allclose(noisy, exact, rtol=0.05)
 
 
 @pytest.mark.parametrize("left", [1e-4, 0.09])  # of 1 / V, where parameters imitate the rest
