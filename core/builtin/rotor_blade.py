@@ -48,6 +48,7 @@ from core.prior import Prior
 from core.rng import seed_of
 from core.surrogate import Surrogate, save, train
 from core.surrogate import load as load_artefact
+from core.surrogate.compact import compact
 from core.surrogate.contest import contest
 from core.surrogate.report import errors, polynomial_error
 
@@ -222,7 +223,7 @@ def finish(
 ) -> Surrogate:
     """Train on runs of an archive, measure on others, write the artefact."""
     declared = archive.declaration
-    model = train(archive, training, seed=declared.seed)
+    model = compact(train(archive, training, seed=declared.seed))
     manifest: dict[str, Any] = {
         **model.manifest,
         "name": name,

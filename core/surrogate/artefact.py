@@ -3,7 +3,8 @@
 No pickle: arrays are loaded with ``allow_pickle=False``, everything else is JSON. The manifest
 holds a schema number, what is needed to read the arrays (``structure``), where the model comes
 from and how well it did, and the digest: SHA-256 over ``structure`` and over name, type, shape and
-bytes of every array. `load` recomputes it and refuses what differs. The digest says which numbers
+bytes of every array, modes in single precision however they are stored (`core.surrogate.compact`).
+`load` recomputes it and refuses what differs. The digest says which numbers
 predict; notes on provenance and errors may be added to a manifest without changing it.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from hashlib import sha256
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 
 from core.archive import Input, Quantity
 from core.errors import ModelError
+from core.surrogate.compact import packed, unpacked
 from core.surrogate.kernel import Hyper, SharedGP
 from core.surrogate.model import Surrogate
 from core.surrogate.part import Part
@@ -85,8 +88,10 @@ def save(model: Surrogate, directory: str | Path) -> Surrogate:
     digest = _digest(structure, arrays)
     manifest = {"schema": SCHEMA, "digest": digest, **notes, "structure": structure}
     part = directory / f".{ARRAYS}.part"
+    small = packed(arrays)
+    write = np.savez if small.keys() == arrays.keys() else np.savez_compressed
     with open(part, "wb") as handle:
-        np.savez(handle, allow_pickle=False, **arrays)
+        write(handle, allow_pickle=False, **small)
     os.replace(part, directory / ARRAYS)
     part = directory / f".{MANIFEST}.part"
     part.write_text(json.dumps(manifest, indent=1) + "\n")
@@ -106,8 +111,8 @@ def load(directory: str | Path) -> Surrogate:
     try:
         with open(directory / ARRAYS, "rb") as handle:
             stored = np.load(handle, allow_pickle=False)
-            arrays = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            arrays = unpacked({name: stored[name] for name in stored.files})
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ModelError(f"{directory} holds no readable {ARRAYS}: {error}") from error
     found = _digest(manifest.get("structure", {}), arrays)
     if found != manifest.get("digest"):

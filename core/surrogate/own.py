@@ -31,6 +31,7 @@ from core.network import Network, Quantity
 from core.prior import Prior
 from core.rng import stream
 from core.surrogate.artefact import save
+from core.surrogate.compact import compact
 from core.surrogate.model import DEGREE, Surrogate
 from core.surrogate.training import train
 
@@ -110,7 +111,7 @@ def make(
     archive, found, chosen = take(
         source, network, folder / "runs", leave_out=leave_out, progress=progress
     )
-    surrogate = train(archive, chosen, seed=seed, progress=progress)
+    surrogate = compact(train(archive, chosen, seed=seed, progress=progress))
     rows = quality(surrogate, archive, network, source.labels, chosen)
     for row in rows:
         judge(row, found)
