@@ -1,4 +1,4 @@
-"""The paper at full scale: what was asked of archive, reduction and surrogate, and what came out."""
+"""The paper at full scale: what was asked of reduction and surrogate, and what came out."""
 
 from __future__ import annotations
 
