@@ -134,6 +134,12 @@ class Driven:
         text += "" if self.anchor is None else self.anchor.digest
         return sha256(text.encode()).hexdigest()
 
+    def along(
+        self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Mean and sd of rows (n, T, R), and mean CEEQ (n, T), at hours after 0."""
+        return self._along(x, times, self._rows(quantity, nodes))
+
     def _along(self, x: Array, times: Array, what: Rows) -> tuple[Array, Array, Array]:
         """Mean, sd (n, T, R) and mean CEEQ (n, T) at times for inputs x (n, d)."""
         if np.any(times <= 0):

@@ -15,6 +15,7 @@ app = typer.Typer(help="Statistical studies.", no_args_is_help=True)
 from service.studies import adaptive as adaptive  # noqa: E402
 from service.studies import commands as commands  # noqa: E402  (they register with `app`)
 from service.studies import effects as effects  # noqa: E402
+from service.studies import histories as histories  # noqa: E402
 from service.studies import reduction as reduction  # noqa: E402
 from service.studies import references as references  # noqa: E402
 from service.studies.chaos import commands as chaos  # noqa: E402
@@ -22,4 +23,7 @@ from service.studies.contest import commands as contest  # noqa: E402
 from service.studies.load import commands as load  # noqa: E402
 from service.studies.paper import commands as paper  # noqa: E402
 
-__all__ = ["adaptive", "app", "chaos", "commit", "contest", "effects", "load", "paper", "reduction"]
+__all__ = [
+    "adaptive", "app", "chaos", "commit", "contest", "effects", "histories", "load", "paper",
+    "reduction",
+]  # fmt: skip

@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from service.api.problems import RequestError
-from service.api.schemas import read_inspections
+from service.api.reading_bodies import read_inspections
 from service.api.sensorthings import ARRAY_EXAMPLE, EXAMPLE, sensorthings_rows
 from service.client import Client, ProblemError
 from service.export.sensorthings import MEDIA
