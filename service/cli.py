@@ -176,10 +176,10 @@ def build(
 
     Runs that others compute into the same folder (`model runs`) are waited for.
     """
-    from core.builtin import rotor_blade
+    from core.builtin import plans, rotor_blade
 
     plan = campaigns.plan_of(name)
-    chosen = rotor_blade.SEED if seed is None else seed
+    chosen = plans.SEED if seed is None else seed
     shown: dict[str, Any] = {}
     with ExitStack() as bars:
 

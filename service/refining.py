@@ -30,8 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive import Archive, Run
-from core.builtin import rotor_blade
-from core.builtin.rotor_blade import Plan, as_run, blade_digest, open_archive
+from core.builtin import plans, rotor_blade
+from core.builtin.plans import Plan
+from core.builtin.rotor_blade import as_run, blade_digest, open_archive
 from core.errors import BladetwinError, FaultsError, InputError, ModelError
 from core.network import Network, rotor_blade_network
 from core.observation import Inspection, faults
@@ -102,13 +103,13 @@ class FiniteElements:
 def plan_of(archive: Archive) -> Plan:
     """The built-in plan that an archive's runs follow."""
     command = archive.declaration.command
-    plans = rotor_blade.PLANS.values()
-    return next((p for p in plans if p.command == command), rotor_blade.STANDARD)
+    known = plans.PLANS.values()
+    return next((p for p in known if p.command == command), plans.STANDARD)
 
 
 def network_of(archive: Archive) -> Network:
     """The network of the built-in plan that an archive's runs follow."""
-    wide = plan_of(archive) is rotor_blade.WIDE
+    wide = plan_of(archive) is plans.WIDE
     return rotor_blade.wide_network() if wide else rotor_blade_network()
 
 

@@ -9,17 +9,12 @@ with its manifest. `load` reads the artefact shipped in ``rotor_blade_model/``; 
 
 Everything is a function of the seed and of the finite-element code: a second build gives the
 same design and the same runs, on the same numerical libraries the same digest.
-
-``rotor-blade-wide`` (`WIDE`) is made in the same way from more runs: over a wider box, so that
-coatings may wear and gas may heat up beyond what is calibrated, with the dormant inputs
-(`core.blade.inputs`), and to 150,000 h, for a blade under milder inputs takes long to reach the
-strain that it has already (`core.surrogate.history`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -31,90 +26,22 @@ from numpy.typing import NDArray
 import core.blade
 from core.archive import Archive, Input, Mesh, Run
 from core.archive.shared import SharedRuns
-from core.blade import (
-    BOUNDS,
-    DORMANT,
-    BladeRun,
-    Campaign,
-    build_mesh,
-    output_times,
-    run_campaign,
-)
-from core.blade.integrate import Tolerance
-from core.design import maximin_lhs
+from core.blade import DORMANT, BladeRun, Campaign, build_mesh, run_campaign
+from core.builtin.plans import NAME, SEED, STANDARD, WIDE, Plan, design
 from core.errors import ModelError
 from core.network import Network, Parameter, rotor_blade_network
 from core.prior import Prior
-from core.rng import seed_of
 from core.surrogate import Surrogate, save, train
 from core.surrogate import load as load_artefact
 from core.surrogate.compact import compact
 from core.surrogate.contest import contest
 from core.surrogate.report import errors, polynomial_error
 
-NAME = "rotor-blade"
-SEED = 20230106
-TRAINING, TEST = 66, 34
 MODEL = Path(__file__).with_name("rotor_blade_model")
 WIDE_MODEL = Path(__file__).with_name("rotor_blade_wide_model")
 QUANTITIES = ("ceeq", "creep_damage", "mises", "displacement", "elongation")
 Progress = Callable[[str, int, int, float], None]
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Which runs a model is made of.
-
-    bounds     box of each input, in order
-    time_h     instants, from 0
-    tolerance  of the creep's integration
-    """
-
-    name: str
-    bounds: Mapping[str, tuple[float, float]]
-    time_h: Array
-    training: int
-    test: int
-    tolerance: Tolerance = field(default_factory=Tolerance)
-
-    @property
-    def command(self) -> str:
-        return f"bladetwin model build {self.name}"
-
-
-STANDARD = Plan(NAME, BOUNDS, output_times(), TRAINING, TEST)
-WIDER = {"tbc_thickness": (0.4, 4 / 3), "t1t_rate": (0.78, 1.045)}
-WIDE = Plan(
-    f"{NAME}-wide",
-    {**BOUNDS, **WIDER, **{name: (one.low, one.high) for name, one in DORMANT.items()}},
-    np.concatenate([output_times(), np.linspace(5e4, 1.5e5, 13)[1:]]),
-    240,
-    40,
-    # strains of tens of percent in the hottest corner: 1e-5 of the elongation is lost by it
-    Tolerance(ceiling=0.05),
-)
-PLANS = {plan.name: plan for plan in (STANDARD, WIDE)}
-
-
-def design(
-    seed: int = SEED,
-    training: int | None = None,
-    test: int | None = None,
-    plan: Plan = STANDARD,
-) -> Array:
-    """Inputs of all runs, (training + test, d): two independent maximin Latin hypercubes.
-
-    >>> design(training=3, test=2).shape, design(training=3, test=2, plan=WIDE).shape
-    ((5, 4), (5, 8))
-    """
-    training = plan.training if training is None else training
-    test = plan.test if test is None else test
-    low, high = np.array(list(plan.bounds.values())).T
-    seeds = [seed_of(seed, plan.name, part) for part in ("training", "test")]
-    return np.vstack(
-        [maximin_lhs(n, low, high, s) for n, s in zip((training, test), seeds, strict=True)]
-    )
 
 
 def as_run(run: BladeRun) -> Run:

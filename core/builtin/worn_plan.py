@@ -28,7 +28,7 @@ from core.blade import BOUNDS, simulate, simulate_history
 from core.blade.kept import kept_runs
 from core.builtin import inspection_plan
 from core.builtin.inspection_plan import Plan, blades, times
-from core.builtin.rotor_blade import WIDER
+from core.builtin.plans import WIDER
 
 Array = NDArray[np.float64]
 SHIPPED = Path(__file__).with_name("worn_plan.npz")

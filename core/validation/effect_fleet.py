@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from core.blade import BOUNDS, simulate, simulate_history
 from core.blade.kept import kept_runs
-from core.builtin.rotor_blade import WIDER
+from core.builtin.plans import WIDER
 from core.errors import InputError
 from core.network import rotor_blade_network
 from core.rng import stream

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from core.blade import BOUNDS, simulate, simulate_history
 from core.blade.kept import kept_runs
-from core.builtin.rotor_blade import WIDER
+from core.builtin.plans import WIDER
 from core.validation import fe_rotors
 
 Array = NDArray[np.float64]

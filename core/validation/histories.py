@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from core.blade import BOUNDS, DORMANT, simulate_history
 from core.blade.kept import kept_runs
-from core.builtin import rotor_blade
+from core.builtin import plans, rotor_blade
 from core.course import Course, Drift
 from core.rng import stream
 from core.surrogate.anchor import Anchor
@@ -108,7 +108,7 @@ def truth(number: int, seed: int, mesh: str) -> Array:
 
 
 def _simulated(inputs: Given, mesh: str) -> Array:
-    bounds = {**BOUNDS, **rotor_blade.WIDER}
+    bounds = {**BOUNDS, **plans.WIDER}
     run = simulate_history(inputs, mesh, time_h=np.array([0.0, *TIMES_H]), bounds=bounds)
     return np.array([run.elongation[1:], run.ceeq[1:].astype(float).mean(axis=1)])
 

@@ -44,11 +44,11 @@ def runs(
     The same command, given on several machines for one folder, shares the runs out: each run is
     computed once. One that is killed loses the runs in its hands, and the others take them over.
     """
-    from core.builtin import rotor_blade
+    from core.builtin import plans, rotor_blade
 
     plan = plan_of(name)
-    chosen = rotor_blade.SEED if seed is None else seed
-    points = rotor_blade.design(chosen, plan=plan)[: plan.training if part == "training" else None]
+    chosen = plans.SEED if seed is None else seed
+    points = plans.design(chosen, plan=plan)[: plan.training if part == "training" else None]
     store = rotor_blade.open_archive(archive, mesh, chosen, plan)
     with bar("runs", len(points), quiet=as_json) as shown:
         done = rotor_blade.simulate(
@@ -69,10 +69,10 @@ def runs(
 
 def plan_of(name: str) -> Any:
     """The plan of a built-in model."""
-    from core.builtin import rotor_blade
+    from core.builtin import plans
 
-    plan = rotor_blade.PLANS.get(name)
+    plan = plans.PLANS.get(name)
     if plan is None:
-        known = " or ".join(rotor_blade.PLANS)
+        known = " or ".join(plans.PLANS)
         raise typer.BadParameter(f"{name!r} is no built-in model; use {known}")
     return plan

@@ -14,13 +14,13 @@ import sys
 import time
 from pathlib import Path
 
-from core.builtin import rotor_blade
+from core.builtin import plans, rotor_blade
 from service.progress import bar
 
 
 def main(folder: Path, runs: int, workers: int, mesh: str) -> None:
     """Run and print."""
-    points = rotor_blade.design(rotor_blade.SEED, rotor_blade.TRAINING, rotor_blade.TEST)[:runs]
+    points = plans.design(plans.SEED, plans.TRAINING, plans.TEST)[:runs]
     archive = rotor_blade.open_archive(folder / "archive", mesh)
     before = len(archive.done())
     start = time.monotonic()

@@ -16,6 +16,7 @@ import core.builtin.rotor_blade as built
 from core.archive import Archive
 from core.archive.shared import SharedRuns
 from core.blade import build_mesh, output_times
+from core.builtin import plans
 from service.cli import app
 from service.studies.reduction import split
 
@@ -62,8 +63,8 @@ def told(*words: str | Path) -> dict[str, Any]:
 @pytest.fixture
 def archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(built, "run_campaign", campaign)
-    plan = built.Plan("rotor-blade", built.BOUNDS, output_times(), 8, 4)
-    monkeypatch.setitem(built.PLANS, "rotor-blade", plan)
+    plan = plans.Plan("rotor-blade", built.BOUNDS, output_times(), 8, 4)
+    monkeypatch.setitem(plans.PLANS, "rotor-blade", plan)
     return tmp_path / "runs"
 
 
@@ -74,8 +75,8 @@ def test_runs_are_those_of_the_plan_and_the_command_goes_on(archive: Path) -> No
     second = told(*words)
     assert (second["runs"], second["computed"]) == (12, [8, 9, 10, 11])
     store = Archive.open(archive)
-    plan = built.PLANS["rotor-blade"]
-    assert store.inputs() == pytest.approx(built.design(plan=plan), rel=1e-12)
+    plan = plans.PLANS["rotor-blade"]
+    assert store.inputs() == pytest.approx(plans.design(plan=plan), rel=1e-12)
     assert store.declaration.code == built.blade_digest()
 
 

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from core.archive import Archive, Input, Mesh
 from core.blade import BOUNDS, build_mesh, simulate
-from core.builtin import rotor_blade
+from core.builtin import plans, rotor_blade
 from core.errors import FaultsError, InputError, ModelError
 from core.network import rotor_blade_network
 from core.posterior_region import of_prior
@@ -246,7 +246,7 @@ def coarse(folder: Path, time_h: Sequence[float] = (0.0, 1.0, 5.0, 20.0)) -> Arc
         time_h=time_h,
         mesh=Mesh("coarse", mesh.points, mesh.cells, mesh.parametric, mesh.named),
         seed=0,
-        command=rotor_blade.STANDARD.command,
+        command=plans.STANDARD.command,
         code=rotor_blade.blade_digest(),
     )
 

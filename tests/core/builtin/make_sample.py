@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from core.archive import Archive
-from core.builtin.rotor_blade import TEST, TRAINING
+from core.builtin.plans import TEST, TRAINING
 
 NODES = 50
 INSTANTS = (1, 8, 15, 21, 34, 53)

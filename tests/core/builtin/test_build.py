@@ -16,6 +16,7 @@ import core.builtin.rotor_blade as built
 from core.archive import Archive
 from core.archive.shared import SharedRuns
 from core.blade import BOUNDS, DORMANT, build_mesh, output_times
+from core.builtin import plans
 from core.errors import ModelError
 from core.surrogate import load
 
@@ -80,7 +81,7 @@ def campaign(
 
 def test_the_design_is_two_hypercubes_inside_the_bounds() -> None:
     low, high = np.array(list(BOUNDS.values())).T
-    points = (built.design() - low) / (high - low)
+    points = (plans.design() - low) / (high - low)
     for part in (points[:66], points[66:]):
         cells = part * len(part) - 0.5
         np.testing.assert_allclose(np.sort(cells, axis=0)[:, 0], np.arange(len(part)), atol=1e-9)
@@ -150,13 +151,31 @@ def test_the_code_digest_changes_with_the_code(
     assert built.blade_digest() not in (first, second)
 
 
+def test_three_fifths_of_the_wide_plan_stand_where_blades_live() -> None:
+    """In the inner box, two dormant inputs awake at most; the others are a hypercube of the whole."""
+    plan, points = plans.WIDE, plans.design(plan=plans.WIDE)
+    assert plan.near is not None
+    low, high = np.array(list(plan.bounds.values())).T
+    for first, last in ((0, plan.training), (plan.training, plan.training + plan.test)):
+        count = round(0.6 * (last - first))
+        far, close = points[first : last - count], points[last - count : last]
+        assert len({*np.floor(len(far) * (far[:, 4] - low[4]) / (high[4] - low[4]))}) == len(far)
+        awake = np.array([close[:, 4 + j] != x for j, x in enumerate(plan.near.asleep.values())])
+        assert awake.sum(axis=0).max() == 2
+        assert np.all(awake.mean(axis=1) > 0.1)
+        assert awake[1].mean() == pytest.approx(3 / 8, abs=0.03), "accelerating creep counts most"
+        for j, (bottom, top) in enumerate(plan.near.bounds.values()):
+            assert bottom < close[:, j].min() < close[:, j].max() < top
+    assert not np.isin(points[: plan.training], points[plan.training :]).all(axis=1).any()
+
+
 def test_runs_of_the_wide_plan_go_through_the_finite_elements(tmp_path: Path) -> None:
     """Two of its runs, on the coarse mesh: dormant inputs, wider boxes, 150,000 h."""
-    plan = built.WIDE
-    points = built.design(plan=plan)
+    plan = plans.WIDE
+    points = plans.design(plan=plan)
     assert points.shape == (plan.training + plan.test, 8)
     low, high = np.array(list(plan.bounds.values())).T
-    assert np.all((points > low) & (points < high))
+    assert np.all((points >= low) & (points <= high))
     cool = points[np.argsort(points[:, 1])[:2]]  # a cool blade is soon done
     archive = built.open_archive(tmp_path, "coarse", plan=plan)
     built.simulate(archive, cool, plan=plan)

@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from core.blade import BOUNDS, output_times
-from core.builtin.rotor_blade import MODEL, SEED, TRAINING, blade_digest, design, load
+from core.builtin.plans import SEED, TRAINING, design
+from core.builtin.rotor_blade import MODEL, blade_digest, load
 from core.surrogate import Surrogate
 from core.surrogate.artefact import digest_of
 
