@@ -63,7 +63,7 @@ def told(*words: str | Path) -> dict[str, Any]:
 @pytest.fixture
 def archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(built, "run_campaign", campaign)
-    plan = plans.Plan("rotor-blade", built.BOUNDS, output_times(), 8, 4)
+    plan = plans.Plan("rotor-blade", BOUNDS, output_times(), 8, 4)
     monkeypatch.setitem(plans.PLANS, "rotor-blade", plan)
     return tmp_path / "runs"
 

@@ -152,7 +152,7 @@ def test_the_code_digest_changes_with_the_code(
 
 
 def test_three_fifths_of_the_wide_plan_stand_where_blades_live() -> None:
-    """In the inner box, two dormant inputs awake at most; the others are a hypercube of the whole."""
+    """In the inner box, two dormant inputs awake at most; the others fill the whole."""
     plan, points = plans.WIDE, plans.design(plan=plans.WIDE)
     assert plan.near is not None
     low, high = np.array(list(plan.bounds.values())).T
