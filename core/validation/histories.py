@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.blade import BOUNDS, DORMANT, simulate_history
+from core.blade.history import PIECES
 from core.blade.kept import kept_runs
 from core.builtin import plans, rotor_blade
 from core.course import Course, Drift
@@ -42,6 +43,7 @@ Given = Mapping[str, float | Sequence[tuple[float, float]]]
 KINDS = ("drift", "step up", "step down", "cycle")
 TIMES_H = np.array([8e3, 16e3, 24e3, 32e3, 40e3, 50e3])
 END_H = 5e4
+CYCLED = 12  # pieces of each way of a cycle in finite elements, of four to eight
 TERTIARY = (1.5, 3.0)
 EVERY = 4  # of so many histories of a kind one has tertiary creep
 BOX = {
@@ -103,13 +105,13 @@ def _moved(
 
 def truth(number: int, seed: int, mesh: str) -> Array:
     """Elongation [mm] and mean CEEQ of a history by finite elements, (2, T)."""
-    _, inputs = history(number, seed)
-    return _simulated(inputs, mesh)
+    kind, inputs = history(number, seed)
+    return _simulated(inputs, mesh, CYCLED if kind == "cycle" else PIECES)
 
 
-def _simulated(inputs: Given, mesh: str) -> Array:
-    bounds = {**BOUNDS, **plans.WIDER}
-    run = simulate_history(inputs, mesh, time_h=np.array([0.0, *TIMES_H]), bounds=bounds)
+def _simulated(inputs: Given, mesh: str, parts: int = PIECES) -> Array:
+    bounds, hours = {**BOUNDS, **plans.WIDER}, np.array([0.0, *TIMES_H])
+    run = simulate_history(inputs, mesh, time_h=hours, bounds=bounds, parts=parts)
     return np.array([run.elongation[1:], run.ceeq[1:].astype(float).mean(axis=1)])
 
 

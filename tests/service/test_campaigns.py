@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import core.builtin.rotor_blade as built
 from core.archive import Archive
 from core.archive.shared import SharedRuns
-from core.blade import build_mesh, output_times
+from core.blade import BOUNDS, build_mesh, output_times
 from core.builtin import plans
 from service.cli import app
 from service.studies.reduction import split
