@@ -22,7 +22,7 @@ from core.errors import CalibrationError
 
 Array = NDArray[np.float64]
 How = Literal["exact", "near", "rough"]
-MANY = 64  # nodes from which on a column is computed at a part of them
+MANY = 32  # nodes from which on a column is computed at a part of them
 
 
 def columns(messages: Sequence[BladeMessage], unit: Array, *, rough: bool) -> list[Array]:
@@ -55,10 +55,18 @@ def smooth_columns(
 ) -> list[Column]:
     """Exact columns of several blades at many nodes, at as many as each needs (`smooth`)."""
 
-    def compute(which: Sequence[int], nodes: Array) -> list[Array]:
-        return columns([messages[i] for i in which], nodes, rough=False)
+    begun = begun or [None] * len(messages)
+    kinds, found = dict[tuple[int, ...], list[int]](), dict[int, Column]()
+    for i, m in enumerate(messages):
+        kinds.setdefault(m.seen, []).append(i)
+    for seen, own in kinds.items():
 
-    return smoothly(compute, begun or [None] * len(messages), unit, tolerance)
+        def compute(which: Sequence[int], nodes: Array, own: list[int] = own) -> list[Array]:
+            return columns([messages[own[i]] for i in which], nodes, rough=False)
+
+        made = smoothly(compute, [begun[i] for i in own], unit, tolerance, seen)
+        found |= dict(zip(own, made, strict=True))
+    return [found[i] for i in range(len(messages))]
 
 
 @dataclass

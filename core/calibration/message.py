@@ -200,6 +200,14 @@ class BladeMessage:
         return f"{self.model.digest} {self.rows.digest} {known} {'/'.join(self.space.names)}"
 
     @cached_property
+    def seen(self) -> tuple[int, ...]:
+        """Numbers of the shared parameters that the message depends on; all, where it is none."""
+        names = {*self.rows.polynomials.names, *self.rows.shared}
+        names |= {name for _, name, *_ in self.rows.populations}
+        found = tuple(j for j, name in enumerate(self.space.names) if name in names)
+        return found or tuple(range(self.space.dim))
+
+    @cached_property
     def digest(self) -> str:
         """Of the readings, and of the known inputs where there are any."""
         if not self.fixed:

@@ -21,7 +21,6 @@ is nearly known from another (`start`), the nodes are tried there first.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +35,16 @@ from core.errors import InputError
 from core.response import monomials
 from core.rng import seed_of
 from core.smc.particles import ess, normalised, tempering_exponent
-from core.smc.placement import Proposal, descend, improved, pooled, sobol
+from core.smc.placement import (
+    Proposal,
+    descend,
+    finely_rounded,
+    improved,
+    moments,
+    pooled,
+    rounded,
+    sobol,
+)
 
 Array = NDArray[np.float64]
 
@@ -76,6 +84,8 @@ class Weighed:
 
 MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
 CARRIES = 0.15  # share of effective nodes from which a surface through them tells where to go
+DOUBTED = 0.02  # share that a surface has to believe in, or it is taken for none
+MOMENTS = 8  # effective nodes, beside d², from which the moments of what was tried are one more way
 CIRCLE = 4  # placements at most that are looked at together
 IDLE = 4  # turns without a better placement after which no more are tried
 PANEL = 12  # blades of a kind whose exact messages place the nodes
@@ -92,9 +102,9 @@ FEW_TURNS = 4  # of the search after that, where no placement there was enough
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
 
-def node_count(dim: int) -> int:
-    """Shared nodes for `dim` shared parameters."""
-    return 64 if dim <= 2 else 128 if dim <= 4 else 256
+def node_count(dim: int, heavy: bool = False) -> int:
+    """Shared nodes for `dim` shared parameters; twice as many where one has long tails."""
+    return (64 if dim <= 2 else 128 if dim <= 4 else 256) * (2 if heavy else 1)
 
 
 def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Proposal:
@@ -118,7 +128,7 @@ def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Propos
             continue
         mean[j] = np.clip((guess - low) / (high - low), 0.0, 1.0)
         spread[j] = min(1.0, 6.0 * sd / (high - low))
-    return Proposal(mean, np.diag(spread))
+    return Proposal(mean, np.diag(spread), space.heavy)
 
 
 def quadratic(unit: Array, values: Array, log_w: Array) -> tuple[Callable[[Array], Array], float]:
@@ -173,12 +183,28 @@ class Tried:
         """The share that a surface through the nodes, its own and others', agrees with; and the
         placement of that surface's moments. Raises InputError and LinAlgError as `foreseen`."""
         tried = [self, *(one for one in others if one is not self)]
-        unit = np.concatenate([one.unit for one in tried])
-        log_p = np.concatenate([one.log_p for one in tried])
-        densities = np.array([one.proposal.log_density(unit) for one in tried])
-        log_q = np.logaddexp.reduce(densities, axis=0) - np.log(len(tried))
-        beyond, further = foreseen(self.proposal, unit, log_p, log_q)
+        beyond, further = foreseen(self.proposal, *pool(tried))
         return min(self.share, beyond), further
+
+
+def pool(tried: Sequence[Tried]) -> tuple[Array, Array, Array]:
+    """Nodes of several placements (n, d), log p there, and log q of the mixture of them."""
+    unit = np.concatenate([one.unit for one in tried])
+    densities = np.array([one.proposal.log_density(unit) for one in tried])
+    log_q = np.logaddexp.reduce(densities, axis=0) - np.log(len(tried))
+    return unit, np.concatenate([one.log_p for one in tried]), log_q
+
+
+def judged(one: Tried, circle: Sequence[Tried]) -> tuple[float, Proposal | None]:
+    """The share that a surface through what was tried agrees with, and where it would go.
+
+    No more than `DOUBTED` is none; where no surface goes through, the nodes alone tell.
+    """
+    try:
+        share, further = one.judged(circle)
+    except (InputError, np.linalg.LinAlgError):
+        return one.share, None
+    return share if share > DOUBTED else 0.0, further
 
 
 def weigh(
@@ -196,7 +222,7 @@ def weigh(
            a posterior is wanted for a comparison, and less is done to find it where it is not there
     """
     messages = known.gathered(messages)
-    d, n = space.dim, max(node_count(space.dim), 64 * space.tails)
+    d, n = space.dim, max(node_count(space.dim, bool(space.heavy)), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, MORE)
     fitting, cheap = min(0.3, 1.2 / d), all(m.cheap for m in messages.values())
     if cheap:
@@ -226,6 +252,19 @@ def weigh(
             enough=fitting,
         )
 
+    def nearby(start: Proposal) -> Proposal:
+        """Where a descent on the rough messages of some blades ends, and a little around."""
+        if cheap:
+            return start
+        alike = dict.fromkeys(counts, 1.0)
+        found = descend(
+            lambda unit: space.log_prior(unit) + seen(unit, "rough", alike),
+            start,
+            base[:scouts],
+            enough=fitting,
+        )
+        return found.spread(2.0)
+
     def mended(start: Proposal, blades: Mapping[str, float]) -> Proposal | None:
         """Where a descent on all rough messages ends, mended by the exact ones of some blades."""
         unit, log_q = start.nodes(base[:scouts])
@@ -249,34 +288,43 @@ def weigh(
         return ess(space.log_prior(unit) + seen(unit, "near", everyone) - log_q) / n
 
     def settled(start: Proposal, turns: int, least: float = 0.0) -> tuple[float, Proposal]:
-        """The best share of effective nodes on the way from `start`, and its proposal."""
-        best, idle, tried = (-1.0, start), 0, dict[bytes, Tried]()
+        """The best share of effective nodes on the way from `start`, and its proposal.
+
+        What a surface believes of places beyond the nodes may be looked at a turn later: all that
+        was tried is judged together.
+        """
+        best, idle, tried = (-1.0, -1.0, start), 0, dict[bytes, Tried]()
         for _ in range(turns):
             unit, log_q = start.nodes(base[:n])
             log_p = space.log_prior(unit) + seen(unit, "near", everyone)
             here = tried[start.key] = Tried(start, unit, log_p, log_q)
-            share, following = here.share, improved(start, unit, log_p, log_q, fitting)
-            with suppress(InputError, np.linalg.LinAlgError):
-                believed, further = here.judged()
-                following = further if share > CARRIES else following
-                share = believed
-            idle = 0 if share > 1.05 * best[0] else idle + 1
-            best = max(best, (share, start), key=lambda found: found[0])
-            if best[0] < enough and following.key in tried:  # in a circle
-                circle = list(tried.values())[-CIRCLE:]
-                for one in circle:
-                    with suppress(InputError, np.linalg.LinAlgError):
-                        believed, further = one.judged(circle)
-                        if believed > best[0]:
-                            best, following = (believed, one.proposal), further
-            if best[0] >= enough or following.key in tried or share < least or idle == IDLE:
+            circle, ways, believed = list(tried.values())[-CIRCLE:], list[Proposal](), -1.0
+            before = best
+            leading = max(circle, key=lambda one: one.share)
+            for one in (leading, here) if leading is not here else (here,):
+                share, further = judged(one, circle)
+                ways += [further] if further is not None and one.share > CARRIES else []
+                believed = max(believed, share)
+                best = max(best, (share, one.share, one.proposal), key=lambda found: found[:2])
+            if len(circle) > 1 and here.share > CARRIES:
+                ways += [further for _, further in [judged(here, [here])] if further is not None]
+            better = best[0] > 1.05 * before[0] or best[1] > 1.05 * before[1]
+            idle = 0 if better else idle + 1
+            every, log_every, log_mixed = pool(circle)
+            if ess(log_every - log_mixed) > d * d + MOMENTS:
+                found = moments(every, normalised(log_every - log_mixed))
+                ways.append(rounded(*found, space.heavy))
+                ways.insert(0 if idle else len(ways), finely_rounded(*found, space.heavy))
+            ways.append(improved(start, unit, log_p, log_q, fitting))
+            fresh = [way for way in ways if way.key not in tried]
+            if best[0] >= enough or not fresh or believed < least or idle == IDLE:
                 break
-            start = following
-        return best
+            start = fresh[0]
+        return best[0], best[2]
 
     def found() -> tuple[float, Proposal]:
         """The best share of effective nodes, and its proposal, from nothing but the messages."""
-        place, best = exactly(start_of(space, messages), counts), nowhere
+        place, best = exactly(nearby(start_of(space, messages)), counts), nowhere
         if len(counts) < len(messages):
             nearer = mended(place, counts)
             nearer = nearer and mended(nearer, everyone)

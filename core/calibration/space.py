@@ -7,6 +7,7 @@ discrepancy (theta), by the quantile-like coordinate of its prior between the pr
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -22,6 +23,7 @@ from core.prior import Prior
 
 Array = NDArray[np.float64]
 TAILS = 4
+FEW = 24  # readings of a noise up to which it has long tails
 
 
 class Sighted(Protocol):
@@ -29,6 +31,8 @@ class Sighted(Protocol):
 
     @property
     def shared(self) -> frozenset[str]: ...
+    @property
+    def told(self) -> Mapping[str, int]: ...
 
 
 class JointPrior(Protocol):
@@ -47,12 +51,14 @@ class SharedSpace:
 
     joint  prior of several of them together
     tails  64 nodes so many times, at least: a population's sd has a long tail
+    heavy  numbers of the noises that few readings tell (`core.smc.placement`)
     """
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
     joint: JointPrior | None = None
     tails: int = 1
+    heavy: tuple[int, ...] = ()
 
     @property
     def dim(self) -> int:
@@ -104,7 +110,11 @@ def shared_space(
     model: Model, rows: Iterable[Sighted], joint: JointPrior | None = None
 ) -> SharedSpace:
     """Shared parameters that the readings can speak of; what nobody measured keeps its prior."""
+    rows = list(rows)
     met: set[str] = set(joint.names if joint else ()).union(*(r.shared for r in rows))
+    told = Counter[str]()
+    for one in rows:
+        told.update(one.told)
     quantities = model.network.quantities
     hyper = {n: prior for p in locals_of(model) for n, prior in p.hyperparameters.items()}
     found = {p.name: p.prior for p in model.network.of_level("shared")} | hyper
@@ -114,7 +124,8 @@ def shared_space(
         found |= dict.fromkeys(names, q.sigma_obs)
     for q in quantities:
         found |= {n: prior for n, prior in parameters(model, q).items() if n in met}
-    return SharedSpace(tuple(found), tuple(found.values()), joint, TAILS if hyper else 1)
+    heavy = tuple(j for j, name in enumerate(found) if 0 < told[name] < FEW)
+    return SharedSpace(tuple(found), tuple(found.values()), joint, TAILS if hyper else 1, heavy)
 
 
 def locals_of(model: Model, names: Sequence[str] | None = None) -> tuple[Parameter, ...]:

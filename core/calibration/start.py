@@ -106,7 +106,7 @@ class Start:
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             return None
         mean, covariance = cut(mean, covariance + LEAST**2 * np.eye(len(mean)))
-        return rounded(np.clip(mean, 0.0, 1.0), covariance)
+        return rounded(np.clip(mean, 0.0, 1.0), covariance, space.heavy)
 
 
 def cut(mean: Array, covariance: Array) -> tuple[Array, Array]:

@@ -125,15 +125,13 @@ def foreseen(proposal: Proposal, unit: Array, log_p: Array, log_q: Array) -> tup
     surface, error = Surface.through(unit, log_p, w)
     if not error < FORESEEN:
         raise InputError("surface", error, "nat off", "use the nodes alone")
-    assert proposal.chol is not None
-    wide = Proposal(proposal.mean, 2.0 * proposal.chol)
-    dense, log_dense_q = wide.nodes(sobol(POINTS, unit.shape[1], POINTS))
+    dense, log_dense_q = proposal.spread(2.0).nodes(sobol(POINTS, unit.shape[1], POINTS))
     log_dense_p = surface(dense)
     log_w = log_dense_p - log_dense_q
     total = log_sum_exp(log_w)
     log_ratio = log_dense_p - total + np.log(POINTS) - proposal.log_density(dense)  # of p to q
     share = np.exp(-log_sum_exp(log_w - total + log_ratio))
-    return float(share), rounded(*moments(dense, normalised(log_w)))
+    return float(share), rounded(*moments(dense, normalised(log_w)), proposal.heavy)
 
 
 def evening(

@@ -14,6 +14,7 @@ A closed form's rows stay formulas (`core.surrogate.closed_form`), its messages 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -79,6 +80,15 @@ class BladeRows:
             f"{self.response.model.name} answers by closed formulas, and this needs polynomials "
             "over the whole box: use core.calibration.online"
         )
+
+    @property
+    def told(self) -> Counter[str]:
+        """How many numbers tell each noise."""
+        told = Counter(s for s in self.sigma if isinstance(s, str))
+        for d in self.dense:
+            if isinstance(d.sigma, str):
+                told[d.sigma] += round(d.dof)
+        return told
 
     @property
     def shared(self) -> frozenset[str]:

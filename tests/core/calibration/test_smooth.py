@@ -14,6 +14,7 @@ from core.calibration.smooth import NEARLY, TOLERANCE, from_afar, smoothly
 from core.calibration.space import shared_space
 from core.calibration.target import assemble
 from core.model import rotor_blade
+from core.observation import Inspection
 from core.smc.placement import Proposal, sobol
 from core.validation.simulate import simulate
 from core.validation.variants import plan
@@ -107,6 +108,43 @@ def test_points_come_from_afar() -> None:
     assert sorted(order.tolist()) == list(range(64))
     outermost = np.argsort(np.sum(z**2, axis=1))[-3:]
     assert set(outermost.tolist()) <= set(order[:16].tolist())
+
+
+def test_a_column_goes_from_node_to_node_by_what_it_depends_on() -> None:
+    """Of six coordinates two: 16 of 128 nodes are computed; by all six none could be left out."""
+    unit = sobol(128, 6, 1)
+
+    def compute(which: Sequence[int], nodes: np.ndarray) -> list[np.ndarray]:
+        return [np.exp(0.3 * nodes[:, 1]) * np.cos(0.5 * nodes[:, 4]) for _ in which]
+
+    (exact,) = compute([0], unit)
+    (seen,) = smoothly(compute, [None], unit, seen=(1, 4))
+    (blind,) = smoothly(compute, [None], unit)
+    assert (seen.computed, np.abs(seen.values - exact).max() < TOLERANCE) == (16, True)
+    assert blind.computed > 32
+    (wrong,) = smoothly(compute, [None], unit, seen=(1, 2))
+    assert wrong.computed == 128, "a coordinate that is missing is noticed, and all are computed"
+
+
+def test_a_blade_sees_the_noises_of_its_own_readings() -> None:
+    """Elongations alone: not the scans' noise nor that of CEEQ; messages as with all parameters."""
+    variant, model = plan("mixed", 5), rotor_blade()
+    made = simulate(model, variant, 0, 5)
+    by_blade: dict[str, list[Inspection]] = {}
+    for reading in made.readings:
+        by_blade.setdefault(reading.blade, []).append(reading)
+    rows = {b: one for b, own in by_blade.items() if (one := assemble(model, own)) is not None}
+    space = shared_space(model, rows.values())
+    seen = {b: [space.names[j] for j in BladeMessage(model, r, space, {}).seen]
+            for b, r in rows.items()}  # fmt: skip
+    assert seen["B001"] == ["t1t_rate", "sigma_obs.elongation", "sigma_obs.deformation"]
+    assert seen["B002"] == ["t1t_rate", "sigma_obs.elongation"]
+    assert any("sigma_obs.ceeq" in names for names in seen.values())
+    assert [space.names[j] for j in space.heavy] == ["sigma_obs.elongation", "sigma_obs.ceeq"]
+    message = BladeMessage(model, rows["B002"], space, {})
+    unit = np.tile(sobol(4, space.dim, 0)[:1], (4, 1))
+    unit[:, 2:] = sobol(4, space.dim, 0)[:, 2:]
+    assert np.ptp(message.column(unit)) == 0.0
 
 
 def test_the_blades_of_a_rotor_are_known_between_the_nodes() -> None:
