@@ -16,6 +16,7 @@ from core.network import rotor_blade_network
 from core.surrogate.anchor import Anchor
 from core.surrogate.driven import Driven
 from core.surrogate.kernel import Hyper, SharedGP
+from core.surrogate.model import Surrogate
 
 FINE, WIDE = rotor_blade.load(), rotor_blade.load_wide()
 MODEL = rotor_blade_wide()
@@ -27,8 +28,21 @@ RANGES = {i.name: (i.low, i.high) for i in FINE.inputs} | {"wear": (0.0, 0.4)}
 HOURS = np.array([8e3, 16e3, 24e3, 32e3, 40e3, 5e4])
 
 
-def driven(anchor: Anchor | None) -> Driven:
-    return Driven(WIDE, (WEAR,), RANGES, FIXED, anchor)
+def biased(surrogate: Surrogate, share: float = 0.03) -> Surrogate:
+    """The mean run's elongation over CEEQ and its deformation over CEEQ too large by a share."""
+    parts = dict(surrogate.parts)
+    for name in ("elongation", "deformation"):
+        core = parts[name].factors.core.copy()
+        core[0] *= 1.0 + share
+        parts[name] = replace(parts[name], factors=replace(parts[name].factors, core=core))
+    return replace(surrogate, parts=parts, digest=surrogate.digest + " biased")
+
+
+BIASED = biased(WIDE)
+
+
+def driven(anchor: Anchor | None, wide: Surrogate = WIDE) -> Driven:
+    return Driven(wide, (WEAR,), RANGES, FIXED, anchor)
 
 
 def inputs_of(model: Driven, blades: list[int], wear: float) -> np.ndarray:
@@ -37,9 +51,9 @@ def inputs_of(model: Driven, blades: list[int], wear: float) -> np.ndarray:
     return np.column_stack([given[i.name] for i in model.inputs])
 
 
-def off(anchor: Anchor | None, worn: bool) -> tuple[np.ndarray, np.ndarray]:
+def off(anchor: Anchor | None, worn: bool, wide: Surrogate = WIDE) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors of the elongation of the worn lot's blades (n, T), and the stated ones."""
-    plan, model = (worn_plan if worn else inspection_plan).load(), driven(anchor)
+    plan, model = (worn_plan if worn else inspection_plan).load(), driven(anchor, wide)
     blades = list(worn_plan.WORN)
     truth = np.array([np.interp(HOURS, plan.time_h, plan.elongation[b]) for b in blades])
     x = inputs_of(model, blades, worn_plan.LOST if worn else 0.0)
@@ -63,7 +77,7 @@ def test_without_an_effect_the_answer_and_its_doubt_are_the_fine_ones(
     assert mean == pytest.approx(fine, rel=1e-9, abs=1e-12)
     assert sd == pytest.approx(doubt, rel=0.02, abs=1e-12)
     bare, _ = replace(MODEL.surrogate, anchor=None).predict(x[:, :4], quantity, times, nodes)
-    assert np.max(np.abs(bare / np.where(fine == 0, 1, fine) - 1)[:, 1:]) > 0.005
+    assert np.max(np.abs(bare / np.where(fine == 0, 1, fine) - 1)[:, 1:]) > 0.002
 
 
 def test_mixtures_of_modes_are_anchored_too() -> None:
@@ -79,23 +93,25 @@ def test_mixtures_of_modes_are_anchored_too() -> None:
         found = model.mode_response(hour, mixing).evaluate(x)[0]
         return float(np.sqrt(np.mean((found - wanted) ** 2) / np.mean(wanted**2)))
 
+    wrong = replace(MODEL.surrogate, base=BIASED)  # type: ignore[type-var]
     assert error(MODEL.surrogate) < 0.005  # type: ignore[arg-type]
-    assert error(replace(MODEL.surrogate, anchor=None)) > 0.01  # type: ignore[type-var]
+    assert error(wrong) < 0.008
+    assert error(replace(wrong, anchor=None)) > 0.02
 
 
 def test_against_finite_elements_of_sound_and_worn_blades() -> None:
-    """24 blades, 8,000 to 50,000 h, on the fine mesh: rms errors with and without the anchor."""
+    """24 blades, 8,000 to 50,000 h, on the fine mesh: rms errors, as large as said."""
 
-    def rms(anchor: Anchor | None, worn: bool) -> float:
-        return float(np.sqrt(np.mean(off(anchor, worn)[0] ** 2)))
+    def rms(anchor: Anchor | None, worn: bool, wide: Surrogate = WIDE) -> float:
+        return float(np.sqrt(np.mean(off(anchor, worn, wide)[0] ** 2)))
 
     assert rms(ANCHOR, worn=False) < 0.0035
-    assert rms(None, worn=False) > 5 * rms(ANCHOR, worn=False)
-    assert rms(ANCHOR, worn=True) < 0.029
-    assert rms(None, worn=True) > 1.2 * rms(ANCHOR, worn=True)
-    early = slice(0, 3)  # to 24,000 h, where the lot has lost a fifth
-    with_, without = (np.abs(off(a, worn=True)[0][:, early].mean(axis=0)) for a in (ANCHOR, None))
-    assert np.all(with_ < 0.5 * without)
+    assert rms(ANCHOR, worn=True) < 0.006
+    error, told = off(ANCHOR, worn=True)
+    assert 0.5 < np.sqrt(np.mean((error / told) ** 2)) < 1.2
+    for worn in (False, True):  # a wide surrogate that is off everywhere: the anchor mends that
+        assert rms(ANCHOR, worn, BIASED) < 0.01
+        assert rms(None, worn, BIASED) > 0.02
 
 
 def test_the_doubt_grows_with_the_effect() -> None:
@@ -103,7 +119,8 @@ def test_the_doubt_grows_with_the_effect() -> None:
     x = np.repeat(x, 4, axis=0)
     x[:, -1] = [0.0, 0.1, 0.2, 0.4]
     mean, sd = driven(ANCHOR).predict(x, "elongation", HOURS)
-    assert np.all(np.diff(sd / mean, axis=0) > 0)
+    assert np.all(np.diff(sd / mean, axis=0)[1:] > 0)
+    assert np.all((sd / mean)[1] > 0.999 * (sd / mean)[0])
     _, bare = driven(None).predict(x, "elongation", HOURS)
     assert np.all(sd < bare)
 
