@@ -2,25 +2,26 @@
 
     log p(s, D) = log p(s) + Σ_b log m_b(s)
 
-The shared nodes are placed from a few blades to all. A descent on the exact messages of some blades
-of each kind (`panel`) goes from the whole box to where the posterior is; these messages also tell
-what the rough ones miss, which is smooth: a quadratic through the difference, times the number of
-blades that each stands for, mends the rough messages of all, and a descent on those is nearly free.
-Where the quadratic leaves too much (few readings of each blade, small noise), the descent goes on
-with the exact messages of all. At the end the exact messages at the nodes must give even weights,
-seen by a surface that looks beyond them (`surface.foreseen`): nodes beside the posterior can have
-even weights, too. Where messages are cheap (a closed form's) and that is not reached, the nodes of
-further placements are pooled (`placement.pooled`). The few blades may lead astray: with as many
-parameters of their own as readings each, they fit at no noise at all, in a corner of the box. Where
-no placement is found from there, the descent is made with all blades from the whole box, by as many
-scouts as there will be nodes. Everything is a function of the set of readings; the columns are
-kept, so that a new reading costs one blade's columns as long as the nodes stay. Where a posterior
-is nearly known from another (`start`), the nodes are tried there first.
+The shared nodes are placed from a few blades to all. A descent on the rough messages of some blades
+of each kind (`panel`), and from there on their exact ones, goes from the whole box to where the
+posterior is; the exact messages also tell what the rough ones miss, which is smooth: a quadratic
+through the difference, times the number of blades that each stands for, mends the rough messages of
+all, and a descent on those is nearly free. Where the quadratic leaves too much (few readings of
+each blade, small noise), the descent goes on with the exact messages of all. At the end the exact
+messages at the nodes must give even weights, seen by a surface that looks beyond them
+(`surface.foreseen`): nodes beside the posterior can have even weights, too. What was tried is
+judged together (`tried`). Where messages are cheap (a closed form's) and that is not reached, the
+nodes of further placements are pooled (`placement.pooled`). The few blades may lead astray: with as
+many parameters of their own as readings each, they fit at no noise at all, in a corner of the box.
+Where no placement is found from there, the descent is made with all blades from the whole box, by
+as many scouts as there will be nodes. Everything is a function of the set of readings; the columns
+are kept, so that a new reading costs one blade's columns as long as the nodes stay. Where a
+posterior is nearly known from another (`start`), the nodes are tried there first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +31,7 @@ from core.calibration.columns import Columns, How
 from core.calibration.message import BladeMessage
 from core.calibration.space import SharedSpace
 from core.calibration.start import Start
-from core.calibration.surface import foreseen
-from core.errors import InputError
+from core.calibration.tried import Tried, judged, pool
 from core.response import monomials
 from core.rng import seed_of
 from core.smc.particles import ess, normalised, tempering_exponent
@@ -84,7 +84,6 @@ class Weighed:
 
 MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
 CARRIES = 0.15  # share of effective nodes from which a surface through them tells where to go
-DOUBTED = 0.02  # share that a surface has to believe in, or it is taken for none
 MOMENTS = 8  # effective nodes, beside d², from which the moments of what was tried are one more way
 CIRCLE = 4  # placements at most that are looked at together
 IDLE = 4  # turns without a better placement after which no more are tried
@@ -163,48 +162,6 @@ def panel(messages: Mapping[str, BladeMessage]) -> dict[str, float]:
         taken = sorted(blades, key=lambda blade: seed_of(0, blade))[:PANEL]
         found |= dict.fromkeys(taken, len(blades) / len(taken))
     return {blade: found[blade] for blade in sorted(found)}
-
-
-@dataclass(frozen=True, slots=True)
-class Tried:
-    """A placement that was tried: its nodes (n, d), log p and log q there."""
-
-    proposal: Proposal
-    unit: Array
-    log_p: Array
-    log_q: Array
-
-    @property
-    def share(self) -> float:
-        """Of effective nodes."""
-        return ess(self.log_p - self.log_q) / len(self.unit)
-
-    def judged(self, others: Sequence[Tried] = ()) -> tuple[float, Proposal]:
-        """The share that a surface through the nodes, its own and others', agrees with; and the
-        placement of that surface's moments. Raises InputError and LinAlgError as `foreseen`."""
-        tried = [self, *(one for one in others if one is not self)]
-        beyond, further = foreseen(self.proposal, *pool(tried))
-        return min(self.share, beyond), further
-
-
-def pool(tried: Sequence[Tried]) -> tuple[Array, Array, Array]:
-    """Nodes of several placements (n, d), log p there, and log q of the mixture of them."""
-    unit = np.concatenate([one.unit for one in tried])
-    densities = np.array([one.proposal.log_density(unit) for one in tried])
-    log_q = np.logaddexp.reduce(densities, axis=0) - np.log(len(tried))
-    return unit, np.concatenate([one.log_p for one in tried]), log_q
-
-
-def judged(one: Tried, circle: Sequence[Tried]) -> tuple[float, Proposal | None]:
-    """The share that a surface through what was tried agrees with, and where it would go.
-
-    No more than `DOUBTED` is none; where no surface goes through, the nodes alone tell.
-    """
-    try:
-        share, further = one.judged(circle)
-    except (InputError, np.linalg.LinAlgError):
-        return one.share, None
-    return share if share > DOUBTED else 0.0, further
 
 
 def weigh(
