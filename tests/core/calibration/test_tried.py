@@ -43,8 +43,8 @@ def test_the_mixture_of_placements_weighs_nodes_as_one_sample() -> None:
 
 
 def test_a_narrow_placement_is_doubted_by_what_others_have_seen() -> None:
-    aside, right = tried([0.43, 0.43], 0.02), tried([0.4, 0.42], 0.09)
-    assert aside.share > 0.3, "its own weights are even"
+    aside, right = tried([0.4, 0.41], 0.02), tried([0.4, 0.42], 0.09)
+    assert aside.share > 0.3, "its own weights are fair"
     share, _ = judged(aside, [aside, right])
     assert share < 0.5 * aside.share
     fair, further = judged(right, [aside, right])
