@@ -5,7 +5,9 @@
 On a new SQLite database a rotor of 100 blades; the elongations of one, two and three outages of the
 inspection plan are sealed from nothing, each in a workspace of its own (the shared nodes placed
 anew, then the draws). Then, after a first outage, READINGS readings of the second one by one: from
-the claim to the committed provisional state, sealed in between. Wall and processor time.
+the claim to the committed provisional state, sealed in between. Then the paper's whole plan, 306
+readings of three kinds and four shared parameters, offline (all at once) and online (each outage
+into a provisional state, then sealed). Wall and processor time.
 """
 
 from __future__ import annotations
@@ -21,9 +23,10 @@ import service.one_thread  # noqa: F401  before numpy, as every command does
 import numpy as np
 
 from core.builtin import inspection_plan
-from core.calibration.online import RotorSpec, Workspace, begun
+from core.calibration.online import RotorSpec, Workspace, begun, update
 from core.model import rotor_blade
 from core.observation import Inspection
+from core.validation.paper import readings_of
 from service.bootstrap import make_science, make_store, make_worker, prepare
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
@@ -69,6 +72,27 @@ def outages(particles: int) -> None:
         )
 
 
+def whole_plan(particles: int) -> None:
+    """Offline and online, from nothing; the online run ends in the offline state."""
+    model, names = rotor_blade(), tuple(inspection_plan.blades())
+    readings = readings_of(inspection_plan.load(), names)
+    spec = RotorSpec("r", names, particles, 0)
+    start, used = time.perf_counter(), time.process_time()
+    whole = update(model, spec, readings, workspace=Workspace())
+    told = f"{len(readings)} readings at once: {time.perf_counter() - start:.2f} s, processor "
+    print(f"{told}{time.process_time() - used:.1f} s")
+    state, work = None, Workspace()
+    start, used = time.perf_counter(), time.process_time()
+    for last in sorted({str(r.campaign) for r in readings}):
+        known = [r for r in readings if str(r.campaign) <= last]
+        for quick in (True, False):
+            state = update(model, spec, known, state, quick=quick, workspace=work)
+    told = f"outage by outage, provisional and sealed: {time.perf_counter() - start:.2f} s"
+    print(f"{told}, processor {time.process_time() - used:.1f} s")
+    assert state is not None
+    assert state.digest == whole.digest
+
+
 def single(readings: int, particles: int) -> None:
     """One reading after the other into provisional states."""
     with tempfile.TemporaryDirectory() as folder:
@@ -105,4 +129,5 @@ def single(readings: int, particles: int) -> None:
 if __name__ == "__main__":
     words = sys.argv[1:] + ["40", "10000"][len(sys.argv) - 1 :]
     outages(int(words[1]))
+    whole_plan(int(words[1]))
     single(int(words[0]), int(words[1]))
