@@ -156,6 +156,8 @@ class Family:
 class AlikeMessage(BladeMessage):
     """The message of a blade of a family, by the family's table."""
 
+    tabled = True
+
     def __init__(self, message: BladeMessage, family: Family) -> None:
         super().__init__(message.model, message.rows, message.space, message.fixed)
         self.family = family

@@ -182,11 +182,13 @@ class BladeMessage:
     """The message of one blade's readings, as a function of the shared parameters.
 
     `smooth`: what its quadrature leaves is small enough to go from node to node by kriging.
-    `cheap`: thousands of nodes are affordable.
+    `cheap`: thousands of nodes are affordable. `tabled`: an exact message costs no more than a
+    rough one.
     """
 
     smooth = True
     cheap = False
+    tabled = False
 
     def __init__(
         self, model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]

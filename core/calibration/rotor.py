@@ -181,6 +181,7 @@ def weigh(
     messages = known.gathered(messages)
     d, n = space.dim, max(node_count(space.dim, bool(space.heavy)), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, MORE)
+    tabled = 2 * sum(m.tabled for m in messages.values()) > len(messages)
     fitting, cheap = min(0.3, 1.2 / d), all(m.cheap for m in messages.values())
     if cheap:
         enough = max(enough, WELL)
@@ -211,7 +212,7 @@ def weigh(
 
     def nearby(start: Proposal) -> Proposal:
         """Where a descent on the rough messages of some blades ends, and a little around."""
-        if cheap:
+        if cheap or tabled:
             return start
         alike = dict.fromkeys(counts, 1.0)
         found = descend(
@@ -282,7 +283,7 @@ def weigh(
     def found() -> tuple[float, Proposal]:
         """The best share of effective nodes, and its proposal, from nothing but the messages."""
         place, best = exactly(nearby(start_of(space, messages)), counts), nowhere
-        if len(counts) < len(messages):
+        if len(counts) < len(messages) and not tabled:
             nearer = mended(place, counts)
             nearer = nearer and mended(nearer, everyone)
             if nearer is not None:
