@@ -127,4 +127,4 @@ def _start(
     mean, covariance = begin.mean.copy(), begin.chol @ begin.chol.T
     at = [space.names.index(n) for n in prior.names]
     mean[at], covariance[np.ix_(at, at)] = prior.moments
-    return Proposal(mean, np.asarray(np.linalg.cholesky(covariance), float))
+    return Proposal(mean, np.asarray(np.linalg.cholesky(covariance), float), space.heavy)
