@@ -236,8 +236,16 @@ class CoreScience:
         rotor = made_up_rotor(self.models.of(card), card.horizon_h)
         if rotor is not None:
             spec, first, later = rotor
+            self.meet(card, spec, [first])
             state = self.update(card, spec, [first], None, quick=False)
             self.update(card, spec, [first, later], state, quick=True)
+
+    def meet(self, card: ModelCard, rotor: RotorSpec, readings: Sequence[Inspection]) -> None:
+        """What many blades alike would need, of which the made-up rotor has one."""
+        from core.calibration import alike, online
+
+        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
+        alike.meet(online.begun(self.models.of(card), spec, readings).messages.values())
 
     def plan(
         self,

@@ -22,6 +22,8 @@ included). What is left is smooth in s, which the quadrature of a thin sheet is 
 panels differently from node to node (up to 6e-3 nat rms, 0.07 at most), so that kriging across the
 nodes (`smooth`) fails for half of such blades.
 
+Where nodes are only looked for, the coarse histogram alone will do (an eighth of the price).
+
 A table follows from the model and s, whoever was read. Whether there are enough blades alike
 (`MANY_ALIKE`) follows from the set of readings; columns by table and by quadrature are kept apart.
 """
@@ -29,7 +31,7 @@ A table follows from the model and s, whoever was read. Whether there are enough
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import blake2b
@@ -61,30 +63,36 @@ FAMILIES = 4  # families of which any are kept
 class Table:
     """Distribution of a model's answer at one shared value, by bins.
 
-    width  of the fine bins; the coarse ones are twice as wide
-    fine   middle, mean variance V and share of the bins that are not empty, (3, N); coarse alike
+    width   of the fine bins; the coarse ones are twice as wide
+    coarse  middle, mean variance V and share of the bins that are not empty, (3, N)
+    fine    alike; None where a rough look is enough
     """
 
     width: float
-    fine: Array
     coarse: Array
+    fine: Array | None
 
     def messages(self, y: Array, s2: Array) -> tuple[Array, Array]:
-        """log ∫ N(y | Y(l), s2 + V(l)) dl over the box, for readings (B,); and the correction."""
+        """log ∫ N(y | Y(l), s2 + V(l)) dl over the box, for readings (B,); and the correction,
+        which is zero where there is no fine histogram."""
         fine, coarse = np.empty(len(y)), np.empty(len(y))
+        if self.fine is None:
+            seen(self.coarse, 2 * self.width, y, s2, coarse)
+            return coarse, np.zeros(len(y))
         seen(self.fine, self.width, y, s2, fine)
         seen(self.coarse, 2 * self.width, y, s2, coarse)
         correction = (fine - coarse) / 3
         return fine + correction, correction
 
 
-def binned(y: Array, s2: Array, step: int, low: float, width: float) -> Array:
+def binned(y: Array, s2: Array, step: int, apart: int, low: float, width: float) -> Array:
     """Bins of answers y with variances s2 on a grid: middle, variance and share, (3, N).
 
-    The widths follow from `step`: of cells, of bins, and of classes of the variance.
+    The widths follow from `step`: of cells, of bins, and of classes of the variance. Points of the
+    grid are `apart` fine cells from each other.
     """
     share, variance = np.empty((2, max(CLASSES // step, 1), BINS // step))
-    histogram(y, s2, step, CORNERS, low, step * width, share, variance)
+    histogram(y, s2, step // apart, CORNERS, low, step * width, share, variance)
     met = share > 0.0
     return np.array([low + (np.nonzero(met)[1] + 0.5) * step * width, variance[met], share[met]])
 
@@ -96,9 +104,11 @@ class Family:
     of: BladeMessage
     tables: OrderedDict[bytes, Table] = field(default_factory=OrderedDict)
 
-    def columns(self, messages: Sequence[BladeMessage], unit: Array) -> list[Array]:
+    def columns(
+        self, messages: Sequence[BladeMessage], unit: Array, rough: bool = False
+    ) -> list[Array]:
         """log m_b at nodes `unit` (n, d) of blades of this family, (n,) each."""
-        tables = self._tables(unit)
+        tables = self._tables(unit, rough)
         read = [m.readings(unit) for m in messages]
         y, s2 = (np.array([one[j][:, 0] for one in read]).T.copy() for j in range(2))
         out, correction = np.empty(y.shape), np.empty(y.shape)
@@ -119,9 +129,9 @@ class Family:
             found[b][doubted[b]] = values
         return found
 
-    def _tables(self, unit: Array) -> list[Table]:
+    def _tables(self, unit: Array, rough: bool) -> list[Table]:
         """The tables at nodes (n, d); those that are missing are made side by side."""
-        keys = [node.tobytes() for node in unit]
+        keys = [node.tobytes() + bytes(rough) for node in unit]
         missing = [k for k, key in enumerate(keys) if key not in self.tables]
         made: list[Table | None] = [None] * len(missing)
         m = self.of
@@ -130,7 +140,7 @@ class Family:
 
         def work(part: slice) -> None:
             for k in range(part.start, part.stop):
-                made[k] = self._table(factors[k])
+                made[k] = self._table(factors[k], rough)
 
         if missing:
             side_by_side(work, split(len(missing), PARTS))
@@ -141,16 +151,17 @@ class Family:
             self.tables.popitem(last=False)
         return found
 
-    def _table(self, factors: Array) -> Table:
+    def _table(self, factors: Array, rough: bool) -> Table:
         """The table where the monomials of the inputs that are not local are `factors` (M,)."""
-        p = self.of.packed
-        grid = tuple(n + 1 for n in CELLS)
+        p, apart = self.of.packed, 2 if rough else 1  # of the grid's points, in fine cells
+        grid = tuple(n // apart + 1 for n in CELLS)
         y, s2 = np.empty(grid), np.empty(grid)
         own = (p.a[0], p.b[0], p.v[0], p.exponents, factors, p.ka2[0], p.kb2[0])
         answers(*own, y, s2)
         low = float(y.min())
         width = max(float(y.max()) - low, 1e-300) / BINS
-        return Table(width, *(binned(y, s2, step, low, width) for step in (1, 2)))
+        coarse = binned(y, s2, 2, apart, low, width)
+        return Table(width, coarse, None if rough else binned(y, s2, 1, 1, low, width))
 
 
 class AlikeMessage(BladeMessage):
@@ -168,8 +179,8 @@ class AlikeMessage(BladeMessage):
         return f"{super().name} by table"
 
     def column(self, unit: Array, rough: bool = False, parts: int = PARTS) -> Array:
-        """As of any blade; a rough look is what it is without a table."""
-        return super().column(unit, True, parts) if rough else self.family.columns([self], unit)[0]
+        """As of any blade; a rough look is one at the coarse histogram."""
+        return self.family.columns([self], unit, rough)[0]
 
 
 def family_key(message: BladeMessage) -> bytes | None:
@@ -185,6 +196,15 @@ def family_key(message: BladeMessage) -> bytes | None:
     for part in (p.a, p.b, p.v, p.ka2, p.kb2, p.exponents, response.low, response.high):
         digest.update(np.ascontiguousarray(part).tobytes())
     return digest.digest()
+
+
+def meet(messages: Iterable[BladeMessage]) -> None:
+    """One table for each blade that could have one: what it takes is compiled from then on."""
+    for message in messages:
+        if family_key(message) is not None:
+            unit = np.full((1, message.space.dim), 0.5)
+            for rough in (True, False):
+                Family(message).columns([message], unit, rough)
 
 
 def gathered(

@@ -128,7 +128,12 @@ class CollapsedMessage(BladeMessage):
         return self._fits[key]
 
     def draws(
-        self, unit: Array, per_node: int, rng: np.random.Generator, column: Array
+        self,
+        unit: Array,
+        per_node: int,
+        rng: np.random.Generator,
+        column: Array,
+        parts: int = PARTS,
     ) -> tuple[Array, Array]:
         """Weighted local parameters at each node; see `BladeMessage.draws`."""
         p = self.packed

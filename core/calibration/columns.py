@@ -33,10 +33,10 @@ def columns(messages: Sequence[BladeMessage], unit: Array, *, rough: bool) -> li
     found = dict[int, Array]()
     families = dict[int, list[AlikeMessage]]()
     for m in messages:
-        if isinstance(m, AlikeMessage) and not rough:
+        if isinstance(m, AlikeMessage):
             families.setdefault(id(m.family), []).append(m)
     for alike in families.values():
-        made = alike[0].family.columns(alike, unit)
+        made = alike[0].family.columns(alike, unit, rough)
         found |= {id(m): column for m, column in zip(alike, made, strict=True)}
     others = [m for m in messages if id(m) not in found]
     if len(others) < PARTS:

@@ -108,11 +108,16 @@ class DirectMessage(BladeMessage):
         )
 
     def draws(
-        self, unit: Array, per_node: int, rng: np.random.Generator, column: Array
+        self,
+        unit: Array,
+        per_node: int,
+        rng: np.random.Generator,
+        column: Array,
+        parts: int = PARTS,
     ) -> tuple[Array, Array]:
         """Weighted local parameters at each node; see `BladeMessage.draws`."""
         dim, n = len(self._local[0]), len(unit)
-        found = self._pieces(unit, PARTS)
+        found = self._pieces(unit, parts)
         shift = self._constant + (found.rest - column) - math.log(per_node)
         if dim == 0:
             log_w = np.repeat((shift + found.sums)[:, None], per_node, axis=1)
@@ -122,7 +127,7 @@ class DirectMessage(BladeMessage):
         box, inside, log_share = _picked(found, u[:, :, 3 - dim])
         u[:, :, 3 - dim] = inside
         used, place = np.unique(box, return_inverse=True)
-        out, weight = self._drawn(found, used, box, u, dim)
+        out, weight = self._drawn(found, used, box, u, dim, parts)
         flat = place.reshape(n, per_node)
         count = np.tile(np.arange(per_node), (n, 1))
         z = out[flat, count][:, :, 3 - dim :]
@@ -199,7 +204,7 @@ class DirectMessage(BladeMessage):
         return Pieces(made, sums.ravel()[: len(made.node)] + size, y, s2, rest)
 
     def _drawn(
-        self, found: Pieces, entries: Index, box: Index, u: Array, dim: int
+        self, found: Pieces, entries: Index, box: Index, u: Array, dim: int, parts: int
     ) -> tuple[Array, Array]:
         """Draws (E, per_node, 3) of each box in `entries` and their log L / q on [-1, 1]^D.
 
@@ -224,7 +229,7 @@ class DirectMessage(BladeMessage):
                 else:
                     kernel.fewer_draws(*given, dim, points[one], out[one], log_w[one])
 
-        side_by_side(work, split(n, PARTS))
+        side_by_side(work, split(n, parts))
         return out.reshape(-1, per_node, 3), log_w.reshape(-1, per_node)
 
 

@@ -223,7 +223,7 @@ def draw_block(a, b, v, y, s2, ka2, kb2, dim, u, out, log_w):  # type: ignore[no
         wp = np.empty(modes.SCRATCH)
         pa, pb = np.empty(36 * rows * LANES), np.empty(36 * rows * LANES)
         pv = np.empty(36 * rows * LANES)
-        modes.middle_plane(a, b, v, rows, wp, pa, pb, pv)
+        modes.middle_plane(a, b, v, ka2, kb2, wp, pa, pb, pv)
         plane_modes(pa, pb, pv, y, s2, ka2, kb2, wp)
         seen, plan = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
         draw_planes(

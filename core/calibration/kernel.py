@@ -25,11 +25,16 @@ from core.compiled import compiled, contracted
 
 
 @contracted
-def collapse_shared(c, exponents, factors, out):  # type: ignore[no-untyped-def]
-    """Fix all but the local inputs: (R, M) → a block of volumes; factors (M, LANES)."""
+def collapse_shared(c, exponents, factors, marks, out):  # type: ignore[no-untyped-def]
+    """Fix all but the local inputs: (R, M) → a block of volumes; factors (M, LANES).
+
+    Rows whose mark (R,) is negative are left out (`lines`).
+    """
     out[:] = 0.0
     rows, m = c.shape
     for r in range(rows):
+        if marks[r] < 0.0:
+            continue
         for q in range(m):
             d, j, k = exponents[q, 0], exponents[q, 1], exponents[q, 2]
             o = (((6 * r + d) * 6 + j) * 6 + k) * LANES
@@ -38,11 +43,11 @@ def collapse_shared(c, exponents, factors, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def collapsed(a, b, v, exponents, factors, ca, cb, cv):  # type: ignore[no-untyped-def]
+def collapsed(a, b, v, exponents, factors, ka2, kb2, ca, cb, cv):  # type: ignore[no-untyped-def]
     """`collapse_shared` for the three polynomials."""
-    collapse_shared(a, exponents, factors, ca)
-    collapse_shared(b, exponents, factors, cb)
-    collapse_shared(v, exponents, factors, cv)
+    collapse_shared(a, exponents, factors, ka2, ca)
+    collapse_shared(b, exponents, factors, kb2, cb)
+    collapse_shared(v, exponents, factors, kb2, cv)
 
 
 @compiled
@@ -56,7 +61,7 @@ def volume_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, rough, out):  
     ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
     seen, plan = np.empty((FIELDS, STATIONS, LANES)), np.empty((3, LANES))
     for n in range(len(factors)):
-        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        collapsed(a, b, v, exponents, factors[n], ka2, kb2, ca, cb, cv)
         if rough:
             volume_glances(ca, cb, cv, y[n].ravel(), s2[n].ravel(), ka2, kb2, seen, plan, out[n])
         else:
@@ -76,9 +81,9 @@ def plane_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, out):  # type: 
     seen, plan = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
     panels, waiting = np.empty((MOST, 3, LANES)), np.empty(LANES, dtype=np.int64)
     for n in range(len(factors)):
-        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        collapsed(a, b, v, exponents, factors[n], ka2, kb2, ca, cb, cv)
         yn, sn = y[n].ravel(), s2[n].ravel()
-        modes.middle_plane(ca, cb, cv, rows, wp, pa, pb, pv)
+        modes.middle_plane(ca, cb, cv, ka2, kb2, wp, pa, pb, pv)
         modes.plane_modes(pa, pb, pv, yn, sn, ka2, kb2, wp)
         plane_sums(
             pa, pb, pv, yn, sn, ka2, kb2, wp, w, la, lb, lv, seen, plan, panels, waiting, out[n]
@@ -94,7 +99,7 @@ def line_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, out):  # type: i
     w, ends = np.empty(lines.SCRATCH), np.empty((9, LANES))
     la, lb, lv = np.empty(6 * rows * LANES), np.empty(6 * rows * LANES), np.empty(6 * rows * LANES)
     for n in range(len(factors)):
-        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        collapsed(a, b, v, exponents, factors[n], ka2, kb2, ca, cb, cv)
         yn, sn = y[n].ravel(), s2[n].ravel()
         modes.only_line(ca, cb, cv, rows, la, lb, lv)
         for i in range(LANES):
@@ -115,7 +120,7 @@ def volume_draws(a, b, v, exponents, factors, y, s2, ka2, kb2, u, out, log_w):  
     size = 216 * len(ka2) * LANES
     ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
     for n in range(len(factors)):
-        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        collapsed(a, b, v, exponents, factors[n], ka2, kb2, ca, cb, cv)
         yn, sn = y[n].ravel(), s2[n].ravel()
         draw_volumes(ca, cb, cv, yn, sn, ka2, kb2, u[n], out[n], log_w[n])
 
@@ -126,6 +131,6 @@ def fewer_draws(a, b, v, exponents, factors, y, s2, ka2, kb2, dim, u, out, log_w
     size = 216 * len(ka2) * LANES
     ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
     for n in range(len(factors)):
-        collapsed(a, b, v, exponents, factors[n], ca, cb, cv)
+        collapsed(a, b, v, exponents, factors[n], ka2, kb2, ca, cb, cv)
         yn, sn = y[n].ravel(), s2[n].ravel()
         draw_block(ca, cb, cv, yn, sn, ka2, kb2, dim, u[n], out[n], log_w[n])

@@ -6,11 +6,13 @@ Along a line the R rows of a blade are functions of one scaled parameter g in [-
     var_r(g) = sigma_r² + exp(2 b_r(g) + v_r(g)) (ka_r² + (a_r(g) kb_r)²),
     log L(g) = −½ Σ_r (y_r − y_obs,r)² / var_r − ½ Σ_r log var_r,
 
-with a, b and v of degree 5. ``line_modes`` finds the modes of a block of lines by Fisher scoring
-inside the box, in step with one another; ``line_ranges`` finds where each bell has fallen by
-7 … 16 nats or the box cuts it, which is an exact limit of the uniform prior, and ``line_sums``
-integrates exp(log L) between by Gauss–Legendre points. Along most lines log L is close to a
-parabola: then a polynomial through five or nine values takes its place at these points.
+with a, b and v of degree 5. The rows of a 3-D scan share b and v, and have no kb: from the second
+on they are marked (kb2 is `SAME`), and nobody reads their b and v. ``line_modes`` finds the modes
+of a block of lines by Fisher scoring inside the box, in step with one another; ``line_ranges``
+finds where each bell has fallen by 7 … 16 nats or the box cuts it, which is an exact limit of the
+uniform prior, and ``line_sums`` integrates exp(log L) between by Gauss–Legendre points. Along most
+lines log L is close to a parabola: then a polynomial through five or nine values takes its place at
+these points.
 
 A block holds `LANES` lines. Their coefficients are flat: ``la[(6 r + k) LANES + i]`` is the k-th
 of row r on line i, readings and variances stand at ``y[r LANES + i]``; a line's own numbers are in
@@ -29,10 +31,12 @@ from core.calibration.vector import LANES, fast_exp, fast_log
 from core.compiled import compiled, contracted
 
 # offsets in the scratch array: place, mode, log L, slope, curvature there; the same of a trial
-X, G, V, S, B, T, TV, TS, TB, STEP, LEFT, RIGHT, SIDE, TMP, SUM = (
-    LANES * np.arange(15, dtype=np.int64)
+# exp(b), exp(2 b + v) and their relative slopes, of the row at hand
+X, G, V, S, B, T, TV, TS, TB, STEP, LEFT, RIGHT, SIDE, TMP, SUM, E, U, DE, DU = (
+    LANES * np.arange(19, dtype=np.int64)
 ).tolist()
-SCRATCH = 15 * LANES
+SCRATCH = 19 * LANES
+SAME = -1.0  # mark in the place of kb²: b and v are those of the row before, and kb is zero
 POINTS = 12
 GL_X, GL_W = np.polynomial.legendre.leggauss(POINTS)
 LOBATTO = -np.cos(np.pi * np.arange(9) / 8)  # every second one: the places of five
@@ -58,28 +62,33 @@ def line_slopes(la, lb, lv, y, s2, ka2, kb2, w):  # type: ignore[no-untyped-def]
         w[TMP + i] = 1.0
     for r in range(rows):
         o = 6 * r * LANES
-        p, ka, kb = r * LANES, ka2[r], kb2[r]
+        p, ka, kb = r * LANES, ka2[r], max(kb2[r], 0.0)
+        if kb2[r] >= 0.0:
+            for i in range(LANES):
+                g = w[T + i]
+                b1, b2, b3 = lb[o + LANES + i], lb[o + 2 * LANES + i], lb[o + 3 * LANES + i]
+                b4, b5 = lb[o + 4 * LANES + i], lb[o + 5 * LANES + i]
+                v1, v2, v3 = lv[o + LANES + i], lv[o + 2 * LANES + i], lv[o + 3 * LANES + i]
+                v4, v5 = lv[o + 4 * LANES + i], lv[o + 5 * LANES + i]
+                vb = ((((b5 * g + b4) * g + b3) * g + b2) * g + b1) * g + lb[o + i]
+                vv = ((((v5 * g + v4) * g + v3) * g + v2) * g + v1) * g + lv[o + i]
+                db = (((5.0 * b5 * g + 4.0 * b4) * g + 3.0 * b3) * g + 2.0 * b2) * g + b1
+                dv = (((5.0 * v5 * g + 4.0 * v4) * g + 3.0 * v3) * g + 2.0 * v2) * g + v1
+                e = fast_exp(vb)
+                w[E + i], w[U + i] = e, e * e * fast_exp(min(vv, 50.0))
+                w[DE + i], w[DU + i] = db, 2.0 * db + dv
         for i in range(LANES):
             g = w[T + i]
             a1, a2, a3 = la[o + LANES + i], la[o + 2 * LANES + i], la[o + 3 * LANES + i]
             a4, a5 = la[o + 4 * LANES + i], la[o + 5 * LANES + i]
-            b1, b2, b3 = lb[o + LANES + i], lb[o + 2 * LANES + i], lb[o + 3 * LANES + i]
-            b4, b5 = lb[o + 4 * LANES + i], lb[o + 5 * LANES + i]
-            v1, v2, v3 = lv[o + LANES + i], lv[o + 2 * LANES + i], lv[o + 3 * LANES + i]
-            v4, v5 = lv[o + 4 * LANES + i], lv[o + 5 * LANES + i]
             va = ((((a5 * g + a4) * g + a3) * g + a2) * g + a1) * g + la[o + i]
-            vb = ((((b5 * g + b4) * g + b3) * g + b2) * g + b1) * g + lb[o + i]
-            vv = ((((v5 * g + v4) * g + v3) * g + v2) * g + v1) * g + lv[o + i]
             da = (((5.0 * a5 * g + 4.0 * a4) * g + 3.0 * a3) * g + 2.0 * a2) * g + a1
-            db = (((5.0 * b5 * g + 4.0 * b4) * g + 3.0 * b3) * g + 2.0 * b2) * g + b1
-            dv = (((5.0 * v5 * g + 4.0 * v4) * g + 3.0 * v3) * g + 2.0 * v2) * g + v1
-            e = fast_exp(vb)
-            u = e * e * fast_exp(min(vv, 50.0))
+            e, u = w[E + i], w[U + i]
             scale = ka + va * va * kb
             weight = 1.0 / (s2[p + i] + u * scale)
             d = va * e - y[p + i]
-            m = (da + va * db) * e
-            z = 0.5 * weight * u * (scale * (2.0 * db + dv) + 2.0 * va * da * kb)  # var' / 2 var
+            m = (da + va * w[DE + i]) * e
+            z = 0.5 * weight * u * (scale * w[DU + i] + 2.0 * va * da * kb)  # var' / 2 var
             w[TV + i] -= 0.5 * d * d * weight
             w[TS + i] -= d * m * weight - (d * d * weight - 1.0) * z
             w[TB + i] += m * m * weight + 2.0 * z * z
@@ -138,18 +147,22 @@ def line_values(la, lb, lv, y, s2, ka2, kb2, w):  # type: ignore[no-untyped-def]
         w[TMP + i] = 1.0
     for r in range(rows):
         o = 6 * r * LANES
-        p, ka, kb = r * LANES, ka2[r], kb2[r]
+        p, ka, kb = r * LANES, ka2[r], max(kb2[r], 0.0)
+        if kb2[r] >= 0.0:
+            for i in range(LANES):
+                g = w[T + i]
+                vb = (lb[o + 5 * LANES + i] * g + lb[o + 4 * LANES + i]) * g + lb[o + 3 * LANES + i]
+                vb = ((vb * g + lb[o + 2 * LANES + i]) * g + lb[o + LANES + i]) * g + lb[o + i]
+                vv = (lv[o + 5 * LANES + i] * g + lv[o + 4 * LANES + i]) * g + lv[o + 3 * LANES + i]
+                vv = ((vv * g + lv[o + 2 * LANES + i]) * g + lv[o + LANES + i]) * g + lv[o + i]
+                e = fast_exp(vb)
+                w[E + i], w[U + i] = e, e * e * fast_exp(min(vv, 50.0))
         for i in range(LANES):
             g = w[T + i]
             va = (la[o + 5 * LANES + i] * g + la[o + 4 * LANES + i]) * g + la[o + 3 * LANES + i]
             va = ((va * g + la[o + 2 * LANES + i]) * g + la[o + LANES + i]) * g + la[o + i]
-            vb = (lb[o + 5 * LANES + i] * g + lb[o + 4 * LANES + i]) * g + lb[o + 3 * LANES + i]
-            vb = ((vb * g + lb[o + 2 * LANES + i]) * g + lb[o + LANES + i]) * g + lb[o + i]
-            vv = (lv[o + 5 * LANES + i] * g + lv[o + 4 * LANES + i]) * g + lv[o + 3 * LANES + i]
-            vv = ((vv * g + lv[o + 2 * LANES + i]) * g + lv[o + LANES + i]) * g + lv[o + i]
-            e = fast_exp(vb)
-            weight = 1.0 / (s2[p + i] + e * e * fast_exp(min(vv, 50.0)) * (ka + va * va * kb))
-            d = va * e - y[p + i]
+            weight = 1.0 / (s2[p + i] + w[U + i] * (ka + va * va * kb))
+            d = va * w[E + i] - y[p + i]
             w[TV + i] -= 0.5 * d * d * weight
             w[TMP + i] *= weight
         if r % 8 == 7 or r == rows - 1:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from core.calibration import draws as drawing
 from core.calibration import kernel
+from core.calibration.lines import SAME
 from core.calibration.space import SharedSpace, locals_of
 from core.calibration.target import BladeRows
 from core.calibration.vector import LANES
@@ -53,6 +54,15 @@ class Packed:
     @property
     def rows(self) -> tuple[Array, Array, Array, NDArray[np.int64]]:
         return self.a, self.b, self.v, self.exponents
+
+    @property
+    def marked(self) -> Array:
+        """kb2, and `SAME` where a row has the b and v of the one before and no kb."""
+        out = self.kb2.copy()
+        same = np.all(np.diff(self.b, axis=0) == 0.0, axis=1)
+        same &= np.all(np.diff(self.v, axis=0) == 0.0, axis=1)
+        out[1:][same & (self.kb2[1:] == 0.0)] = SAME
+        return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,10 +244,10 @@ class BladeMessage:
     def column(self, unit: Array, rough: bool = False, parts: int = PARTS) -> Array:
         """log m_b at nodes `unit` (n, d) of the unit box, (n,); `parts` of them side by side."""
         blocks, p = self._blocks(unit), self.packed
-        out = np.empty((len(blocks.factors), LANES))
+        out, marked = np.empty((len(blocks.factors), LANES)), p.marked
 
         def work(part: slice) -> None:
-            given = (*p.rows, *blocks.of(part), p.ka2, p.kb2)
+            given = (*p.rows, *blocks.of(part), p.ka2, marked)
             if p.dim == 3:
                 kernel.volume_messages(*given, rough, out[part])
             else:
@@ -257,16 +267,21 @@ class BladeMessage:
         return MESSAGE_ERROR, MESSAGE_ERROR
 
     def draws(
-        self, unit: Array, per_node: int, rng: np.random.Generator, column: Array
+        self,
+        unit: Array,
+        per_node: int,
+        rng: np.random.Generator,
+        column: Array,
+        parts: int = PARTS,
     ) -> tuple[Array, Array]:
-        """Weighted local parameters at each node.
+        """Weighted local parameters at each node; `parts` of the nodes side by side.
 
         Returns values (K, per_node, L) and log weights (K, per_node). A weight is L / q divided by
         the exact message `column` (K,), so that a node's weights sum to one on average; dividing by
         their own sum instead would bias every mean by the order of 1 / per_node.
         """
         blocks, p = self._blocks(unit), self.packed
-        n = len(blocks.factors)
+        n, marked = len(blocks.factors), p.marked
         share = drawing.SHARE if p.dim == 3 else 1
         assert per_node % share == 0, "particles per node must be whole groups"
         u = drawing.even_points(rng, n * LANES, per_node, share, p.dim)
@@ -274,13 +289,13 @@ class BladeMessage:
         out, log_w = np.empty((n, LANES, per_node, 3)), np.empty((n, LANES, per_node))
 
         def work(part: slice) -> None:
-            given = (*p.rows, *blocks.of(part), p.ka2, p.kb2)
+            given = (*p.rows, *blocks.of(part), p.ka2, marked)
             if p.dim == 3:
                 kernel.volume_draws(*given, u[part], out[part], log_w[part])
             else:
                 kernel.fewer_draws(*given, p.dim, u[part], out[part], log_w[part])
 
-        side_by_side(work, split(n, PARTS))
+        side_by_side(work, split(n, parts))
         shift = self._constant - math.log(per_node) + (blocks.rest - column)[:, None]
         weights = blocks.back(log_w) + shift
         if not np.all(weights < np.inf):  # neither NaN nor an unbounded weight

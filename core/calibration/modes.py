@@ -26,10 +26,15 @@ SCRATCH = TV + 6 * LANES
 
 
 @contracted
-def collapse_volumes(c, rows, w, out):  # type: ignore[no-untyped-def]
-    """Fix the outer parameter at w[X]: a block of volumes → a block of planes (36 R LANES,)."""
+def collapse_volumes(c, marks, w, out):  # type: ignore[no-untyped-def]
+    """Fix the outer parameter at w[X]: a block of volumes → a block of planes (36 R LANES,).
+
+    Rows whose mark (R,) is negative are left out (`lines`).
+    """
     n = 36 * LANES  # from one power of the outer parameter to the next
-    for r in range(rows):
+    for r in range(len(marks)):
+        if marks[r] < 0.0:
+            continue
         for j in range(6):
             for k in range(6 - j):
                 o, q = ((6 * r + j) * 6 + k) * LANES, ((36 * r + j) * 6 + k) * LANES
@@ -58,14 +63,14 @@ def collapse_volumes(c, rows, w, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def middle_plane(a, b, v, rows, w, pa, pb, pv):  # type: ignore[no-untyped-def]
+def middle_plane(a, b, v, ka2, kb2, w, pa, pb, pv):  # type: ignore[no-untyped-def]
     """Planes of a block that does not depend on the outer parameter; starts in their middle."""
     for i in range(LANES):
         w[X + i] = w[TM + i] = w[TG + i] = 0.0
         w[V + i] = -math.inf
-    collapse_volumes(a, rows, w, pa)
-    collapse_volumes(b, rows, w, pb)
-    collapse_volumes(v, rows, w, pv)
+    collapse_volumes(a, ka2, w, pa)
+    collapse_volumes(b, kb2, w, pb)
+    collapse_volumes(v, kb2, w, pv)
 
 
 @compiled
@@ -110,17 +115,29 @@ def horner(c, r, w, out):  # type: ignore[no-untyped-def]
 def block_slopes(pa, pb, pv, y, s2, ka2, kb2, w, acc):  # type: ignore[no-untyped-def]
     """log L, its slopes and Fisher information at (w[TM], w[TG]), into w[TV] and what follows.
 
-    acc (9 LANES,) is scratch.
+    acc (10 LANES,) is scratch: by lane a and its slopes, exp(b) and b's slopes, exp(2 b + v) and
+    v's slopes, and the product of some rows' weights, whose logarithm is taken once.
     """
     out = w[TV : TV + 6 * LANES]
     for i in range(6 * LANES):
         out[i] = 0.0
-    for r in range(len(ka2)):
+    for i in range(9 * LANES, 10 * LANES):
+        acc[i] = 1.0
+    rows = len(ka2)
+    for r in range(rows):
         horner(pa, r, w, acc[: 3 * LANES])
-        horner(pb, r, w, acc[3 * LANES : 6 * LANES])
-        horner(pv, r, w, acc[6 * LANES :])
+        if kb2[r] >= 0.0:
+            horner(pb, r, w, acc[3 * LANES : 6 * LANES])
+            horner(pv, r, w, acc[6 * LANES : 9 * LANES])
+            for i in range(LANES):
+                e, v = fast_exp(acc[3 * LANES + i]), fast_exp(min(acc[6 * LANES + i], 50.0))
+                acc[3 * LANES + i], acc[6 * LANES + i] = e, e * e * v
         own = slice(r * LANES, (r + 1) * LANES)
-        add_row(acc, y[own], s2[own], ka2[r], kb2[r], out)
+        add_row(acc, y[own], s2[own], ka2[r], max(kb2[r], 0.0), out)
+        if r % 8 == 7 or r == rows - 1:
+            for i in range(LANES):
+                out[i] += 0.5 * fast_log(acc[9 * LANES + i])
+                acc[9 * LANES + i] = 1.0
 
 
 @contracted
@@ -128,10 +145,8 @@ def add_row(acc, y, s2, ka, kb, out):  # type: ignore[no-untyped-def]
     """One row's share of log L, its slopes and its information, for `block_slopes`."""
     for i in range(LANES):
         va, vax, vag = acc[i], acc[LANES + i], acc[2 * LANES + i]
-        vb, vbx, vbg = acc[3 * LANES + i], acc[4 * LANES + i], acc[5 * LANES + i]
-        vv, vvx, vvg = acc[6 * LANES + i], acc[7 * LANES + i], acc[8 * LANES + i]
-        e = fast_exp(vb)
-        u = e * e * fast_exp(min(vv, 50.0))
+        e, vbx, vbg = acc[3 * LANES + i], acc[4 * LANES + i], acc[5 * LANES + i]
+        u, vvx, vvg = acc[6 * LANES + i], acc[7 * LANES + i], acc[8 * LANES + i]
         scale = ka + va * va * kb
         iv = 1.0 / (s2[i] + u * scale)
         d = va * e - y[i]
@@ -139,7 +154,8 @@ def add_row(acc, y, s2, ka, kb, out):  # type: ignore[no-untyped-def]
         zx = 0.5 * iv * u * (scale * (2.0 * vbx + vvx) + 2.0 * va * vax * kb)
         zg = 0.5 * iv * u * (scale * (2.0 * vbg + vvg) + 2.0 * va * vag * kb)
         excess = d * d * iv - 1.0
-        out[i] -= 0.5 * (d * d * iv - fast_log(iv))
+        out[i] -= 0.5 * d * d * iv
+        acc[9 * LANES + i] *= iv
         out[LANES + i] -= d * mx * iv - excess * zx
         out[2 * LANES + i] -= d * mg * iv - excess * zg
         out[3 * LANES + i] += mx * mx * iv + 2.0 * zx * zx
@@ -191,7 +207,7 @@ def plane_modes(pa, pb, pv, y, s2, ka2, kb2, w):  # type: ignore[no-untyped-def]
     for i in range(LANES):
         best[i] = -math.inf
         w[STEP + i] = 1.0
-    here, acc = np.empty((8, LANES)), np.empty(9 * LANES)
+    here, acc = np.empty((8, LANES)), np.empty(10 * LANES)
     for _ in range(40):
         block_slopes(pa, pb, pv, y, s2, ka2, kb2, w, acc)
         moving = False

@@ -50,10 +50,15 @@ LOW, HIGH, X0, G0, TILT, BEST = range(6)
 
 
 @contracted
-def collapse_planes(c, rows, w, out):  # type: ignore[no-untyped-def]
-    """Fix the middle parameter at w[X]: a block of planes → a block of lines, out (6 R LANES,)."""
+def collapse_planes(c, marks, w, out):  # type: ignore[no-untyped-def]
+    """Fix the middle parameter at w[X]: a block of planes → a block of lines, out (6 R LANES,).
+
+    Rows whose mark (R,) is negative are left out (`lines`).
+    """
     n = 6 * LANES  # from one power of the middle parameter to the next
-    for r in range(rows):
+    for r in range(len(marks)):
+        if marks[r] < 0.0:
+            continue
         o, q = 6 * r * LANES, 36 * r * LANES
         for i in range(LANES):
             x, p = w[X + i], q + i
@@ -75,10 +80,9 @@ def collapse_planes(c, rows, w, out):  # type: ignore[no-untyped-def]
 @compiled
 def profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv):  # type: ignore[no-untyped-def]
     """Modes of the lines at w[X], from the starts in w[G]."""
-    rows = len(ka2)
-    collapse_planes(pa, rows, w, la)
-    collapse_planes(pb, rows, w, lb)
-    collapse_planes(pv, rows, w, lv)
+    collapse_planes(pa, ka2, w, la)
+    collapse_planes(pb, kb2, w, lb)
+    collapse_planes(pv, kb2, w, lv)
     line_modes(la, lb, lv, y, s2, ka2, kb2, w)
 
 

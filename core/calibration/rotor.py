@@ -3,11 +3,11 @@
     log p(s, D) = log p(s) + Σ_b log m_b(s)
 
 The shared nodes are placed from a few blades to all. A descent on the rough messages of some blades
-of each kind (`panel`), and from there on their exact ones, goes from the whole box to where the
-posterior is; the exact messages also tell what the rough ones miss, which is smooth: a quadratic
-through the difference, times the number of blades that each stands for, mends the rough messages of
-all, and a descent on those is nearly free. Where the quadratic leaves too much (few readings of
-each blade, small noise), the descent goes on with the exact messages of all. At the end the exact
+of each kind (`panel`) goes from the whole box to near the posterior; their exact messages tell what
+the rough ones miss, which is smooth: a quadratic through the difference, times the number of blades
+that each stands for, mends the rough messages of all, and a descent on those is nearly free. Where
+the quadratic leaves too much (few readings of each blade, small noise), the descent goes on with
+the exact messages of the few, and then with those of all. At the end the exact
 messages at the nodes must give even weights, seen by a surface that looks beyond them
 (`surface.foreseen`): nodes beside the posterior can have even weights, too. What was tried is
 judged together (`tried`). Where messages are cheap (a closed form's) and that is not reached, the
@@ -201,10 +201,16 @@ def weigh(
     def exactly(
         start: Proposal, blades: Iterable[str], scouting: Array = base[:scouts]
     ) -> Proposal:
-        """Where a descent on the exact messages of some blades ends."""
-        alike = dict.fromkeys(blades, 1.0)
+        """Where a descent on the exact messages of some blades ends; on those of a table, roughly:
+        they are as good to look with."""
+        some = sorted(blades)
+        exact, rough = (
+            {b: 1.0 for b in some if messages[b].tabled == is_rough} for is_rough in (False, True)
+        )
         return descend(
-            lambda unit: space.log_prior(unit) + seen(unit, "exact", alike),
+            lambda unit: (
+                space.log_prior(unit) + seen(unit, "exact", exact) + seen(unit, "rough", rough)
+            ),
             start,
             scouting,
             enough=fitting,
@@ -280,14 +286,20 @@ def weigh(
             start = fresh[0]
         return best[0], best[2]
 
+    def led(place: Proposal) -> tuple[float, Proposal]:
+        """The best share and its proposal where the mended rough messages lead, from `place`."""
+        nearer = mended(place, counts)
+        nearer = nearer and mended(nearer, everyone)
+        return nowhere if nearer is None else settled(nearer, 3, ASTRAY)
+
     def found() -> tuple[float, Proposal]:
         """The best share of effective nodes, and its proposal, from nothing but the messages."""
-        place, best = exactly(nearby(start_of(space, messages)), counts), nowhere
-        if len(counts) < len(messages) and not tabled:
-            nearer = mended(place, counts)
-            nearer = nearer and mended(nearer, everyone)
-            if nearer is not None:
-                best = settled(nearer, 3, ASTRAY)
+        mends = len(counts) < len(messages) and not tabled
+        place = nearby(start_of(space, messages))
+        best = led(place) if mends else nowhere
+        if best[0] < enough:
+            place = exactly(place, counts)
+            best = led(place) if mends and best is nowhere else best
         if best[0] < enough:
             turns = CHEAP_TURNS if cheap else rounds if start is None else FEW_TURNS
             best = max(best, settled(exactly(place, everyone), turns), key=lambda one: one[0])

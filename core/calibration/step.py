@@ -19,7 +19,7 @@ from core.calibration.alike import family_key
 from core.calibration.columns import Columns, How
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
-from core.calibration.message import BladeMessage, prior_draws
+from core.calibration.message import PARTS, POOL, BladeMessage, prior_draws
 from core.calibration.rotor import Weighed, weigh
 from core.calibration.smooth import NEARLY
 from core.calibration.space import SharedSpace, locals_of
@@ -37,6 +37,10 @@ Array = NDArray[np.float64]
 QUICK_ESS = 0.1  # share of the nodes that must carry the weight, tempered if need be
 LEAST_TEMPERING = 0.2  # below this exponent the nodes are placed anew at once
 MANY = 4  # touched blades for which a rough look comes first
+FIRST = 12  # of them that are looked at before the others
+FEWER = (
+    2.0  # times the share that all must leave is what these must leave, or no other is looked at
+)
 PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
 
 
@@ -59,11 +63,11 @@ class Workspace:
         return self.rows[key]
 
 
-def tempering(log_w: Array) -> float:
-    """The exponent in [0, 1] that leaves `QUICK_ESS` of the nodes effective; NaN stays NaN."""
+def tempering(log_w: Array, share: float = QUICK_ESS) -> float:
+    """The exponent in [0, 1] that leaves a share of the nodes effective; NaN stays NaN."""
     if np.isnan(log_w).any():
         return float("nan")
-    return tempering_exponent(log_w, QUICK_ESS * len(log_w))
+    return tempering_exponent(log_w, share * len(log_w))
 
 
 @dataclass(frozen=True)
@@ -112,12 +116,21 @@ class Step:
         same |= {"prior": self.prior}
         return all(previous.meta.get(name) == value for name, value in same.items())
 
+    def told_by(self, previous: RotorState) -> bool:
+        """True where the state before is sealed and rests on the same readings: it is this one."""
+        same = {"sealed": True, "events_digest": self.events_digest, "events": self.events}
+        same |= {"readings": self.readings, "blades": list(self.rotor.blades)}
+        nodes = len(previous.arrays["shared/unit"])
+        same |= {"particles": self.per_node(nodes, self.rotor.particles) * nodes}
+        return self.fits(previous) and all(previous.meta.get(k) == v for k, v in same.items())
+
     def reweighted(self, previous: RotorState) -> tuple[Array, dict[str, Array]] | None:
         """log p at the nodes of the state before, and the touched blades' columns.
 
         log p moves by the difference of these columns: no other blade is looked at. None where
         the shared parameters are others now, or too few nodes would carry the weight; where many
-        blades are touched, rough messages tell that first, and nothing is tempered.
+        blades are touched, rough messages tell that first, those of a few of them before all, and
+        nothing is tempered.
         """
         if not self.fits(previous):
             return None
@@ -130,11 +143,15 @@ class Step:
                 rest -= old[f"column/{blade}"]
         many = len(touched) > MANY
         log_p, columns = rest, dict[str, Array]()
-        stages: tuple[How, ...] = ("rough", "near") if many else ("near",)
-        for how in stages:
-            columns = {b: self.work.columns.of(self.messages[b], unit, how) for b in touched}
+        stages: list[tuple[How, float, list[str]]] = [("near", QUICK_ESS, touched)]
+        if many:
+            few = sorted(touched, key=lambda blade: seed_of(0, blade))[:FIRST]
+            least = FEWER * QUICK_ESS if len(few) < len(touched) else QUICK_ESS
+            stages = [("rough", least, few), ("rough", QUICK_ESS, touched), *stages]
+        for how, share, blades in stages:
+            columns = self.work.columns.all({b: self.messages[b] for b in blades}, unit, how)
             log_p = rest + sum(columns.values(), np.zeros(len(unit)))
-            beta = tempering(log_p - old["shared/log_q"] + old["shared/tilt"])
+            beta = tempering(log_p - old["shared/log_q"] + old["shared/tilt"], share)
             if not beta >= (1.0 if many else LEAST_TEMPERING):  # or not a number
                 return None
         return log_p, columns
@@ -154,15 +171,14 @@ class Step:
         own = {"shared/log_p": log_p, "shared/log_w": log_w - log_sum_exp(log_w)}
         kept = {"shared/unit", "shared/x", "shared/log_q", "shared/tilt"}
         count = self.per_node(len(unit), min(self.rotor.particles, PROVISIONAL))
-        thin = {b for b in previous.meta["provisional"] if b in unread}
+        due = [b for b in self.rotor.blades if b not in unread]
+        thin = {b for b in previous.meta["provisional"] if b in unread} | set(due)
         for blade in self.rotor.blades:
             if blade in unread:
                 kept |= {f"blade/{blade}/local", f"blade/{blade}/log_w"}
                 if blade in self.messages:
                     kept.add(f"column/{blade}")
-                continue
-            own |= self.draws(blade, unit, key, count, columns.get(blade))
-            thin.add(blade)
+        own |= self.draws(due, unit, key, count, columns)
         arrays = old.over(own, kept)
         bad = contradictions(self.messages, columns, unit, log_p)
         before = previous.meta["health"].get("contradicted", [])
@@ -208,10 +224,8 @@ class Step:
                 stays = self.unread(previous) - set(previous.meta["provisional"])
                 stays -= self.otherwise_known(previous, weighed)
         kept = {f"blade/{b}/{part}" for b in stays for part in ("local", "log_w")}
-        for blade in self.rotor.blades:
-            if blade not in stays:
-                column = weighed.columns.get(blade)
-                own |= self.draws(blade, weighed.unit, weighed.key, count, column)
+        due = [b for b in self.rotor.blades if b not in stays]
+        own |= self.draws(due, weighed.unit, weighed.key, count, weighed.columns)
         below = previous.arrays if previous is not None else Arrays.EMPTY
         arrays = below.over(own, kept)
         bad = contradictions(self.messages, weighed.columns, weighed.unit, weighed.log_p)
@@ -239,30 +253,50 @@ class Step:
         return {b for b in once if not np.array_equal(old[f"column/{b}"], weighed.columns[b])}
 
     def draws(
-        self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
+        self,
+        blades: Sequence[str],
+        unit: Array,
+        key: bytes,
+        per_node: int,
+        columns: Mapping[str, Array],
     ) -> dict[str, Array]:
-        """The blade's particle set at these nodes, from a stream of its own."""
+        """The particle sets of these blades at these nodes, each from a stream of its own."""
         found = self.work.draws
+        names = {b: self.draws_name(b, unit, key, per_node, columns.get(b)) for b in blades}
+        missing = [b for b in blades if names[b] not in found]
+        alone = len(missing) < PARTS
+
+        def drawn(blade: str) -> tuple[Array, Array]:
+            # not by the column, which a quick step knows nearly and the sealed one exactly
+            rng = stream(self.rotor.seed, ALGORITHM, *names[blade][:-1])
+            message, column = self.messages.get(blade), columns.get(blade)
+            if message is None or column is None:
+                return prior_draws(self.model, self.space, unit, per_node, rng)
+            return message.draws(unit, per_node, rng, column, PARTS if alone else 1)
+
+        made = map(drawn, missing) if alone else POOL.map(drawn, missing)
+        found.update(zip((names[b] for b in missing), made, strict=True))
+        own = dict[str, Array]()
+        for blade in blades:
+            found.move_to_end(names[blade])
+            own[f"blade/{blade}/local"], own[f"blade/{blade}/log_w"] = found[names[blade]]
+            if blade in columns:
+                own[f"column/{blade}"] = columns[blade]
+        while len(found) > 3 * len(self.rotor.blades) + 100:
+            found.popitem(last=False)
+        return own
+
+    def draws_name(
+        self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
+    ) -> tuple[str, ...]:
+        """What a blade's particle set rests on; the column last."""
         rotor, message = self.rotor, self.messages.get(blade)
         reading = "" if message is None else message.digest
-        name = (self.model.digest, rotor.id, str(rotor.seed), blade, reading, str(per_node))
         # a blade without a reading is drawn from its prior, wherever the nodes stand
         moved = message is not None or any(p.population for p in locals_of(self.model))
         nodes = key.hex() + "/".join(self.space.names) if moved else str(len(unit))
-        # a quick step knows the column nearly, the sealed one exactly: their draws differ
-        known = (*name, nodes, "" if column is None else array_digest(column))
-        if known not in found:
-            rng = stream(rotor.seed, ALGORITHM, *name, nodes)
-            if message is not None and column is not None:
-                found[known] = message.draws(unit, per_node, rng, column)
-            else:
-                found[known] = prior_draws(self.model, self.space, unit, per_node, rng)
-            while len(found) > 3 * len(rotor.blades) + 100:
-                found.popitem(last=False)
-        found.move_to_end(known)
-        local, log_w = found[known]
-        out = {f"blade/{blade}/local": local, f"blade/{blade}/log_w": log_w}
-        return out if column is None else out | {f"column/{blade}": column}
+        name = (self.model.digest, rotor.id, str(rotor.seed), blade, reading, str(per_node))
+        return (*name, nodes, "" if column is None else array_digest(column))
 
     def message_error(self, unit: Array, previous: RotorState | None = None) -> tuple[float, float]:
         """Root mean square errors [nat] over all blades' messages: of log p at the nodes, and of

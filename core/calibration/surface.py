@@ -108,8 +108,9 @@ def _distances(x: Array, w: Array) -> Array:
 
 
 def _bells(a: Array, b: Array, length: float) -> Array:
-    square = np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2)
-    return np.asarray(np.exp(-0.5 * square / length**2))
+    """exp(−|a − b|² / 2 l²) between points (n, d) and (m, d), (n, m)."""
+    square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2 * a @ b.T
+    return np.asarray(np.exp(np.maximum(square, 0.0) / (-2 * length**2)))
 
 
 def foreseen(proposal: Proposal, unit: Array, log_p: Array, log_q: Array) -> tuple[float, Proposal]:

@@ -61,7 +61,6 @@ def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type
     From a station also with the step that led there from the one behind it: a narrow ridge leaves
     the mode of one station far below the ridge at the next.
     """
-    rows = len(ka2)
     for i in range(LANES):
         w[X + i] = plan[LOW, i] + s * (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
         w[V + i] = -math.inf
@@ -69,9 +68,9 @@ def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type
             w[TM + i], w[TG + i] = seen[MID, start, i], seen[INN, start, i]
         else:
             w[TM + i], w[TG + i] = STARTS[-1 - start]
-    collapse_volumes(a, rows, w, pa)
-    collapse_volumes(b, rows, w, pb)
-    collapse_volumes(v, rows, w, pv)
+    collapse_volumes(a, ka2, w, pa)
+    collapse_volumes(b, kb2, w, pb)
+    collapse_volumes(v, kb2, w, pv)
     plane_modes(pa, pb, pv, y, s2, ka2, kb2, w)
     behind = 2 * start - s
     if start >= 0 and 0 <= behind < STATIONS:
@@ -189,10 +188,9 @@ def first_panels(seen, plan, i, breaks, panels):  # type: ignore[no-untyped-def]
 @compiled
 def near(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan):  # type: ignore[no-untyped-def]
     """Modes on the planes at w[X], from the stations on either side."""
-    rows = len(ka2)
-    collapse_volumes(a, rows, w, pa)
-    collapse_volumes(b, rows, w, pb)
-    collapse_volumes(v, rows, w, pv)
+    collapse_volumes(a, ka2, w, pa)
+    collapse_volumes(b, kb2, w, pb)
+    collapse_volumes(v, kb2, w, pv)
     for i in range(LANES):
         w[V + i] = -math.inf
     for side in range(2):
