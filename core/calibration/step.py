@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.alike import family_key
-from core.calibration.columns import Columns, How
+from core.calibration.columns import Columns
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
 from core.calibration.message import PARTS, POOL, BladeMessage, prior_draws
@@ -36,11 +36,9 @@ from core.smc.particles import log_sum_exp, tempering_exponent
 Array = NDArray[np.float64]
 QUICK_ESS = 0.1  # share of the nodes that must carry the weight, tempered if need be
 LEAST_TEMPERING = 0.2  # below this exponent the nodes are placed anew at once
-MANY = 4  # touched blades for which a rough look comes first
-FIRST = 12  # of them that are looked at before the others
-FEWER = (
-    2.0  # times the share that all must leave is what these must leave, or no other is looked at
-)
+MANY = 4  # touched blades above which nothing is tempered
+FIRST = 12  # touched blades that are looked at before all, where there are more
+MANY_ESS, FIRST_ESS = 0.2, 0.5  # shares of the nodes that they must leave, or all is placed anew
 PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
 
 
@@ -129,28 +127,25 @@ class Step:
 
         log p moves by the difference of these columns: no other blade is looked at. None where
         the shared parameters are others now, or too few nodes would carry the weight; where many
-        blades are touched, rough messages tell that first, those of a few of them before all, and
-        nothing is tempered.
+        blades are touched nothing is tempered, and a few of them are looked at before all.
         """
         if not self.fits(previous):
             return None
         old, unread = previous.arrays, self.unread(previous)
         unit = old["shared/unit"]
         touched = [b for b in sorted(self.messages) if b not in unread]
-        rest = old["shared/log_p"].copy()
-        for blade in sorted(previous.meta["readings"]):
-            if blade not in unread:
-                rest -= old[f"column/{blade}"]
+        before = [b for b in sorted(previous.meta["readings"]) if b not in unread]
         many = len(touched) > MANY
-        log_p, columns = rest, dict[str, Array]()
-        stages: list[tuple[How, float, list[str]]] = [("near", QUICK_ESS, touched)]
-        if many:
+        looks = [(MANY_ESS if many else QUICK_ESS, touched, before)]
+        if len(touched) > FIRST:
             few = sorted(touched, key=lambda blade: seed_of(0, blade))[:FIRST]
-            least = FEWER * QUICK_ESS if len(few) < len(touched) else QUICK_ESS
-            stages = [("rough", least, few), ("rough", QUICK_ESS, touched), *stages]
-        for how, share, blades in stages:
-            columns = self.work.columns.all({b: self.messages[b] for b in blades}, unit, how)
-            log_p = rest + sum(columns.values(), np.zeros(len(unit)))
+            looks.insert(0, (FIRST_ESS, few, [b for b in before if b in few]))
+        for share, blades, replaced in looks:
+            log_p = old["shared/log_p"].copy()
+            for blade in replaced:
+                log_p -= old[f"column/{blade}"]
+            columns = self.work.columns.all({b: self.messages[b] for b in blades}, unit, "near")
+            log_p += sum(columns.values(), np.zeros(len(unit)))
             beta = tempering(log_p - old["shared/log_q"] + old["shared/tilt"], share)
             if not beta >= (1.0 if many else LEAST_TEMPERING):  # or not a number
                 return None

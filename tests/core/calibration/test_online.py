@@ -9,7 +9,7 @@ import pytest
 
 from core.calibration import step
 from core.calibration.message import BladeMessage
-from core.calibration.online import RotorSpec, RotorState, Workspace, update
+from core.calibration.online import RotorSpec, RotorState, Workspace, begun, update
 from core.calibration.smooth import NEARLY
 from core.calibration.space import shared_space
 from core.calibration.state import shared_posterior
@@ -220,3 +220,40 @@ def test_a_reading_of_an_unknown_blade_is_refused() -> None:
     stray = Inspection("x", "b99", "y", 8e3, np.array([0.1]))
     with pytest.raises(InputError, match="b99"):
         update(MODEL, SPEC, [stray])
+
+
+def test_a_sealed_state_of_the_same_readings_is_the_answer(before: RotorState) -> None:
+    for quick in (True, False):
+        assert update(MODEL, SPEC, list(reversed(READINGS)), before, quick=quick) is before
+    fewer, more = replace(SPEC, particles=400), replace(SPEC, blades=(*SPEC.blades, "new"))
+    for spec, readings in ((fewer, READINGS), (more, READINGS), (SPEC, READINGS[1:])):
+        state = update(MODEL, spec, readings, before)
+        assert state is not before
+        assert state.digest == update(MODEL, spec, readings).digest
+    quick = update(MODEL, SPEC, [*READINGS, LATE], before, quick=True)
+    assert update(MODEL, SPEC, [*READINGS, LATE], quick).sealed
+
+
+def test_where_a_few_blades_leave_too_few_nodes_no_other_is_looked_at(
+    before: RotorState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(step, "FIRST", 2)
+    after = [replace(r, values=r.values * 1.3) for r in measured(BLADES, (24e3,), 0)]
+
+    def looked_at(readings: list[Inspection]) -> int:
+        work = Workspace()
+        begun(MODEL, SPEC, readings, workspace=work).reweighted(before)
+        return len({name for name, _, _ in work.columns.kept})
+
+    assert looked_at([*READINGS, *after]) == 2
+    gentle = [replace(r, sigma=0.5) for r in measured(BLADES, (24e3,), 0)]
+    assert looked_at([*READINGS, *gentle]) == BLADES
+    monkeypatch.setattr(step, "FIRST_ESS", 0.0)
+    assert looked_at([*READINGS, *after]) == BLADES, "control"
+
+
+def test_particles_drawn_side_by_side_are_those_drawn_one_after_the_other(
+    before: RotorState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(step, "PARTS", BLADES + 1)
+    assert update(MODEL, SPEC, READINGS).digest == before.digest

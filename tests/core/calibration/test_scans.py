@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from core.builtin import inspection_plan
-from core.calibration.message import _readings
+from core.calibration.lines import SAME
+from core.calibration.message import BladeMessage, Packed, _readings
 from core.calibration.online import update
 from core.calibration.space import shared_space
 from core.calibration.state import RotorSpec, shared_posterior
@@ -165,3 +166,37 @@ def test_an_offset_of_the_blade_s_scans_places_its_nodes() -> None:
         values = posterior.column(f"theta.deformation.{axis}")
         mean = w @ values
         assert abs(mean - truth) < 4 * np.sqrt(w @ (values - mean) ** 2)
+
+
+def test_factors_that_rows_of_a_scan_share_are_computed_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The scanned blade of the plan has 24 rows a scan, all but the first of which are marked."""
+    model = rotor_blade()
+    bodies = [b for b in inspection_plan.load().inspections if b["quantity"] == "deformation"]
+    readings = [
+        Inspection(b["id"], b["blade"], b["quantity"], b["time_h"],
+                   np.array(b["values"]), nodes=np.array(b["nodes"]))
+        for b in bodies[:2]
+    ]  # fmt: skip
+    rows = assemble(model, readings)
+    assert rows is not None
+    message = BladeMessage(model, rows, shared_space(model, [rows]), {})
+    scans, kb2 = len(readings), message.packed.kb2
+    assert np.sum(message.packed.marked[::1] != kb2) >= len(rows.y) - scans - 3
+    unit = np.random.default_rng(0).random((8, message.space.dim)) * 0.1 + [[0.6, 0.35]]
+    rng = np.random.default_rng
+
+    def found() -> list[np.ndarray]:
+        exact = message.column(unit)
+        return [exact, message.column(unit, rough=True), *message.draws(unit, 24, rng(1), exact)]
+
+    once = found()
+    monkeypatch.setattr(Packed, "marked", property(lambda packed: packed.kb2))
+    each = found()
+    for one, other in zip(once, each, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
+    wrong = message.packed.kb2.copy()
+    wrong[1:] = SAME  # the second scan's rows, at another time, with the first one's factors
+    monkeypatch.setattr(Packed, "marked", property(lambda packed: wrong))
+    assert np.max(np.abs(message.column(unit) - each[0])) > 0.1, "control"
