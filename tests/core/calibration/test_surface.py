@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from core.calibration import surface
 from core.calibration.space import SharedSpace
 from core.calibration.surface import Surface, evening, tilt
+from core.errors import InputError
 from core.prior import Prior
 from core.smc.particles import ess, log_sum_exp, normalised
 from core.smc.placement import Proposal, rounded, sobol
@@ -86,3 +88,22 @@ def test_too_few_nodes_carry_no_surface() -> None:
 def test_no_weights_lead_to_a_mean_outside_the_points() -> None:
     points = np.random.default_rng(0).random((30, 2)) + 0.1
     assert tilt(points, np.zeros(30)) is None
+
+
+def test_length_and_nugget_may_be_chosen_at_a_part_of_many_nodes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The surface itself goes through all of them."""
+    proposal = rounded(MEAN, COV)
+    unit, log_q = proposal.nodes(sobol(256, 2, 1))
+    dense = proposal.nodes(sobol(1024, 2, 2))[0]
+    w = normalised(log_p(unit) - log_q)
+    for most in (512, 64):
+        monkeypatch.setattr(surface, "CHOOSING", most)
+        found, error = Surface.through(unit, log_p(unit), w)
+        assert len(found.nodes) > 200
+        assert error < 1e-3
+        assert np.sqrt(np.mean((found(dense) - log_p(dense)) ** 2)) < 0.003
+    monkeypatch.setattr(surface, "_fitted", lambda z, *_: (z[:, 0], np.full(len(z), np.nan)))
+    with pytest.raises(InputError, match="goes through no nodes"):
+        Surface.through(unit, log_p(unit), w)
