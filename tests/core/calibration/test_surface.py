@@ -97,13 +97,14 @@ def test_length_and_nugget_may_be_chosen_at_a_part_of_many_nodes(
     proposal = rounded(MEAN, COV)
     unit, log_q = proposal.nodes(sobol(256, 2, 1))
     dense = proposal.nodes(sobol(1024, 2, 2))[0]
+    dense = dense[log_p(dense) > log_p(dense).max() - 6.0]
     w = normalised(log_p(unit) - log_q)
     for most in (512, 64):
         monkeypatch.setattr(surface, "CHOOSING", most)
         found, error = Surface.through(unit, log_p(unit), w)
         assert len(found.nodes) > 200
         assert error < 1e-3
-        assert np.sqrt(np.mean((found(dense) - log_p(dense)) ** 2)) < 0.003
+        assert np.max(np.abs(found(dense) - log_p(dense))) < 0.01
     monkeypatch.setattr(surface, "_fitted", lambda z, *_: (z[:, 0], np.full(len(z), np.nan)))
     with pytest.raises(InputError, match="goes through no nodes"):
         Surface.through(unit, log_p(unit), w)
