@@ -19,18 +19,18 @@ from core.calibration.alike import family_key
 from core.calibration.columns import Columns
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
-from core.calibration.message import PARTS, POOL, BladeMessage, prior_draws
+from core.calibration.message import BladeMessage
 from core.calibration.rotor import Weighed, weigh
+from core.calibration.sets import Nodes, ParticleSets
 from core.calibration.smooth import NEARLY
 from core.calibration.space import SharedSpace, locals_of
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.surface import evening
 from core.calibration.target import BladeRows, assemble
-from core.digest import array_digest
 from core.model import Model
 from core.observation import Inspection, digest_of
-from core.rng import seed_of, stream
+from core.rng import seed_of
 from core.smc.particles import log_sum_exp, tempering_exponent
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Workspace:
     def __init__(self) -> None:
         self.columns = Columns()
         self.rows: OrderedDict[tuple[str, str], BladeRows] = OrderedDict()
-        self.draws: OrderedDict[tuple[str, ...], tuple[Array, Array]] = OrderedDict()
+        self.sets = ParticleSets()
 
     def rows_of(self, model: Model, readings: Sequence[Inspection]) -> BladeRows:
         key = (model.digest, digest_of(readings))
@@ -173,7 +173,7 @@ class Step:
                 kept |= {f"blade/{blade}/local", f"blade/{blade}/log_w"}
                 if blade in self.messages:
                     kept.add(f"column/{blade}")
-        own |= self.draws(due, unit, key, count, columns)
+        own |= self.drawn(due, Nodes(unit, key, count), columns)
         arrays = old.over(own, kept)
         bad = contradictions(self.messages, columns, unit, log_p)
         before = previous.meta["health"].get("contradicted", [])
@@ -220,7 +220,7 @@ class Step:
                 stays -= self.otherwise_known(previous, weighed)
         kept = {f"blade/{b}/{part}" for b in stays for part in ("local", "log_w")}
         due = [b for b in self.rotor.blades if b not in stays]
-        own |= self.draws(due, weighed.unit, weighed.key, count, weighed.columns)
+        own |= self.drawn(due, Nodes(weighed.unit, weighed.key, count), weighed.columns)
         below = previous.arrays if previous is not None else Arrays.EMPTY
         arrays = below.over(own, kept)
         bad = contradictions(self.messages, weighed.columns, weighed.unit, weighed.log_p)
@@ -247,51 +247,13 @@ class Step:
         old = previous.arrays
         return {b for b in once if not np.array_equal(old[f"column/{b}"], weighed.columns[b])}
 
-    def draws(
-        self,
-        blades: Sequence[str],
-        unit: Array,
-        key: bytes,
-        per_node: int,
-        columns: Mapping[str, Array],
+    def drawn(
+        self, blades: Sequence[str], nodes: Nodes, columns: Mapping[str, Array]
     ) -> dict[str, Array]:
-        """The particle sets of these blades at these nodes, each from a stream of its own."""
-        found = self.work.draws
-        names = {b: self.draws_name(b, unit, key, per_node, columns.get(b)) for b in blades}
-        missing = [b for b in blades if names[b] not in found]
-        alone = len(missing) < PARTS
-
-        def drawn(blade: str) -> tuple[Array, Array]:
-            # not by the column, which a quick step knows nearly and the sealed one exactly
-            rng = stream(self.rotor.seed, ALGORITHM, *names[blade][:-1])
-            message, column = self.messages.get(blade), columns.get(blade)
-            if message is None or column is None:
-                return prior_draws(self.model, self.space, unit, per_node, rng)
-            return message.draws(unit, per_node, rng, column, PARTS if alone else 1)
-
-        made = map(drawn, missing) if alone else POOL.map(drawn, missing)
-        found.update(zip((names[b] for b in missing), made, strict=True))
-        own = dict[str, Array]()
-        for blade in blades:
-            found.move_to_end(names[blade])
-            own[f"blade/{blade}/local"], own[f"blade/{blade}/log_w"] = found[names[blade]]
-            if blade in columns:
-                own[f"column/{blade}"] = columns[blade]
-        while len(found) > 3 * len(self.rotor.blades) + 100:
-            found.popitem(last=False)
-        return own
-
-    def draws_name(
-        self, blade: str, unit: Array, key: bytes, per_node: int, column: Array | None
-    ) -> tuple[str, ...]:
-        """What a blade's particle set rests on; the column last."""
-        rotor, message = self.rotor, self.messages.get(blade)
-        reading = "" if message is None else message.digest
-        # a blade without a reading is drawn from its prior, wherever the nodes stand
-        moved = message is not None or any(p.population for p in locals_of(self.model))
-        nodes = key.hex() + "/".join(self.space.names) if moved else str(len(unit))
-        name = (self.model.digest, rotor.id, str(rotor.seed), blade, reading, str(per_node))
-        return (*name, nodes, "" if column is None else array_digest(column))
+        """The particle sets of these blades at these nodes."""
+        return self.work.sets.of(
+            self.model, self.rotor, self.space, self.messages, blades, nodes, columns
+        )
 
     def message_error(self, unit: Array, previous: RotorState | None = None) -> tuple[float, float]:
         """Root mean square errors [nat] over all blades' messages: of log p at the nodes, and of

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.calibration import step
+from core.calibration import sets, step
 from core.calibration.message import BladeMessage
 from core.calibration.online import RotorSpec, RotorState, Workspace, begun, update
 from core.calibration.smooth import NEARLY
@@ -158,7 +158,7 @@ def test_draws_that_a_workspace_keeps_from_a_quick_step_are_not_sealed_in(
         return update(MODEL, few, readings, quick, workspace=work)
 
     assert sealed_over_a_quick_step().digest == alone.digest
-    monkeypatch.setattr(step, "array_digest", lambda column: "")
+    monkeypatch.setattr(sets, "array_digest", lambda column: "")
     assert sealed_over_a_quick_step().digest != alone.digest, "mutant"
 
 
@@ -255,5 +255,5 @@ def test_where_a_few_blades_leave_too_few_nodes_no_other_is_looked_at(
 def test_particles_drawn_side_by_side_are_those_drawn_one_after_the_other(
     before: RotorState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(step, "PARTS", BLADES + 1)
+    monkeypatch.setattr(sets, "PARTS", BLADES + 1)
     assert update(MODEL, SPEC, READINGS).digest == before.digest
