@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from core.calibration.collapsed import message_of
 from core.calibration.draws import SHARE
+from core.calibration.lead import start_of
 from core.calibration.message import BladeMessage
-from core.calibration.rotor import start_of
 from core.calibration.space import SharedSpace, locals_of, shared_space
 from core.calibration.state import Arrays, Posterior, RotorSpec, RotorState
 from core.calibration.stored import StoredPosterior
@@ -121,7 +121,7 @@ def above(
 def _start(
     space: SharedSpace, prior: StoredPosterior, messages: Mapping[str, BladeMessage]
 ) -> Proposal:
-    """The prior's moments for what it passes on, `rotor.start_of` for the rest."""
+    """The prior's moments for what it passes on, `lead.start_of` for the rest."""
     begin = start_of(space, messages)
     assert begin.chol is not None
     mean, covariance = begin.mean.copy(), begin.chol @ begin.chol.T

@@ -20,9 +20,10 @@ KEPT = [
     for file in sorted(RESULTS.glob("*/result.json"))
     if "variant" in (kept := json.loads(file.read_text())) and "seeds" not in kept
 ]
-# studies that missed .68 ± .05, kept as they came out: two shared parameters at a standard error of
-# .031 miss by chance one time in four; ranks are inside their bands
-MISSED = {("rotor-100", 200, 7)}
+# studies that missed .68 ± .05 or .95 ± .03, kept as they came out: two shared parameters at a
+# standard error of .031 miss by chance one time in four (the noise beside fourteen finite-element
+# truths: .919 ± .023); ranks are inside their bands
+MISSED = {("rotor-100", 200, 7), ("fe", 210, 11)}
 # one rotor of 500 ended below its floor (0.0159 of its nodes carry it); it is counted as well
 BELOW = {("rotor-100", 500, 8): 0.01}
 # truths that are no draws from the prior (every coating at an end of its range): predictions cover

@@ -16,7 +16,7 @@ from core.validation import seeds
 from core.validation.seeds import LIMIT, spread
 from core.validation.variants import model_of, plan
 
-RESULT = Path(__file__).with_name("results") / "seeds" / "result.json"
+RESULTS = Path(__file__).with_name("results")
 VARIANT = plan("rotor-20", blades=5)
 
 
@@ -48,8 +48,9 @@ def test_one_seed_shows_nothing() -> None:
         spread(model_of(VARIANT), VARIANT, rotors=1, seed=7, seeds=1)
 
 
-def test_the_kept_study_is_steady() -> None:
-    kept = json.loads(RESULT.read_text())
+@pytest.mark.parametrize("folder", ["seeds", "seeds-mixed"])
+def test_a_kept_study_is_steady(folder: str) -> None:
+    kept = json.loads((RESULTS / folder / "result.json").read_text())
     assert kept["seeds"] >= 8
     assert kept["particles"] >= 10_000
     assert kept["passed"]
