@@ -136,6 +136,18 @@ def scan(
     return np.asarray(gain * (q @ (z + own)).reshape(-1, 3) + offset + noise)
 
 
+def numerical(
+    model: Model, shape: Array, nodes: NDArray[np.int64], rng: np.random.Generator
+) -> Array:
+    """The mesh's error of a deformation (n, 3) [mm], as the likelihood assumes it: by modes."""
+    nu = model.network.quantity("deformation").numerical
+    phi = model.part("deformation").deformation_modes(nodes.tolist())
+    q, _ = np.linalg.qr(phi.reshape(3 * len(nodes), -1))
+    z = q.T @ shape.reshape(-1)
+    own = nu * np.sqrt(z**2 + np.mean(z**2)) * rng.standard_normal(len(z))
+    return np.asarray((q @ own).reshape(-1, 3))
+
+
 def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated:
     """Rotor number `rotor` of a study: a function of the variant, the seed and the number."""
     shared, x = truths(model, variant, rotor, seed)
@@ -151,7 +163,10 @@ def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated
     def clean(quantity: str, time_h: float, which: list[int], held: bool) -> tuple[Array, Array]:
         declared = model.network.quantity(quantity)
         if runs is not None:
-            return runs.at(quantity, own, time_h)[which], np.full(len(which), np.nan)
+            value = runs.at(quantity, own, time_h)[which]
+            if variant.nu:
+                value = value * (1 + declared.numerical * rng.standard_normal(len(which)))
+            return value, np.full(len(which), np.nan)
         surrogate = model.part(quantity)
         nodes = [surrogate.named[declared.node or "tip"]]
         node = None if declared.kind == "scalar" else nodes
@@ -196,6 +211,8 @@ def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated
                 sigma = shared[model.network.quantity("deformation").sigma_name]
                 nodes = runs.scan_nodes
                 shape = runs.deformation[own, np.flatnonzero(runs.scan_h == rotor_h)[0]]
+                if variant.nu:
+                    shape = shape + numerical(model, shape, nodes, rng)
                 values = shape + sigma * rng.standard_normal(shape.shape)
             else:
                 nodes = fe_rotors.scan_nodes(SCANNED)

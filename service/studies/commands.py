@@ -17,7 +17,7 @@ Seed = Annotated[int, typer.Option(help="Seed of the truths and the noise.")]
 Blades = Annotated[int | None, typer.Option(help="Blades of each rotor; default: the variant's.")]
 VARIANT_HELP = (
     "rotor-100, rotor-20, six-outages, mixed, thin-coating, coating-at-bounds, eight-shared, "
-    "fe, fe-six-outages, fe-mixed or six-locals."
+    "fe, fe-six-outages, fe-mixed, fe-nu, fe-nu-six-outages, fe-nu-mixed or six-locals."
 )
 
 

@@ -11,7 +11,7 @@ from core.calibration.target import DEGREE
 from core.errors import InputError
 from core.model import Model
 from core.validation.fe_rotors import scan_nodes
-from core.validation.simulate import scan, simulate, truths
+from core.validation.simulate import numerical, scan, shipped_rotors, simulate, truths
 from core.validation.variants import COATING, hours, model_of, names_of, plan
 
 
@@ -163,3 +163,29 @@ def test_a_plan_that_cannot_be_is_refused(name: str, blades: int | None) -> None
 
 def test_a_plan_keeps_its_name_at_another_size() -> None:
     assert plan("six-outages", 20) == replace(plan("six-outages"), blades=20)
+
+
+def test_finite_elements_get_the_numerical_error_that_is_declared() -> None:
+    """And nothing else: divided by it, what is left is the run. Scans get it by modes."""
+    variant = plan("fe-nu-mixed")
+    model = model_of(variant)
+    bare, runs = plan("fe-mixed"), 60
+    nu = model.network.quantity("elongation").numerical
+    found = []
+    for rotor in range(runs):
+        with_it, without = (simulate(model, v, rotor, seed=1) for v in (variant, bare))
+        assert with_it.local == without.local
+        found += [
+            a.value / b.value - 1
+            for a, b in zip(with_it.held, without.held, strict=True)
+            if a.quantity == "elongation"
+        ]
+    assert np.std(found) == pytest.approx(nu, rel=0.08)
+    assert abs(np.mean(found)) < 4 * nu / np.sqrt(len(found))
+    shape = shipped_rotors().deformation[0, 0]
+    nodes, rng = shipped_rotors().scan_nodes, np.random.default_rng(0)
+    errors = np.array([numerical(model, shape, nodes, rng) for _ in range(200)])
+    share = np.sqrt(np.sum(errors**2, axis=(1, 2)).mean() / np.sum(shape**2))
+    modes = model.part("deformation").deformation_modes(nodes.tolist()).shape[-1]
+    declared = model.network.quantity("deformation").numerical
+    assert declared < share < 2 * declared * np.sqrt(modes)
