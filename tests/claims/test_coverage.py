@@ -21,14 +21,17 @@ KEPT = [
     if "variant" in (kept := json.loads(file.read_text())) and "seeds" not in kept
 ]
 # studies that missed .68 ± .05 or .95 ± .03, kept as they came out: two shared parameters at a
-# standard error of .031 miss by chance one time in four (the noise beside fourteen finite-element
-# truths: .919 ± .023); ranks are inside their bands
-MISSED = {("rotor-100", 200, 7), ("fe", 210, 11)}
+# standard error of .031 miss by chance one time in four (beside fourteen finite-element truths the
+# noise has .919 ± .023, T1T .738 ± .057); ranks are inside their bands
+MISSED = {("rotor-100", 200, 7), ("fe", 210, 11), ("fe-nu-six-outages", 210, 12)}
 # one rotor of 500 ended below its floor (0.0159 of its nodes carry it); it is counted as well
 BELOW = {("rotor-100", 500, 8): 0.01}
 # truths that are no draws from the prior (every coating at an end of its range): predictions cover
 # .68 ± .03 and .95 ± .02, but are narrow by more than chance
 NARROW = {("coating-at-bounds", 200, 10)}
+# finite-element runs on the surrogate's own mesh lack the error nu that the network declares of a
+# mesh: with six readings a blade a noise below 0.01 mm is then taken for smaller still
+WITHOUT_NU = {("fe-six-outages", 210, 11)}
 SHORT = plan("rotor-20", blades=4)
 ROTORS, SEED, PARTICLES = 32, 20, 1000
 
@@ -107,7 +110,8 @@ def test_a_kept_study_holds(kept: dict[str, Any]) -> None:
     """No rotor failed; shares and squares by source near what they should be; controls caught.
 
     A study of 200 rotors or more is held to its own verdict: all claims, and all controls caught
-    (a normal of equal moments is too near the truth for 40 rotors to tell).
+    (a normal of equal moments is too near the truth for 40 rotors to tell, or for fourteen truths
+    however often each is read).
     """
     assert kept["failed"] == {}
     which = (kept["variant"], kept["rotors"], kept["seed"])
@@ -127,6 +131,15 @@ def test_a_kept_study_holds(kept: dict[str, Any]) -> None:
         assert 0.65 < row["inside_68"] < 0.68
         assert 0.93 < row["inside_95"] < 0.95
         return
+    elif which in WITHOUT_NU:
+        table = kept["table"]
+        assert kept["outside_band"] == ["sigma_obs.elongation"]
+        assert table["sigma_obs.elongation"]["inside_95"] < 0.9
+        for name in ("t1t_rate", "tbc_thickness", "creep_transient", "creep_steady"):
+            assert table[name]["covers"]
+        return
+    elif max(row["clusters"] for row in kept["table"].values()) < 40:
+        assert kept["not_covering"] == kept["outside_band"] == []
     elif kept["rotors"] >= 200:
         assert kept["passed"]
     for name, row in kept["table"].items():
