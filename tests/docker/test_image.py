@@ -364,7 +364,9 @@ def test_the_whole_of_compose_runs_from_the_image_and_writes_nothing_beside_its_
 
 
 def test_the_kernels_are_compiled_into_the_volume(image: Image) -> None:
-    """Where machine code goes is seen by the first of it; that all compiles is test_kernels'."""
+    """Where machine code goes is seen by the first of it (its index comes before it); that all
+    compiles is test_kernels'.
+    """
     before, volume = image.code(), image.root / "var/cache/bladetwin"
     process = subprocess.Popen(
         image.command(*COMPOSE["services"]["compile"]["command"]),
@@ -374,7 +376,7 @@ def test_the_kernels_are_compiled_into_the_volume(image: Image) -> None:
         stderr=subprocess.PIPE,
     )
     try:
-        until("machine code", lambda: bool([*volume.rglob("*.nbi")]) or process.poll() is not None)
+        until("machine code", lambda: bool([*volume.rglob("*.nbc")]) or process.poll() is not None)
     finally:
         process.kill()
         _, told = process.communicate()
