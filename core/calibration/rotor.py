@@ -95,6 +95,7 @@ MORE = (
     0.35  # share that is enough where more than four are shared, above the floor of what is served
 )
 PASSABLE = 0.1  # share from which no other place is looked for there: 0.27 nat by 128 nodes
+LED, LED_MANY = 3, 8  # placements tried from where mended rough messages lead; with more than four
 FEW_TURNS = 4  # of the search after that, where no placement there was enough
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
 
@@ -230,7 +231,7 @@ def weigh(
         """The best share and its proposal where the mended rough messages lead, from `place`."""
         nearer = mended(place, counts)
         nearer = nearer and mended(nearer, everyone)
-        return nowhere if nearer is None else settled(nearer, 3, ASTRAY)
+        return nowhere if nearer is None else settled(nearer, LED if d <= 4 else LED_MANY, ASTRAY)
 
     def found() -> tuple[float, Proposal]:
         """The best share of effective nodes, and its proposal, from nothing but the messages."""
