@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
+from core.calibration.state import RotorSpec as Calibrated
 from core.life import Life, life
 from core.model import Model
 from core.network import Network
@@ -110,7 +111,7 @@ class CoreScience:
 
         if self._workspace is None:
             self._workspace = online.Workspace()
-        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
+        spec = _spec(rotor)
         state = online.update(
             self.models.of(card), spec, readings, previous, quick=quick, workspace=self._workspace
         )
@@ -244,7 +245,7 @@ class CoreScience:
         """What many blades alike would need, of which the made-up rotor has one."""
         from core.calibration import alike, online
 
-        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
+        spec = _spec(rotor)
         alike.meet(online.begun(self.models.of(card), spec, readings).messages.values())
 
     def plan(
@@ -277,10 +278,9 @@ class CoreScience:
         compare_h: float | None,
         progress: Progress,
     ) -> Json:
-        from core.calibration import online
         from service.effects import diagnosed
 
-        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
+        spec = _spec(rotor)
         return diagnosed(self.models.of(card), spec, facts, readings, families, compare_h, progress)
 
     def residuals(
@@ -291,11 +291,15 @@ class CoreScience:
         readings: Sequence[Inspection],
         progress: Progress,
     ) -> Json:
-        from core.calibration import online
         from service.residuals import computed
 
-        spec = online.RotorSpec(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
+        spec = _spec(rotor)
         return computed(self.models.of(card), spec, facts, readings, progress)
+
+
+def _spec(rotor: RotorSpec) -> Calibrated:
+    """The rotor as the science names it."""
+    return Calibrated(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
 
 
 def _draws(posterior: Posterior, nodes: int | None = None) -> Draws:

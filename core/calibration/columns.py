@@ -85,9 +85,6 @@ class Columns:
         """The messages, those of many blades alike from tables that are kept."""
         return gathered(messages, self.families)
 
-    def of(self, message: BladeMessage, unit: Array, how: How) -> Array:
-        return self.all({"": message}, unit, how)[""]
-
     def all(self, messages: Mapping[str, BladeMessage], unit: Array, how: How) -> dict[str, Array]:
         """The column of each blade; those that are missing are computed side by side."""
         # by the nodes: rotors with equal readings share the proposal, but each has its own nodes

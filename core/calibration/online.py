@@ -18,6 +18,7 @@ and writes the touched blades' arrays only.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from core.calibration.collapsed import message_of
 from core.calibration.rotor import node_count
@@ -57,7 +58,7 @@ def update(
         previous = None
     made = begun(model, rotor, inspections, workspace=workspace, prior=prior, start=start)
     if previous is not None and start is None and made.told_by(previous):
-        return previous
+        return replace(previous, fresh=frozenset())
     if quick and previous is not None:
         log_w = made.reweighted(previous)
         if log_w is not None:

@@ -7,8 +7,8 @@ of each kind (`panel`) goes from the whole box to near the posterior; their exac
 the rough ones miss, which is smooth: a quadratic through the difference, times the number of blades
 that each stands for, mends the rough messages of all, and a descent on those is nearly free. Where
 the quadratic leaves too much (few readings of each blade, small noise), the descent goes on with
-the exact messages of the few, and then with those of all. At the end the exact
-messages at the nodes must give even weights, seen by a surface that looks beyond them
+the exact messages of the few, and then with those of all. At the end the exact messages at the
+nodes must give even weights, seen by a surface that looks beyond them
 (`surface.foreseen`): nodes beside the posterior can have even weights, too. What was tried is
 judged together (`tried`). Where messages are cheap (a closed form's) and that is not reached, the
 nodes of further placements are pooled (`placement.pooled`). The few blades may lead astray: with as
