@@ -196,6 +196,9 @@ def _json_rows(body: bytes) -> list[tuple[str, Any]]:
         data = from_json(body, allow_inf_nan=True)
     except ValueError as error:
         raise RequestError(400, "invalid-json", f"the body is not JSON: {error}") from None
+    if isinstance(data, list):
+        remedy = 'give {"inspections": […]} for several, or one reading as an object'
+        raise invalid([fault("body", f"a list of {len(data)}", "is not a batch", remedy)])
     if not (isinstance(data, dict) and "inspections" in data):
         return [("", data)]
     rows = data["inspections"]

@@ -8,6 +8,9 @@
                      draw of the posterior; dims (chain, draw, <quantity>_reading)
     /observed_data   what they were; dims (<quantity>_reading). A scan has an entry for each node
                      and axis, ``id[node].axis``
+    /particles       where it is asked for: the weighted particles themselves, before resampling;
+                     dims (blade, particle): every parameter, `log_weight` (normalised for each
+                     blade) and `node`, which of the rotor's shared nodes a particle hangs on
     /constant_data   known inputs of the blades, where the model has any; dims (blade); hours and
                      blade of each reading
 
@@ -32,11 +35,13 @@ import h5netcdf
 import h5py
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
-from service.ports import JointDraws
+from service.ports import Draws, JointDraws
 
 Array = NDArray[np.float64]
 Attributes = Mapping[str, str | int | float]
+_DIMENSIONS = ("chain", "draw", "blade", "particle")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +65,7 @@ def inference_data(
     *,
     prior: JointDraws | None = None,
     readings: Sequence[Replicated] = (),
+    particles: Sequence[Draws] = (),
 ) -> bytes:
     """The file.
 
@@ -68,6 +74,7 @@ def inference_data(
     facts     what the draws rest on
     prior     draws of the same parameters from their priors
     readings  on which the posterior rests
+    particles weighted ones, of each blade in the order of the draws' blades
     """
     buffer = io.BytesIO()
     with h5netcdf.File(buffer, "w") as file:
@@ -75,6 +82,8 @@ def inference_data(
         for name, drawn in (("posterior", draws), ("prior", prior)):
             if drawn is not None:
                 _draws(_group(file, name, facts), drawn, units)
+        if particles:
+            _particles(_group(file, "particles", facts), particles, draws, units)
         if known or readings:
             constant = _group(file, "constant_data", facts)
         if known:
@@ -117,6 +126,27 @@ def _draws(group: Any, drawn: JointDraws, units: Mapping[str, str]) -> None:
     for j, name in enumerate(drawn.shared_names):
         variable = _numbers(group, places[name], ("chain", "draw"), drawn.shared[None, :, j])
         _attributes(variable, {"units": units[name], "long_name": name, "level": "shared"})
+
+
+def _particles(
+    group: Any, particles: Sequence[Draws], draws: JointDraws, units: Mapping[str, str]
+) -> None:
+    """Weighted particles (blade, particle): parameters, log weights and nodes."""
+    dims = ("blade", "particle")
+    group.attrs["weights"] = "log_weight: of a blade's particles, normalised"
+    group.dimensions = {"blade": len(draws.blades), "particle": len(particles[0].log_w)}
+    _names(group, "blade", draws.blades)
+    names = particles[0].names
+    places = plain((*names, "log_weight", "node"))
+    for j, name in enumerate(names):
+        values = np.stack([own.values[:, j] for own in particles])
+        level = "local" if name in draws.local_names else "shared"
+        variable = _numbers(group, places[name], dims, values)
+        _attributes(variable, {"units": units[name], "long_name": name, "level": level})
+    log_w = np.stack([own.log_w for own in particles])
+    log_w = log_w - logsumexp(log_w, axis=1, keepdims=True)
+    _numbers(group, "log_weight", dims, log_w)
+    _numbers(group, "node", dims, np.stack([own.node for own in particles]))
 
 
 def _of_quantity(
@@ -163,7 +193,7 @@ def plain(names: Sequence[str]) -> dict[str, str]:
 
 def _is_plain(name: str) -> bool:
     """Whether it is a netCDF name, and none of the dimensions."""
-    return "/" not in name and name == name.strip(" ") and name not in ("chain", "draw", "blade")
+    return "/" not in name and name == name.strip(" ") and name not in _DIMENSIONS
 
 
 def _attributes(of: Any, told: Attributes) -> None:

@@ -22,12 +22,14 @@ from service.handlers.plans import counting
 from service.handlers.reads import Basis, health
 from service.handlers.rotors import blades_at
 from service.moments import moment
-from service.ports import BladeRecord, JointDraws, Json, Science, Store
+from service.ports import BladeRecord, Draws, JointDraws, Json, Science, Store
 from service.release import release
 
 MOST_VALUES = {"json": 400_000, "netcdf": 8_000_000}
 GROUPS = ("prior", "posterior_predictive")
 """Of a file of draws, beside the posterior."""
+ASKED = ("particles",)
+"""Of such a file, where it is asked for by name."""
 
 
 def rotor_draws(
@@ -120,7 +122,24 @@ def draws_netcdf(
     if "posterior_predictive" in groups:
         again = _replicated(store, science, drawn, blades, found)
     prior = science.prior_draws(found.card, drawn) if "prior" in groups else None
-    return inference_data(drawn, units, known, facts, prior=prior, readings=again)
+    own = _particles(store, science, drawn, found) if "particles" in groups else []
+    return inference_data(drawn, units, known, facts, prior=prior, readings=again, particles=own)
+
+
+def _particles(store: Store, science: Science, drawn: JointDraws, found: Basis) -> list[Draws]:
+    """The weighted particles of these blades.
+
+    Raises RangeError where they would be more than an answer should hold.
+    """
+    values = drawn.of * len(drawn.blades) * (len(drawn.shared_names) + len(drawn.local_names) + 2)
+    if values > MOST_VALUES["netcdf"]:
+        problem = f"{values} values of {len(drawn.blades)} blades are more than "
+        problem += f"{MOST_VALUES['netcdf']}"
+        raise RangeError("groups", "particles", problem, "ask for the draws of one blade")
+    meta = found.state.meta
+    with store.read() as tx:
+        get = tx.states.reader(found.state)
+        return [science.blade_draws(meta, get, blade) for blade in drawn.blades]
 
 
 def _replicated(

@@ -232,6 +232,12 @@ def test_a_body_that_is_no_reading_is_refused(created: httpx.Client) -> None:
     assert head(created) == 0
 
 
+def test_a_bare_list_is_refused_with_the_shape_of_a_batch(created: httpx.Client) -> None:
+    told = refuse(created.post("/v1/rotors/r1/inspections", json=[one(), one("i2")]), 422)
+    assert told["faults"][0]["remedy"].startswith('give {"inspections": […]}')
+    assert head(created) == 0
+
+
 def test_every_fault_of_a_batch_is_listed_by_its_index(created: httpx.Client) -> None:
     bad = one("a", blade="B9", unit="m", time_h=-1.0, value=1e6)
     batch = {"inspections": [bad, one("b"), one("c", time_h=-2.0)]}

@@ -179,6 +179,37 @@ def test_joint_draws_have_each_blade_s_own_moments(state: Any) -> None:
             assert found == pytest.approx(tie, abs=0.05), (blade, name)
 
 
+def test_weighted_particles_stand_beside_their_draws(state: Any, tmp_path: Path) -> None:
+    get, blades = state.arrays.__getitem__, ("B1", "B3")
+    drawn = joint_draws(state.meta, get, blades, 4000)
+    own = [formula_science().blade_draws(state.meta, get, blade) for blade in blades]
+    units = dict.fromkeys((*drawn.shared_names, *drawn.local_names), "1")
+    found = opened(inference_data(drawn, units, {}, {"rotor": "r1"}, particles=own), tmp_path)
+    weighted = found.particles
+    assert weighted["log_weight"].dims == ("blade", "particle")
+    for blade in blades:
+        posterior = blade_posterior(state.meta, get, blade)
+        one = weighted.sel(blade=blade)
+        w = np.exp(one["log_weight"].values)
+        assert w.sum() == pytest.approx(1, rel=1e-12)
+        assert len(np.unique(w)) > 100, "they are weighted"
+        for name in posterior.names:
+            values, draws = one[name].values, found.posterior[name].values[0]
+            assert values.tolist() == posterior.column(name).tolist()
+            draws = draws[:, blades.index(blade)] if draws.ndim == 2 else draws
+            mean, sd = w @ values, np.sqrt(w @ (values - w @ values) ** 2)
+            assert draws.mean() == pytest.approx(mean, abs=0.05 * sd), name
+        level = {name: one[name].attrs["level"] for name in posterior.names}
+        assert level == {n: "local" for n in drawn.local_names} | {
+            n: "shared" for n in drawn.shared_names
+        }
+        # particles of one node have its shared values
+        node = one["node"].values
+        assert len(np.unique(node)) == len(get("shared/log_w"))
+        rate = one["t1t_rate"].values
+        assert all(np.ptp(rate[node == k]) == 0 for k in np.unique(node)[:20])
+
+
 def test_blades_are_tied_by_the_shared_parameters_alone(state: Any) -> None:
     """At one node they are independent: neither order within it nor order of nodes ties them."""
     get = state.arrays.__getitem__

@@ -120,6 +120,9 @@ def test_groups_are_left_out_on_request_and_odd_ones_refused(
 ) -> None:
     some = opened(told.get(f"{ROTOR}/draws?format=netcdf&groups=prior").content, tmp_path)
     assert set(some.groups()) == {"posterior", "prior"}
+    some = opened(told.get(f"{ROTOR}/draws?format=netcdf&groups=particles").content, tmp_path)
+    assert set(some.groups()) == {"posterior", "particles"}
+    assert some.particles["offset"].shape == (3, 64)
     for query, problem in (
         ("format=netcdf&groups=prior,likelihood", "is no group of the file"),
         ("groups=prior", "is not for format=json"),
@@ -134,6 +137,12 @@ def test_groups_are_left_out_on_request_and_odd_ones_refused(
     )  # fmt: skip
     assert told.get(f"{path}&count=133").status_code == 200
     assert told.get(f"{path}&count=150&groups=prior").status_code == 200
+    assert told.get(f"{path}&count=133&groups=particles").status_code == 200
+    monkeypatch.setitem(exports.MOST_VALUES, "netcdf", 7 * 100)
+    many = told.get(f"{ROTOR}/draws?format=netcdf&count=100&groups=particles").json()["faults"][0]
+    assert (many["value"], many["problem"], many["remedy"]) == (
+        "particles", "768 values of 3 blades are more than 700", "ask for the draws of one blade",
+    )  # fmt: skip
 
 
 def test_a_blade_by_formula_is_read_again_as_the_prediction_says() -> None:

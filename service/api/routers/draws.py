@@ -20,7 +20,10 @@ ROTOR, BLADE = "/rotors/{r}", "/rotors/{r}/blades/{b}"
 Count = Annotated[int, Query(ge=1, le=use.MOST_DRAWS)]
 Groups = Annotated[
     str | None,
-    Query(description="of a netCDF file, with commas between: prior, posterior_predictive (both)"),
+    Query(
+        description="of a netCDF file, with commas between: prior, posterior_predictive (both), "
+        "particles (weighted, where asked for)"
+    ),
 ]
 
 
@@ -31,7 +34,7 @@ def _groups(groups: str | None, form: str) -> tuple[str, ...]:
     if form != "netcdf":
         raise invalid([fault("groups", groups, f"is not for format={form}", "take format=netcdf")])
     named = tuple(name.strip() for name in groups.split(",") if name.strip())
-    known = ("posterior", *exports.GROUPS)
+    known = ("posterior", *exports.GROUPS, *exports.ASKED)
     faults = [
         fault("groups", name, "is no group of the file", f"use {', '.join(known)}")
         for name in named
