@@ -192,7 +192,8 @@ def draws_netcdf(
 ) -> Steps[bytes]:
     """Joint draws as netCDF in ArviZ's schema: dimensions chain, draw and blade, with units.
 
-    groups   beside the posterior: of `prior` and `posterior_predictive`; None: both
+    groups   beside the posterior: of `prior` and `posterior_predictive` (None: both), and
+             `particles`, the weighted ones
     """
     some = None if groups is None else ",".join(("posterior", *groups))
     params = told(count=count, version=version, at=at, groups=some, format="netcdf")

@@ -200,9 +200,9 @@ def test_weighted_particles_stand_beside_their_draws(state: Any, tmp_path: Path)
             mean, sd = w @ values, np.sqrt(w @ (values - w @ values) ** 2)
             assert draws.mean() == pytest.approx(mean, abs=0.05 * sd), name
         level = {name: one[name].attrs["level"] for name in posterior.names}
-        assert level == {n: "local" for n in drawn.local_names} | {
-            n: "shared" for n in drawn.shared_names
-        }
+        assert level == dict.fromkeys(drawn.local_names, "local") | dict.fromkeys(
+            drawn.shared_names, "shared"
+        )
         # particles of one node have its shared values
         node = one["node"].values
         assert len(np.unique(node)) == len(get("shared/log_w"))
