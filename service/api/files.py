@@ -14,6 +14,7 @@ from service.handlers.reads import Basis, health
 NETCDF, PARQUET = "application/x-netcdf", "application/vnd.apache.parquet"
 CSV, VTU = "text/csv; charset=utf-8", "application/xml"
 SENSORTHINGS, ZIP, NPZ = MEDIA, "application/zip", "application/x-npz"
+ARROW = "application/vnd.apache.arrow.stream"
 BLADE = "/v1/rotors/{r}/blades/{b}"
 FILES: dict[str, tuple[str, ...]] = {
     "GET /v1/rotors/{r}/inspections": (CSV, PARQUET, SENSORTHINGS),
@@ -21,7 +22,7 @@ FILES: dict[str, tuple[str, ...]] = {
     f"GET {BLADE}/posterior": (NETCDF,),
     "GET /v1/rotors/{r}/draws": (NETCDF,),
     f"GET {BLADE}/draws": (NETCDF,),
-    f"GET {BLADE}/field": (VTU, ZIP, NPZ),
+    f"GET {BLADE}/field": (VTU, ZIP, NPZ, ARROW),
     "GET /v1/rotors/{r}/field": (ZIP,),
     f"GET {BLADE}/prediction": (CSV, SENSORTHINGS),
 }

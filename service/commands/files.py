@@ -33,6 +33,7 @@ class Form(StrEnum):
     VTU = "vtu"
     PVD = "pvd"
     NPZ = "npz"
+    ARROW = "arrow"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +67,9 @@ TAKES = {
     Form.VTU: FIELD,
     Form.PVD: FIELD,
     Form.NPZ: FIELD,
+    Form.ARROW: FIELD,
 }
-OF_A_BLADE = (Form.VTU, Form.NPZ)
+OF_A_BLADE = (Form.VTU, Form.NPZ, Form.ARROW)
 
 
 def check(wanted: Wanted) -> None:
@@ -177,6 +179,9 @@ def _field(store: SqlStore, science: Science, rotor: str, wanted: Wanted) -> Ite
         asked = series.asked(found, wanted.quantity, times)
     if wanted.form is Form.NPZ:
         yield from series.npz(store, science, found, asked)
+        return
+    if wanted.form is Form.ARROW:
+        yield from series.arrow(store, science, found, asked)
         return
     mesh = series.mesh_of(science, found)
     yield from series.pvd(store, science, found, asked, mesh, ring=found.blade is None)

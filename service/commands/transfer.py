@@ -25,7 +25,7 @@ def export(
         typer.Option(
             "--format",
             help="bundle: for `bladetwin import`; csv, parquet, sensorthings: readings; netcdf: "
-            "draws for ArviZ; vtu, pvd, npz: a field.",
+            "draws for ArviZ; vtu, pvd, npz, arrow: a field.",
         ),
     ] = Form.BUNDLE,
     blade: Annotated[str | None, typer.Option(help="Of this blade alone.")] = None,

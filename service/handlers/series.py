@@ -8,10 +8,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.errors import InputError, RangeError
 from service.errors import FaultsError, NotFoundError
 from service.export import series as files
+from service.export.arrow import ArrowStream
 from service.export.vtu import vtu
 from service.handlers.exports import facts_of
 from service.handlers.glance import field, field_question
@@ -19,6 +21,7 @@ from service.handlers.reads import Basis
 from service.handlers.rotors import blades_at
 from service.ports import BladeRecord, Json, Mesh, Science, Store
 
+Array = NDArray[np.float64]
 MOST_FILES = 400
 MOST_VALUES = 8_000_000
 
@@ -135,6 +138,21 @@ def _vtu(mesh: Mesh, told: Json, found: Basis, angle: float | None) -> bytes:
         mean = files.turned(mean, angle) if mean.ndim == 2 else mean
     data = {f"{name} mean [{unit}]": mean, f"{name} sd [{unit}]": sd}
     return vtu(mesh, data, float(told["time_h"]), facts)
+
+
+def arrow(store: Store, science: Science, found: Basis, wanted: Series) -> Iterator[bytes]:
+    """An Arrow stream with a batch for each hour. Raises NotInstalledError, before it begins."""
+    (blade,) = wanted.blades
+    output = found.card.outputs[wanted.quantity]
+    facts = {"blade": blade.id, "quantity": wanted.quantity} | facts_of(found)
+    stream = ArrowStream(vector=output.kind == "vector", unit=output.unit, facts=facts)
+
+    def told() -> Iterator[tuple[float, Array, Array]]:
+        for hour in wanted.hours:
+            one = field(store, science, found, wanted.quantity, hour)
+            yield hour, np.array(one["mean"]), np.array(one["sd"])
+
+    return stream.batches(told())
 
 
 def npz(store: Store, science: Science, found: Basis, wanted: Series) -> Iterator[bytes]:

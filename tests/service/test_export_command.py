@@ -34,6 +34,8 @@ FILES = [
     ("pvd", "--quantity ceeq --times 1,2", "/field?quantity=ceeq&times=1,2&format=pvd"),
     ("npz", "--blade B1 --quantity ceeq --times 1,2",
      "/blades/B1/field?quantity=ceeq&times=1,2&format=npz"),
+    ("arrow", "--blade B1 --quantity ceeq --times 1,2",
+     "/blades/B1/field?quantity=ceeq&times=1,2&format=arrow"),
 ]  # fmt: skip
 
 

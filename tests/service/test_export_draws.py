@@ -126,6 +126,7 @@ def test_files_are_asked_for_again_by_their_tag(
     for path in ("draws?format=netcdf", "blades/B1/draws?format=netcdf", "inspections?format=csv",
                  "inspections?format=parquet", "blades/B1/prediction?format=csv",
                  "inspections?format=sensorthings", "blades/B1/field?times=5&format=npz",
+                 "blades/B1/field?times=5&format=arrow",
                  "blades/B1/field?format=vtu"):  # fmt: skip
         tag = api.get(f"{ROTOR}/{path}").headers["etag"]
         plain = api.get(f"{ROTOR}/{path.partition('?')[0]}").headers["etag"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from typing import Any
 import httpx
 import meshio
 import numpy as np
+import pyarrow
 import pytest
 
 from core.observation import Inspection
@@ -106,6 +108,36 @@ def test_the_blades_of_a_rotor_stand_around_its_axis(
         assert mesh.point_data["deformation sd [mm]"].tolist() == said["sd"], "the blade's own axes"
     only = api.get("/v1/rotors/r4/field?quantity=ceeq&times=0.5&blades=C,A_1&format=pvd")
     assert sorted(collected(only.content, tmp_path / "two")) == [("A_1", 0.5), ("C", 0.5)]
+
+
+@pytest.mark.parametrize("quantity", ["deformation", "ceeq"])
+def test_arrow_reads_a_batch_for_each_hour(api: httpx.Client, told: str, quantity: str) -> None:
+    answer = api.get(f"{BLADE}/field?quantity={quantity}&{TIMES}&format=arrow")
+    assert answer.headers["content-type"] == "application/vnd.apache.arrow.stream"
+    with pyarrow.ipc.open_stream(answer.content) as stream:
+        facts = json.loads(stream.schema.metadata[b"facts"])
+        batches = list(stream)
+        unit = stream.schema.field(2).metadata[b"unit"].decode()
+    assert (facts["rotor"], facts["blade"], facts["quantity"]) == ("r1", "B1", quantity)
+    assert [one["time_h"][0].as_py() for one in batches] == list(HOURS)
+    for one, hour in zip(batches, HOURS, strict=True):
+        said = api.get(f"{BLADE}/field?quantity={quantity}&time_h={hour!r}").json()
+        assert unit == said["unit"]
+        frame = one.to_pandas()
+        assert frame["node"].tolist() == list(range(len(said["mean"])))
+        for what in ("mean", "sd"):
+            ends = ["_x", "_y", "_z"] if quantity == "deformation" else [""]
+            found = frame[[what + end for end in ends]].to_numpy()
+            assert found.tolist() == np.reshape(said[what], found.shape).tolist()
+
+
+def test_without_pyarrow_a_stream_is_refused_with_what_else_there_is(
+    api: httpx.Client, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    answer = api.get(f"{BLADE}/field?{TIMES}&format=arrow")
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert "use format=npz" in answer.json()["detail"]
 
 
 def test_numpy_reads_a_series_and_what_it_rests_on(api: httpx.Client, told: str) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
-from service.api.files import NPZ, VTU, ZIP, file
+from service.api.files import ARROW, NPZ, VTU, ZIP, file
 from service.api.problems import fault, invalid
 from service.api.routers.glance import Hour, Quantity
 from service.api.routers.reads import read_times
@@ -35,14 +35,15 @@ def get_field(
     time_h: Hour = None,
     times: Times = None,
     format: Annotated[
-        Literal["json", "vtu", "pvd", "npz"],
+        Literal["json", "vtu", "pvd", "npz", "arrow"],
         Query(
             description="vtu: on the mesh, for ParaView and the like; pvd: many hours as a zip of "
-            "a PVD and its VTU files; npz: many hours as numpy arrays"
+            "a PVD and its VTU files; npz: many hours as numpy arrays; arrow: as an Arrow stream, "
+            "a batch for each hour"
         ),
     ] = "json",
 ) -> Response:
-    of_many = format in ("pvd", "npz")
+    of_many = format in ("pvd", "npz", "arrow")
     if (times if not of_many else time_h) is not None:
         name, other = ("time_h", "times") if of_many else ("times", "time_h")
         value = time_h if of_many else times
@@ -58,6 +59,9 @@ def get_field(
         if format == "npz":
             arrays = series.npz(services.store, services.science, found, wanted)
             return file(arrays, NPZ, saved, "npz", tag, found)
+        if format == "arrow":
+            batches = series.arrow(services.store, services.science, found, wanted)
+            return file(batches, ARROW, saved, "arrows", tag, found)
         mesh = series.mesh_of(services.science, found)
         parts = series.pvd(services.store, services.science, found, wanted, mesh, ring=False)
         return file(parts, ZIP, saved, "pvd.zip", tag, found)
