@@ -143,6 +143,9 @@ class Settings(BaseModel):
         "http://127.0.0.1:4318; empty = OTEL_EXPORTER_OTLP_ENDPOINT, or no traces",
     )
     cache_mb: float = Field(256.0, ge=0, description="decoded arrays kept for reads, MiB")
+    answers_mb: float = Field(
+        64.0, ge=0, description="answers kept as bytes in each API process, MiB; 0 = none"
+    )
     rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="least level that is logged"

@@ -5,10 +5,11 @@ Measured       counts and times of requests
 Manners        request id, browsers' headers, a line in the log
 Traced         a span of the client's trace, where traces are on
 CORS           where BLADETWIN_CORS_ORIGINS names pages that may call
-Compression    gzip for large answers
 LastResort     an error that nobody foresaw is a problem, too
 Trail          a row of the audit trail for what was refused
 Gate           key, rate, scope, rotor
+Answers        bytes of answers that still hold
+Compression    gzip for large answers
 BodyLimit      bodies above the limit
 Repeats        Idempotency-Key
 EntityTags     ETag and 304
@@ -21,6 +22,7 @@ from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from service.api.gate import Gate
+from service.api.kept import Answers
 from service.api.limits import BodyLimit
 from service.api.manners import Manners
 from service.api.metrics import Measured, Requests
@@ -47,10 +49,11 @@ def add_layers(app: FastAPI, services: Services, requests: Requests) -> None:
     app.add_middleware(EntityTags)
     app.add_middleware(Repeats, store=store, keep_s=3600 * settings.idempotency_h)
     app.add_middleware(BodyLimit, limit=int(settings.max_body_mb * 2**20))
+    app.add_middleware(Compression)
+    app.add_middleware(Answers, store=store, limit_mb=settings.answers_mb)
     app.add_middleware(Gate, store=store, settings=settings)
     app.add_middleware(Trail, store=store)
     app.add_middleware(LastResort)
-    app.add_middleware(Compression)
     if settings.origins:
         app.add_middleware(
             CORSMiddleware,

@@ -92,6 +92,12 @@ def basis(
     return Basis(state, science.vary(card, network), found)
 
 
+def newest(store: Store, rotor_id: str) -> tuple[int, str] | None:
+    """Number and digest of a rotor's newest version; None: it has none, or there is no rotor."""
+    with store.read() as tx:
+        return tx.states.newest(rotor_id)
+
+
 def posterior(store: Store, science: Science, found: Basis) -> Json:
     """Mean, sd, quantiles, R, correlations and ESS of the shared or of one blade's parameters."""
     meta = found.state.meta

@@ -22,6 +22,7 @@ from sqlalchemy import (
     Engine,
     Row,
     Select,
+    bindparam,
     delete,
     exists,
     func,
@@ -41,6 +42,11 @@ from service.store.cache import ArrayCache, Checked, Key
 from service.store.encoding import DamagedArrayError, Encoded, decode
 from service.store.engine import now_s, transaction
 
+NEWEST = (
+    select(t.state.c.version, t.state.c.digest)
+    .join(t.cursor, t.cursor.c.rotor_id == t.state.c.rotor_id)
+    .where(t.state.c.rotor_id == bindparam("rotor"), t.state.c.version == t.cursor.c.version)
+)
 ENDED = Encoded("npy", "", "", "", b"")
 
 
@@ -77,6 +83,11 @@ class SqlStates:
             near = self._nearest(rotor_id, t.state.c.version, version)
             raise GoneError(f"version {version} of rotor {rotor_id}", "version", version, near)
         raise NotFoundError("version", str(version), f"the newest one is {last}")
+
+    def newest(self, rotor_id: str) -> tuple[int, str] | None:
+        """Number and digest of the newest version; None: none yet, or its row is missing."""
+        row = self._connection.execute(NEWEST, {"rotor": rotor_id}).one_or_none()
+        return None if row is None else (row.version, row.digest)
 
     def page(self, rotor_id: str, before: int | None, limit: int) -> list[StateRecord]:
         """Versions that are kept, the newest first, below a number."""

@@ -11,6 +11,7 @@ from fastapi.responses import Response
 from pydantic import FiniteFloat
 
 from service.api.files import CSV, SENSORTHINGS, file
+from service.api.kept import rests_on
 from service.api.problems import RequestError, fault
 from service.api.routers.draws import get_draws, get_rotor_draws
 from service.api.services import Name, Wired, moment, tag_of_basis, tagged, unchanged
@@ -49,6 +50,7 @@ def get_blade_posterior(
 
 def _posterior(request: Request, services: Wired, r: str, b: str | None, which: Which) -> Response:
     found = use.basis(services.store, services.science, r, which, b)
+    rests_on(request.scope, found, which)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:
         return same
@@ -85,6 +87,7 @@ def get_prediction(
 ) -> Response:
     found = use.basis(services.store, services.science, r, which, b)
     asked = use.question(found.card, quantity, read_times(times), node, probability, instrument)
+    rests_on(request.scope, found, which)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:
         return same
@@ -121,6 +124,7 @@ def get_life(
 ) -> Response:
     found = use.basis(services.store, services.science, r, which, b)
     asked, part = along_question(found.card, quantity, read_times(times), node, component)
+    rests_on(request.scope, found, which)
     tag = tag_of_basis(request, found)
     if (same := unchanged(request, tag)) is not None:
         return same

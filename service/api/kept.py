@@ -1,0 +1,157 @@
+"""Answers that are kept as bytes, as long as their rotor's posterior is the one they rest on.
+
+A prediction, a posterior or a life of the newest version is a function of the question and of that
+version (`service.handlers.reads.Basis`). A route says so of its answer (`rests_on`), and this layer
+keeps the bytes under the question. The same question is answered with them after one look at which
+version is the newest, in the database, so that a new version is seen from the moment on at which it
+is committed, by whatever process. What differs between callers (key, rate, request id) lies
+outside of this layer; what the answer is encoded in is part of the question.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import MutableMapping
+from dataclasses import dataclass
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.tags import COMPRESSED, REVALIDATE, same_tag
+from service.errors import StoreAwayError
+from service.handlers.reads import Basis, newest
+from service.ports import Store, Which
+
+PLACE = "bladetwin.rests_on"
+Question = tuple[str, bytes, bool]
+Version = tuple[int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """An answer and the version of its rotor that it is of.
+
+    tag    its plain ETag
+    body   None: only that who has the tag has the answer is known
+    scope  what the layers outside want to know of the route
+    """
+
+    rotor: str
+    version: Version
+    tag: str
+    headers: list[tuple[bytes, bytes]]
+    body: bytes | None
+    scope: dict[str, Any]
+
+
+class Shelf:
+    """Answers by question, least recently used ones dropped above `limit_mb`; for many threads."""
+
+    ENTRY_BYTES = 2048
+
+    def __init__(self, limit_mb: float) -> None:
+        self._limit, self._size = int(limit_mb * 2**20), 0
+        self._kept: OrderedDict[Question, Kept] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, question: Question) -> Kept | None:
+        with self._lock:
+            if question in self._kept:
+                self._kept.move_to_end(question)
+            return self._kept.get(question)
+
+    def put(self, question: Question, kept: Kept) -> None:
+        with self._lock:
+            if (old := self._kept.pop(question, None)) is not None:
+                self._size -= self._bytes(old)
+            self._kept[question] = kept
+            self._size += self._bytes(kept)
+            while self._size > self._limit:
+                _, dropped = self._kept.popitem(last=False)
+                self._size -= self._bytes(dropped)
+
+    def _bytes(self, kept: Kept) -> int:
+        return self.ENTRY_BYTES + len(kept.body or b"")
+
+
+def rests_on(scope: MutableMapping[str, Any], found: Basis, which: Which) -> None:
+    """Say of the answer under way that it follows from the question and this version alone."""
+    if which.newest:
+        state = found.state
+        scope[PLACE] = (state.rotor_id, (state.version, state.digest))
+
+
+class Answers:
+    """ASGI middleware: keeps answers that say what they rest on, and gives them again."""
+
+    def __init__(self, app: ASGIApp, store: Store, limit_mb: float) -> None:
+        self.app = app
+        self.store = store
+        self.shelf = Shelf(limit_mb)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http" or scope["method"] != "GET":
+            await self.app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        squeezed = "gzip" in headers.get("accept-encoding", "")
+        question = (scope["path"], scope.get("query_string", b""), squeezed)
+        known = headers.get("if-none-match", "")
+        kept = self.shelf.get(question)
+        if kept is not None and await self._holds(kept):
+            has = same_tag(known, kept.tag)
+            if has is not None or kept.body is not None:
+                await _again(scope, send, kept, has)
+                return
+        await self._ask(question, scope, receive, send)
+
+    async def _holds(self, kept: Kept) -> bool:
+        try:
+            return await run_in_threadpool(newest, self.store, kept.rotor) == kept.version
+        except StoreAwayError:
+            return False  # the route tells it
+
+    async def _ask(self, question: Question, scope: Scope, receive: Receive, send: Send) -> None:
+        start: Message | None = None
+
+        async def keeping(message: Message) -> None:
+            nonlocal start
+            if message["type"] == "http.response.start":
+                fits = PLACE in scope and message["status"] in (200, 304)
+                # a copy: the layers outside write their own headers into the message
+                start = message | {"headers": list(message["headers"])} if fits else None
+            elif start is not None:
+                whole = not message.get("more_body", False)
+                if whole:
+                    self._keep(question, scope, start, message.get("body", b""))
+                start = None
+            await send(message)
+
+        await self.app(scope, receive, keeping)
+
+    def _keep(self, question: Question, scope: Scope, start: Message, body: bytes) -> None:
+        headers = Headers(raw=start["headers"])
+        tag = headers.get("etag", "").replace(COMPRESSED + '"', '"')
+        rotor, version = scope[PLACE]
+        told = {name: scope[name] for name in ("route", "path_params") if name in scope}
+        if start["status"] == 200:
+            kept = Kept(rotor, version, tag, list(start["headers"]), body, told)
+            self.shelf.put(question, kept)
+        elif (old := self.shelf.get(question)) is None or old.version != version:
+            self.shelf.put(question, Kept(rotor, version, tag, [], None, told))
+
+
+async def _again(scope: Scope, send: Send, kept: Kept, has: str | None) -> None:
+    """The kept answer; `has`: the tag under which the caller has it."""
+    scope |= kept.scope
+    if has is None:
+        start: Message = {"type": "http.response.start", "status": 200}
+        await send(start | {"headers": list(kept.headers)})
+        await send({"type": "http.response.body", "body": kept.body, "more_body": False})
+        return
+    headers = MutableHeaders(headers={"ETag": has, "Cache-Control": REVALIDATE})
+    await send({"type": "http.response.start", "status": 304, "headers": headers.raw})
+    await send({"type": "http.response.body", "body": b"", "more_body": False})
