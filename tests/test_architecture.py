@@ -53,8 +53,10 @@ RULES: tuple[tuple[str, frozenset[str]], ...] = (
     ),
     ("service/handlers", frozenset({"fastapi", "starlette", "httpx", "uvicorn"})),
     ("service/api", frozenset({"sqlalchemy", "psycopg", "sqlite3"})),
-    ("service/client", frozenset({"sqlalchemy", "fastapi", "service.store"})),
+    ("service/client", frozenset({"sqlalchemy", "fastapi", "service.store", "service.bootstrap"})),
 )
+FOR_TESTS = "service.testing"
+"""The service in memory wires all of it; nothing of the service knows it."""
 
 
 def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -90,6 +92,8 @@ def breaches(path: str, source: str) -> list[str]:
         target = floor_of(name) if top == "core" else None
         if own is not None and target is not None and target > own:
             found.append(f"{where}: floor {target} lies above floor {own}")
+        if within(name, FOR_TESTS) and not within(module, FOR_TESTS):
+            found.append(f"{where}: {FOR_TESTS} is for users' tests")
         for room, banned in RULES:
             if path.startswith(room) and any(within(name, b) for b in banned):
                 found.append(f"{where}: not for {room}")
@@ -128,6 +132,8 @@ def test_imports_run_one_way() -> None:
         ("core/response.py", "import sqlalchemy"),
         ("core/observation.py", "from core import prediction"),
         ("service/api/models.py", "from sqlalchemy import select"),
+        ("service/client/frames.py", "from service.bootstrap import make_app"),
+        ("service/demo/run.py", "from service.testing import in_memory"),
     ],
 )
 def test_a_breach_is_seen(path: str, source: str) -> None:

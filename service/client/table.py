@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from service.client import beliefs as _beliefs
 from service.client import diagnoses as _diagnoses
+from service.client import frames as _frames
 from service.client import models as _models
 from service.client import readings as _readings
 from service.client import rotors as _rotors
@@ -56,6 +57,12 @@ class Calls:
     field_npz = call(_beliefs.field_npz)
     field_series = call(_beliefs.field_series)
     plan = call(_beliefs.plan)
+    readings_frame = call(_frames.readings_frame)
+    prediction_frame = call(_frames.prediction_frame)
+    blades_frame = call(_frames.blades_frame)
+    residuals_frame = call(_frames.residuals_frame)
+    draws_frame = call(_frames.draws_frame)
+    field_xarray = call(_frames.field_xarray)
     diagnose = call(_diagnoses.diagnose)
     diagnoses = pages(_diagnoses.diagnoses)
     diagnosis = call(_diagnoses.diagnosis)
