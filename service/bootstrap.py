@@ -163,14 +163,14 @@ def serve(settings: Settings) -> None:
         tracing.end()
 
 
-SEALER_NICENESS = 10
+SEALER_NICENESS, EMBEDDED_NICENESS = 10, 4
 
 
-def step_back() -> None:
+def step_back(niceness: int) -> None:
     """Let other processes go first, but not for ever: on a machine that others keep busy a sealer
     gets about a tenth of a processor. (With SCHED_IDLE it got nothing, and was not sealed at all.)
     """
-    os.nice(max(0, SEALER_NICENESS - os.nice(0)))
+    os.nice(max(0, niceness - os.nice(0)))
 
 
 def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool) -> None:
@@ -189,7 +189,9 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
             run_worker(Deliverer(store.engine, settings, owner))
             return
         if role in ("seal", "diagnose"):
-            step_back()
+            step_back(SEALER_NICENESS)
+        elif with_parent:
+            step_back(EMBEDDED_NICENESS)  # beside the API that started it
         make = partial(make_science, settings, store, kept=True)
         science = cast("Science", Later(make)) if role == "diagnose" else make()
         run_worker(make_worker(store, science, settings, owner, role))

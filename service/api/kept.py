@@ -122,7 +122,7 @@ class Answers:
             if message["type"] == "http.response.start":
                 fits = PLACE in scope and message["status"] in (200, 304)
                 # a copy: the layers outside write their own headers into the message
-                start = message | {"headers": list(message["headers"])} if fits else None
+                start = {**message, "headers": list(message["headers"])} if fits else None
             elif start is not None:
                 whole = not message.get("more_body", False)
                 if whole:
@@ -146,10 +146,10 @@ class Answers:
 
 async def _again(scope: Scope, send: Send, kept: Kept, has: str | None) -> None:
     """The kept answer; `has`: the tag under which the caller has it."""
-    scope |= kept.scope
+    scope.update(kept.scope)
     if has is None:
-        start: Message = {"type": "http.response.start", "status": 200}
-        await send(start | {"headers": list(kept.headers)})
+        start = {"type": "http.response.start", "status": 200, "headers": list(kept.headers)}
+        await send(start)
         await send({"type": "http.response.body", "body": kept.body, "more_body": False})
         return
     headers = MutableHeaders(headers={"ETag": has, "Cache-Control": REVALIDATE})

@@ -9,19 +9,26 @@ answers where it has moved on.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from typing import Any
 
 from starlette.requests import Request
 
 from service.api.rotor_answers import view_out
 from service.api.tags import named_tags, tag
 from service.errors import PreconditionError
-from service.handlers.rotors import RotorView, view_in
+from service.handlers.rotors import view_in
 from service.ports import Guard, Transaction
 
 
-def rotor_tag(view: RotorView) -> str:
-    """The ETag of a rotor as it stands, however it was asked for."""
-    return tag(f"/v1/rotors/{view.rotor.id}", json.dumps(view_out(view), sort_keys=True))
+def rotor_tag(rotor_id: str, written: str) -> str:
+    """The ETag of a rotor as it stands, however it was asked for; `written`: `text_of` it."""
+    return tag(f"/v1/rotors/{rotor_id}", written)
+
+
+def text_of(told: Mapping[str, Any]) -> str:
+    """An answer as it is sent."""
+    return json.dumps(told, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
 def guard_of(request: Request, rotor: str | None) -> Guard | None:
@@ -39,7 +46,8 @@ def guard_of(request: Request, rotor: str | None) -> Guard | None:
         tx.log.lock(rotor)
         if "*" in given.split(","):
             return
-        if rotor_tag(view_in(tx, rotor)) not in named_tags(given, weak=False):
+        now = rotor_tag(rotor, text_of(view_out(view_in(tx, rotor))))
+        if now not in named_tags(given, weak=False):
             remedy = f"GET /v1/rotors/{rotor}, look at what changed, and send its ETag"
             raise PreconditionError(f"rotor {rotor}", remedy)
 

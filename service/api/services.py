@@ -109,9 +109,14 @@ def unchanged(request: Request, tag: str) -> Response | None:
     return Response(status_code=304, headers={"ETag": known, "Cache-Control": REVALIDATE})
 
 
-def tagged(body: Mapping[str, Any], tag: str) -> JSONResponse:
-    """An answer with its ETag and, in a header as well, the health of the state it rests on."""
+def tagged(body: Mapping[str, Any], tag: str, written: str | None = None) -> Response:
+    """An answer with its ETag and, in a header as well, the health of the state it rests on.
+
+    written   the answer as JSON, where it was written already
+    """
     headers = {"ETag": tag, "Cache-Control": REVALIDATE}
     if body["health"] is not None:
         headers["Bladetwin-Health"] = body["health"]["status"]
+    if written is not None:
+        return Response(written, media_type="application/json", headers=headers)
     return JSONResponse(body, headers=headers)

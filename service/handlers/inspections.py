@@ -70,7 +70,7 @@ def faults_here(store: Store, rotor_id: str, items: Sequence[Item]) -> list[Inpu
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
-        blades = {blade.id for blade in tx.records.blades(rotor_id)}
+        blades = tx.records.blade_ids(rotor_id)
     return faults_of(items, card.network, card, blades, rotor_id)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import Connection, false, insert, or_, select, text, true, update
+from sqlalchemy import Connection, bindparam, false, insert, or_, select, text, true, update
 
 from service import tracing
 from service.adopted import KINDS
@@ -21,6 +21,37 @@ from service.store.engine import now_s
 COLUMNS = [c for c in t.entry.c if c.name not in ("rotor_id", "traceparent")]
 NAMES = [column.name for column in COLUMNS]
 CHUNK = 500
+# Statements of every post and read, built and understood once.
+_HEAD = select(t.rotor.c.head_seq).where(t.rotor.c.id == bindparam("rotor")).with_for_update()
+_KNOWN = select(t.entry.c.event_id, t.entry.c.digest, t.entry.c.seq).where(
+    t.entry.c.rotor_id == bindparam("rotor"),
+    t.entry.c.event_id.in_(bindparam("ids", expanding=True)),
+)
+_ADVANCE = (
+    update(t.rotor).where(t.rotor.c.id == bindparam("rotor")).values(head_seq=bindparam("head"))
+)
+_FLIP = (
+    update(t.cursor)
+    .where(
+        t.cursor.c.rotor_id == bindparam("rotor"),
+        or_(t.cursor.c.dirty == false(), t.cursor.c.applied_seq == bindparam("head")),
+    )
+    .values(dirty=True, dirty_since=now_s())
+)
+_CHANGES = (
+    select(*COLUMNS)
+    .where(
+        t.entry.c.rotor_id == bindparam("rotor"),
+        t.entry.c.kind.in_(KINDS),
+        t.entry.c.seq > bindparam("after"),
+    )
+    .order_by(t.entry.c.seq)
+    .limit(bindparam("most"))
+)
+_OVERRULING = select(*COLUMNS).where(
+    t.entry.c.rotor_id == bindparam("rotor"),
+    t.entry.c.replaces.in_(bindparam("ids", expanding=True)),
+)
 
 
 def notify(connection: Connection, channel: str, payload: str = "") -> None:
@@ -32,8 +63,7 @@ def notify(connection: Connection, channel: str, payload: str = "") -> None:
 
 def lock_rotor(connection: Connection, rotor_id: str) -> int | None:
     """Lock the rotor's row until the end of the transaction; its head_seq."""
-    query = select(t.rotor.c.head_seq).where(t.rotor.c.id == rotor_id).with_for_update()
-    return connection.execute(query).scalar()
+    return connection.execute(_HEAD, {"rotor": rotor_id}).scalar()
 
 
 class SqlLog:
@@ -83,26 +113,21 @@ class SqlLog:
             self._connection.execute(insert(t.entry).values(**told), rows)
             first = head + 1 if self.appended is None else self.appended[0]
             self.appended = (first, head + len(rows))
-            advance = update(t.rotor).where(t.rotor.c.id == rotor_id)
-            self._connection.execute(advance.values(head_seq=head + len(rows)))
+            self._connection.execute(_ADVANCE, {"rotor": rotor_id, "head": head + len(rows)})
             self._mark_dirty(rotor_id, head)
         return answers
 
     def _known(self, rotor_id: str, ids: list[str]) -> dict[str, tuple[str | None, int]]:
         found: dict[str, tuple[str | None, int]] = {}
         for start in range(0, len(ids), CHUNK):
-            query = select(t.entry.c.event_id, t.entry.c.digest, t.entry.c.seq).where(
-                t.entry.c.rotor_id == rotor_id, t.entry.c.event_id.in_(ids[start : start + CHUNK])
-            )
-            found |= {row[0]: (row[1], row[2]) for row in self._connection.execute(query)}
+            asked = {"rotor": rotor_id, "ids": ids[start : start + CHUNK]}
+            rows = self._connection.execute(_KNOWN, asked)
+            found |= {row[0]: (row[1], row[2]) for row in rows}
         return found
 
     def _mark_dirty(self, rotor_id: str, head: int) -> None:
         """Note that there is work; workers are woken when there was none pending before."""
-        c = t.cursor.c
-        none_pending = or_(c.dirty == false(), c.applied_seq == head)
-        flip = update(t.cursor).where(c.rotor_id == rotor_id, none_pending)
-        result = self._connection.execute(flip.values(dirty=True, dirty_since=now_s()))
+        result = self._connection.execute(_FLIP, {"rotor": rotor_id, "head": head})
         if result.rowcount == 1:
             notify(self._connection, "bladetwin_work")
 
@@ -143,23 +168,17 @@ class SqlLog:
         return [Event(**row._mapping) for row in self._connection.execute(query)]
 
     def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
-        query = (
-            select(*COLUMNS)
-            .where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind.in_(KINDS), t.entry.c.seq > after)
-            .order_by(t.entry.c.seq)
-            .limit(limit)
-        )
-        return [Event(**row._mapping) for row in self._connection.execute(query)]
+        asked = {"rotor": rotor_id, "after": after, "most": limit}
+        return [Event(**row._mapping) for row in self._connection.execute(_CHANGES, asked)]
 
     def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]:
         """Retractions and corrections of these inspections, and retractions of those."""
         found: dict[str, Event] = {}
         wanted = list(ids)
         while wanted:
-            query = select(*COLUMNS).where(
-                t.entry.c.rotor_id == rotor_id, t.entry.c.replaces.in_(wanted[:CHUNK])
-            )
-            fresh = [Event(**row._mapping) for row in self._connection.execute(query)]
+            asked = {"rotor": rotor_id, "ids": wanted[:CHUNK]}
+            rows = self._connection.execute(_OVERRULING, asked)
+            fresh = [Event(**row._mapping) for row in rows]
             fresh = [event for event in fresh if event.event_id not in found]
             found |= {event.event_id: event for event in fresh}
             wanted = wanted[CHUNK:] + [e.event_id for e in fresh if e.kind == "inspection"]

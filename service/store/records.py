@@ -8,7 +8,7 @@ from dataclasses import asdict
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, RowMapping, insert, select, update
+from sqlalchemy import Connection, Row, RowMapping, bindparam, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from service import tracing
@@ -25,6 +25,18 @@ ROTOR = (
 )
 UNFINISHED = ("queued", "running")
 BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
+# Nearly every request asks these: a statement is built and understood once.
+_ROTOR = select(*ROTOR).join(t.cursor).where(t.rotor.c.id == bindparam("rotor"))
+_MODEL = (
+    select(t.model.c.card)
+    .where(t.model.c.id == bindparam("model"))
+    .order_by(t.model.c.created_at.desc())
+)
+_VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
+_OF_ROTOR = t.blade.c.rotor_id == bindparam("rotor")
+_BLADES = select(*BLADE).where(_OF_ROTOR).order_by(t.blade.c.id)
+_BLADE_IDS = select(t.blade.c.id).where(_OF_ROTOR)
+_ONE_BLADE = select(*BLADE).where(_OF_ROTOR, t.blade.c.id == bindparam("blade"))
 
 
 def insert_new(connection: Connection, table: Any, values: Json) -> bool:
@@ -61,10 +73,11 @@ class SqlRecords:
         return [(_card(row.card), json.loads(row.source)) for row in rows]
 
     def model(self, model_id: str, version: str | None = None) -> ModelCard:
-        query = select(t.model.c.card).where(t.model.c.id == model_id)
-        if version is not None:
-            query = query.where(t.model.c.version == version)
-        text = self._connection.execute(query.order_by(t.model.c.created_at.desc())).scalar()
+        if version is None:
+            text = self._connection.execute(_MODEL, {"model": model_id}).scalar()
+        else:
+            asked = {"model": model_id, "version": version}
+            text = self._connection.execute(_VERSION, asked).scalar()
         if text is None:
             raise NotFoundError("model", model_id, "GET /v1/models lists those that exist")
         return _card(text)
@@ -164,8 +177,7 @@ class SqlRecords:
         return True
 
     def rotor(self, rotor_id: str) -> RotorRecord:
-        query = select(*ROTOR).join(t.cursor).where(t.rotor.c.id == rotor_id)
-        row = self._connection.execute(query).one_or_none()
+        row = self._connection.execute(_ROTOR, {"rotor": rotor_id}).one_or_none()
         if row is None:
             raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
         return _rotor(row)
@@ -180,12 +192,14 @@ class SqlRecords:
         return [_rotor(row) for row in self._connection.execute(query.limit(limit))]
 
     def blades(self, rotor_id: str) -> list[BladeRecord]:
-        query = select(*BLADE).where(t.blade.c.rotor_id == rotor_id).order_by(t.blade.c.id)
-        return [_blade(row) for row in self._connection.execute(query)]
+        return [_blade(row) for row in self._connection.execute(_BLADES, {"rotor": rotor_id})]
+
+    def blade_ids(self, rotor_id: str) -> set[str]:
+        return set(self._connection.execute(_BLADE_IDS, {"rotor": rotor_id}).scalars())
 
     def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None:
-        key = (t.blade.c.rotor_id == rotor_id) & (t.blade.c.id == blade_id)
-        row = self._connection.execute(select(*BLADE).where(key)).one_or_none()
+        asked = {"rotor": rotor_id, "blade": blade_id}
+        row = self._connection.execute(_ONE_BLADE, asked).one_or_none()
         return None if row is None else _blade(row)
 
     def put_blade(self, rotor_id: str, blade: BladeRecord) -> None:

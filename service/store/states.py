@@ -27,6 +27,7 @@ from sqlalchemy import (
     exists,
     func,
     insert,
+    or_,
     select,
     true,
     tuple_,
@@ -60,10 +61,11 @@ class SqlStates:
 
     def get(self, rotor_id: str, version: int | None = None) -> StateRecord:
         """The newest version, or the one asked for; DamagedError: it is not what was written."""
-        query = stored(rotor_id)
-        if version is not None:
-            query = query.where(t.state.c.version == version)
-        row = self._connection.execute(query.order_by(t.state.c.version.desc()).limit(1)).first()
+        asked = {"rotor": rotor_id}
+        if version is None:
+            row = self._connection.execute(_LAST, asked).first()
+        else:
+            row = self._connection.execute(_ONE, asked | {"version": version}).first()
         if row is not None and version is None and row.version < row.newest:
             row = None
         if row is not None and (found := self._record(row)) is not None:
@@ -177,42 +179,71 @@ class SqlStates:
         """One array of one version, from the cache or the database."""
         array = self._cache.get(key)
         if array is None:
-            rotor_id, version, name = key
-            row = self._row(key)
-            names = self._checked.get(rotor_id, version)
-            if names is not None and names.get(name) != row.sha256:
-                problem = f"its sha256 {row.sha256[:12]}… is not the one that the version has"
-                raise DamagedError(rotor_id, version, f"array {name}", problem)
-            try:
-                array = decode(name, row)
-            except DamagedArrayError as error:
-                raise DamagedError(rotor_id, version, f"array {name}", str(error)) from None
-            self._cache.put(key, array)
+            array = self._decoded(key, self._row(key))
+        return array
+
+    def prefetch(self, rotor_id: str, version: int) -> None:
+        """Take what every update looks at, the shared nodes and the blades' columns, at once."""
+        asked = {"rotor": rotor_id, "version": version}
+        for name, *row in self._connection.execute(_SMALL, asked):
+            key = (rotor_id, version, name)
+            if row[1] and self._cache.get(key) is None:
+                self._decoded(key, Encoded(*row))
+
+    def _decoded(self, key: Key, row: Encoded) -> Array:
+        rotor_id, version, name = key
+        names = self._checked.get(rotor_id, version)
+        if names is not None and names.get(name) != row.sha256:
+            problem = f"its sha256 {row.sha256[:12]}… is not the one that the version has"
+            raise DamagedError(rotor_id, version, f"array {name}", problem)
+        try:
+            array = decode(name, row)
+        except DamagedArrayError as error:
+            raise DamagedError(rotor_id, version, f"array {name}", str(error)) from None
+        self._cache.put(key, array)
         return array
 
     def _row(self, key: Key) -> Encoded:
         rotor_id, version, name = key
-        a = t.state_array.c
-        query = (
-            select(a.encoding, a.dtype, a.shape, a.sha256, a.data)
-            .where(a.rotor_id == rotor_id, a.name == name, a.version <= version)
-            .order_by(a.version.desc())
-            .limit(1)
-        )
-        row = self._connection.execute(query).one_or_none()
+        asked = {"rotor": rotor_id, "version": version, "name": name}
+        row = self._connection.execute(_ARRAY, asked).one_or_none()
         if row is None or not row.dtype:
             raise ModelError(f"rotor {rotor_id}, version {version}: no array {name!r} is stored")
         return Encoded(**row._mapping)
 
 
+_STORED = select(t.state, t.cursor.c.version.label("newest"), t.cursor.c.applied_seq).join(
+    t.cursor, t.cursor.c.rotor_id == t.state.c.rotor_id
+)
+# What nearly every request asks: built and understood once.
+_OWN = _STORED.where(t.state.c.rotor_id == bindparam("rotor"))
+_LAST = _OWN.order_by(t.state.c.version.desc()).limit(1)
+_ONE = _OWN.where(t.state.c.version == bindparam("version"))
+_A = t.state_array.c
+_BYTES = (_A.encoding, _A.dtype, _A.shape, _A.sha256, _A.data)
+_UNTIL = (_A.rotor_id == bindparam("rotor"), _A.version <= bindparam("version"))
+_ARRAY = (
+    select(*_BYTES)
+    .where(*_UNTIL, _A.name == bindparam("name"))
+    .order_by(_A.version.desc())
+    .limit(1)
+)
+_NEWEST_SMALL = (
+    select(_A.name, func.max(_A.version).label("version"))
+    .where(*_UNTIL, or_(_A.name.like("shared/%"), _A.name.like("column/%")))
+    .group_by(_A.name)
+    .subquery()
+)
+_SMALL = select(_A.name, *_BYTES).where(
+    _A.rotor_id == bindparam("rotor"),
+    _A.name == _NEWEST_SMALL.c.name,
+    _A.version == _NEWEST_SMALL.c.version,
+)
+
+
 def stored(rotor_id: str) -> Select[Any]:
     """The rotor's versions as they stand in the table, each with where the cursor is."""
-    cursor = (t.cursor.c.version.label("newest"), t.cursor.c.applied_seq)
-    return (
-        select(t.state, *cursor)
-        .join(t.cursor, t.cursor.c.rotor_id == t.state.c.rotor_id)
-        .where(t.state.c.rotor_id == rotor_id)
-    )
+    return _STORED.where(t.state.c.rotor_id == rotor_id)
 
 
 def record_of(row: Row[Any]) -> StateRecord:

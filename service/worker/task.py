@@ -101,6 +101,7 @@ def _restored(
     memory = Memory(lease.version, lease.applied_seq, None, sha256, entries, anew=True)
     try:
         record = tx.states.get(lease.rotor_id, lease.version)
+        tx.states.prefetch(lease.rotor_id, lease.version)
         arrays = store.arrays(lease.rotor_id, lease.version)
         memory.state, memory.anew = science.restore(record.meta, arrays), False
     except DamagedError as error:

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.api.preconditions import rotor_tag
+from service.api.preconditions import rotor_tag, text_of
 from service.api.problems import RequestError, fault
 from service.api.rotor_answers import blade_out, rotor_out, view_out
 from service.api.rotor_bodies import BladeIn, RotorIn
@@ -92,8 +92,9 @@ async def get_rotor(
     else:
         raise _both(wait_for)
     body = view_out(view)
-    tag = rotor_tag(view)
-    return unchanged(request, tag) or tagged(body, tag)
+    text = text_of(body)
+    tag = rotor_tag(r, text)
+    return unchanged(request, tag) or tagged(body, tag, text)
 
 
 def _both(wait_for: int) -> RequestError:
