@@ -8,6 +8,7 @@ row is named and never used.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from hashlib import sha256
 from io import BytesIO
 from typing import Any
@@ -19,6 +20,7 @@ from core.errors import ModelError
 
 Array = np.ndarray[Any, np.dtype[Any]]
 ENCODING = "npy"
+HEAD_BYTES = 10  # magic, version, length of the rest of the head
 
 
 class DamagedArrayError(ModelError):
@@ -69,10 +71,32 @@ def decode(name: str, stored: Encoded) -> Array:
             f"array {name}: sha256 {found[:12]}… is not {stored.sha256[:12]}… as written. "
             "Restore the database, or delete the state and POST …/retry to recompute it."
         )
-    array: Array = np.lib.format.read_array(BytesIO(stored.data), allow_pickle=False)
+    try:
+        array = _array(stored.data)
+    except ValueError as error:
+        raise DamagedArrayError(f"array {name}: {error}") from None
     if (array.dtype.str, shape_text(array.shape)) != (stored.dtype, stored.shape):
         raise DamagedArrayError(
             f"array {name}: {array.dtype.str} {array.shape} is not {stored.dtype} ({stored.shape})"
         )
-    array.setflags(write=False)
     return array
+
+
+def _array(data: bytes) -> Array:
+    """What `numpy.load` makes of the bytes, as a view of them: read-only, without a copy."""
+    size = HEAD_BYTES + int.from_bytes(data[8:HEAD_BYTES], "little")
+    shape, fortran, dtype = _head(data[:size])
+    array = np.frombuffer(data, dtype, offset=size)
+    return array.reshape(shape, order="F" if fortran else "C")
+
+
+@lru_cache(maxsize=1024)
+def _head(head: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether by columns, and dtype. (To read it costs more than the array itself.)"""
+    buffer = BytesIO(head)
+    if np.lib.format.read_magic(buffer) != (1, 0):
+        raise ValueError("it is not of version 1.0 of the npy format")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(buffer)
+    if dtype.hasobject:
+        raise ValueError("it holds objects")
+    return shape, fortran, dtype
