@@ -27,11 +27,13 @@ Every condition below is one function, so that a test can take it away and see t
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Literal
 
 from sqlalchemy import (
     ColumnElement,
     Engine,
+    Select,
     and_,
     case,
     exists,
@@ -131,18 +133,30 @@ def claim(
     Pending entries go before sealing; a rotor is sealed when it was quiet for `quiet_s`, and before
     anything else when it was provisional for `overdue_s`.
     """
+    conditions = (claimable, pending, remodelled, overdue, passed, over, unheld)
     for kind in KINDS[role]:
-        due = claimable(kind, lease_s=lease_s, quiet_s=quiet_s, overdue_s=min(overdue_s, FOREVER))
-        lease = _claim(engine, owner, lease_s, kind in ("late", "quiet"), due)
+        first = _longest(kind, lease_s, quiet_s, min(overdue_s, FOREVER), conditions)
+        lease = _claim(engine, owner, lease_s, kind in ("late", "quiet"), first)
         if lease is not None:
             return lease
     return None
 
 
+@lru_cache(maxsize=64)
+def _longest(
+    kind: Kind, lease_s: float, quiet_s: float, overdue_s: float, conditions: tuple[object, ...]
+) -> Select[str]:
+    """The rotor that has waited longest, built once: every commit of anybody makes workers look.
+
+    conditions   the functions that make it, so that another one makes another statement
+    """
+    due = claimable(kind, lease_s=lease_s, quiet_s=quiet_s, overdue_s=overdue_s)
+    return select(c.rotor_id).where(due).order_by(c.dirty_since).limit(1)
+
+
 def _claim(
-    engine: Engine, owner: str, lease_s: float, sealing: bool, due: ColumnElement[bool]
+    engine: Engine, owner: str, lease_s: float, sealing: bool, first: Select[str]
 ) -> Lease | None:
-    first = select(c.rotor_id).where(due).order_by(c.dirty_since).limit(1)
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
             return None

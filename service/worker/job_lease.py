@@ -8,9 +8,10 @@ that take minutes (`LONG`) belong to workers of their own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from json import dumps, loads
 
-from sqlalchemy import ColumnElement, Connection, Engine, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Engine, Select, or_, select, update
 
 from service.errors import LostLeaseError
 from service.handlers.diagnoses import KIND as DIAGNOSE
@@ -47,12 +48,18 @@ def holds(lease: JobLease) -> ColumnElement[bool]:
     return c.fence == lease.fence
 
 
-def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") -> JobLease | None:
-    """Take the oldest job of the role's kinds that nobody alive holds."""
+@lru_cache(maxsize=32)
+def _oldest(lease_s: float, role: Role, conditions: tuple[object, ...]) -> Select[str]:
+    """The job that waits longest, built once (as `service.worker.claiming` does)."""
     free = or_(c.lease_until.is_(None), over(c.lease_until, lease_s))
     rested = or_(c.not_before.is_(None), c.not_before <= now_s())
     first = select(c.id).where(c.status.in_(("queued", "running")), takes(role), free, rested)
-    first = first.order_by(c.created_at).limit(1)
+    return first.order_by(c.created_at).limit(1)
+
+
+def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") -> JobLease | None:
+    """Take the oldest job of the role's kinds that nobody alive holds."""
+    first = _oldest(lease_s, role, (takes, over))
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
             return None
