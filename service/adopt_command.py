@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -25,7 +25,8 @@ def adopt(
 ) -> None:
     """Adopt the effect that a diagnosis named, or back it out; the posterior follows by itself."""
     with reached(url, key) as twin:
-        told = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
+        done = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
+        told: dict[str, Any] = {**done}
         if wait > 0:
             twin.wait_for(rotor, told["head_seq"], wait)
             told["rotor"] = twin.wait_sealed(rotor, wait)

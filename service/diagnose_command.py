@@ -72,7 +72,7 @@ def awaited(twin: Client, told: Told, show: Callable[[Told], None], look_s: floa
     while told["status"] in ("queued", "running"):
         show(told)
         time.sleep(look_s)
-        told = twin.diagnosis(told["rotor"], told["id"])
+        told = {**twin.diagnosis(told["rotor"], told["id"])}
     return told
 
 
@@ -172,8 +172,8 @@ def diagnose(
     if html is not None and not html.absolute().parent.is_dir():
         raise InputError("--html", str(html), "lies in no folder", "make the folder first")
     with reached(url, key) as twin, shown(quiet=as_json) as show:
-        told = twin.diagnose(rotor, families=own, compare=not no_compare)
-        told = awaited(twin, told, show, LOOK_S)
+        asked = twin.diagnose(rotor, families=own, compare=not no_compare)
+        told = awaited(twin, {**asked}, show, LOOK_S)
         if adopt and told["status"] == "done" and told["result"]["verdict"] == "effect":
             told |= twin.adopt(rotor, told["id"])
         if html is not None and told["status"] == "done":

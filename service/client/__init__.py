@@ -7,9 +7,10 @@ with Client("http://127.0.0.1:8000") as twin:
     twin.wait_for("r1", seq)
     bands = twin.prediction("r1", "B01", "elongation", times=[24000, 50000])
 
-`AsyncClient` has the same methods, to be awaited. Both are one table of calls (`table`) that are
-written once as steps without a connection (`steps`, and a module for each noun) over two
-transports (`transports`).
+Answers are plain dicts whose fields type checkers know (`answers`); `frames` are of pandas and
+xarray, `plots` of matplotlib. `AsyncClient` has the same methods, to be awaited. Both are one table
+of calls (`table`) that are written once as steps without a connection (`steps`, and a module for
+each noun) over two transports (`transports`).
 """
 
 from __future__ import annotations

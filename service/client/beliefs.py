@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from service.client import answers
 from service.client.errors import MissingError
 from service.client.steps import Call, Json, Steps, ask, fetch, path, told
 
@@ -22,7 +23,7 @@ def _of(rotor: str, blade: str | None, what: str) -> str:
 
 def posterior(
     rotor: str, blade: str | None = None, *, version: int | None = None, at: str | None = None
-) -> Steps[Json]:
+) -> Steps[answers.RotorPosterior]:
     """The shared parameters' posterior, or one blade's; of a version, or as of a moment."""
     return ask("GET", _of(rotor, blade, "posterior"), params=told(version=version, at=at))
 
@@ -38,7 +39,7 @@ def prediction(
     instrument: str | None = None,
     version: int | None = None,
     at: str | None = None,
-) -> Steps[Json]:
+) -> Steps[answers.Prediction]:
     """Bands of a quantity by source; with an instrument, of a reading by it.
 
     quantity   default: the model's first one
@@ -60,7 +61,7 @@ def life(
     component: str | None = None,
     version: int | None = None,
     at: str | None = None,
-) -> Steps[Json]:
+) -> Steps[answers.Life]:
     """When a blade passes a limit [the quantity's unit]: hours by which it has, and how surely.
 
     ``answer["quantiles"]["0.05"]`` is the hour by which it has passed it with probability 0.05;
@@ -237,7 +238,7 @@ def field(
     time_h: float | None = None,
     version: int | None = None,
     at: str | None = None,
-) -> Steps[Json]:
+) -> Steps[answers.Field]:
     """Mean and sd of a field at every node at one hour, without a reading's noise."""
     params = told(quantity=quantity, time_h=time_h, version=version, at=at)
     return ask("GET", _of(rotor, blade, "field"), params=params)
@@ -316,7 +317,7 @@ def plan(
     time_h: float | None = None,
     parameter: str | None = None,
     count: int = 3,
-) -> Steps[Json]:
+) -> Steps[answers.Plan]:
     """Inspections by how much they would narrow a blade's prediction, or a parameter.
 
     time_h   hour of the prediction [h]; None: the model's last

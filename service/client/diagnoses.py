@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from service.client import answers
 from service.client.steps import Call, Json, Steps, ask, checked, one, part, path, told
 
 
@@ -14,7 +15,7 @@ def diagnose(
     families: Sequence[Mapping[str, Any]] = (),
     compare: bool = True,
     horizon_h: float | None = None,
-) -> Steps[Json]:
+) -> Steps[answers.Diagnosis]:
     """Begin to look for effects that the model lacks; the diagnosis as it stands.
 
     families    beside the built-in ones (`core.diagnosis.Family.to_json`)
@@ -32,12 +33,12 @@ def diagnoses(rotor: str) -> Call:
     return Call("GET", path("rotors", rotor, "diagnoses"))
 
 
-def diagnosis(rotor: str, diagnosis: str) -> Steps[Json]:
+def diagnosis(rotor: str, diagnosis: str) -> Steps[answers.Diagnosis]:
     """How far a diagnosis is, and what it found."""
     return ask("GET", path("rotors", rotor, "diagnoses", diagnosis))
 
 
-def cancel_diagnosis(rotor: str, diagnosis: str) -> Steps[Json]:
+def cancel_diagnosis(rotor: str, diagnosis: str) -> Steps[answers.Diagnosis]:
     """End a diagnosis that is queued or running; one that has ended stays as it is."""
     return ask("DELETE", path("rotors", rotor, "diagnoses", diagnosis))
 
@@ -51,12 +52,12 @@ def report(rotor: str, diagnosis: str, *, limit: float | None = None) -> Steps[s
     return one(lambda response: checked(response).text, Call("GET", where, told(limit=limit)))
 
 
-def adopt(rotor: str, diagnosis: str) -> Steps[Json]:
+def adopt(rotor: str, diagnosis: str) -> Steps[answers.Adopted]:
     """The effects of a diagnosis enter the rotor's model; `head_seq` is what to wait for."""
     return ask("POST", path("rotors", rotor, "diagnoses", diagnosis, "adoption"))
 
 
-def back_out(rotor: str, diagnosis: str) -> Steps[Json]:
+def back_out(rotor: str, diagnosis: str) -> Steps[answers.Adopted]:
     """The network before the adoption comes back; `head_seq` is what to wait for."""
     return ask("DELETE", path("rotors", rotor, "diagnoses", diagnosis, "adoption"))
 

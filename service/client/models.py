@@ -8,25 +8,26 @@ from pathlib import Path
 
 import httpx
 
+from service.client import answers
 from service.client.steps import Json, Pause, Steps, ask, part, path
 
 
-def models() -> Steps[list[Json]]:
+def models() -> Steps[list[answers.ModelListed]]:
     """Every model by name, version and digest."""
     return part(ask("GET", path("models")), "items")
 
 
-def model(name: str) -> Steps[Json]:
+def model(name: str) -> Steps[answers.Model]:
     """A model: network, quantities, mesh, errors."""
     return ask("GET", path("models", name))
 
 
-def surface(name: str) -> Steps[Json]:
+def surface(name: str) -> Steps[answers.Surface]:
     """The surface of a model's mesh: `points` [mm] and `triangles`."""
     return ask("GET", path("models", name, "surface"))
 
 
-def register(builtin: str, patience_s: float = 600.0) -> Steps[Json]:
+def register(builtin: str, patience_s: float = 600.0) -> Steps[answers.Model]:
     """A built-in model registered, and what it is; one that is there already stays as it is.
 
     Raises TimeoutError when it takes longer than `patience_s`, RuntimeError when it fails.

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from service.client.steps import Call, Json, Steps, ask, fetch, head_seq, path, told
+from service.client import answers
+from service.client.steps import Call, Steps, ask, fetch, head_seq, path, told
 
 CSV = {"content-type": "text/csv; charset=utf-8"}
 SENSORTHINGS = "application/vnd.bladetwin.sensorthings+json"
@@ -44,7 +45,7 @@ def inspections(rotor: str, *, blade: str | None = None, newest: bool | None = N
     return Call("GET", path("rotors", rotor, "inspections"), told(blade=blade, newest=newest))
 
 
-def inspection(rotor: str, inspection: str) -> Steps[Json]:
+def inspection(rotor: str, inspection: str) -> Steps[answers.Inspection]:
     """One reading with all its values."""
     return ask("GET", path("rotors", rotor, "inspections", inspection))
 
@@ -64,6 +65,6 @@ def readings_sensorthings(rotor: str, *, blade: str | None = None) -> Steps[byte
     return fetch(path("rotors", rotor, "inspections"), told(format="sensorthings", blade=blade))
 
 
-def residuals(rotor: str, **filters: str) -> Steps[Json]:
+def residuals(rotor: str, **filters: str) -> Steps[answers.Residuals]:
     """The first page of residuals, with tests; `filters`: blade, quantity, campaign, cursor."""
     return ask("GET", path("rotors", rotor, "residuals"), params=filters)

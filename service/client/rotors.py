@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 
+from service.client import answers
 from service.client.errors import BlockedError
 from service.client.steps import Call, Json, Pause, Steps, ask, head_seq, path, told
 
@@ -36,7 +37,7 @@ def create_rotor(
     seed: int | None = None,
     network: Mapping[str, Any] | None = None,
     adopt: str | None = None,
-) -> Steps[Json]:
+) -> Steps[answers.RotorMade]:
     """Create a rotor; a blade is an id or ``{"id", "slot"?, "lot"?, "known"?, …}``.
 
     network   what it varies of the model's network, e.g.
@@ -57,7 +58,7 @@ def rotors() -> Call:
     return Call("GET", path("rotors"))
 
 
-def rotor(rotor: str, *, version: int | None = None, at: str | None = None) -> Steps[Json]:
+def rotor(rotor: str, *, version: int | None = None, at: str | None = None) -> Steps[answers.Rotor]:
     """The rotor as it stands; with a version or a moment, its blades and posterior then."""
     return ask("GET", path("rotors", rotor), params=told(version=version, at=at))
 
@@ -95,30 +96,31 @@ def retire_blade(rotor: str, blade: str) -> Steps[int]:
     return head_seq(ask("POST", path("rotors", rotor, "blades", blade, "retirement")))
 
 
-def retry(rotor: str) -> Steps[Json]:
+def retry(rotor: str) -> Steps[answers.Standing]:
     """Let a blocked rotor be tried again."""
     return ask("POST", path("rotors", rotor, "retry"))
 
 
-def wait_for(rotor: str, seq: int, patience_s: float = 120.0) -> Steps[Json]:
+def wait_for(rotor: str, seq: int, patience_s: float = 120.0) -> Steps[answers.Rotor]:
     """The rotor once everything up to `seq` counts; BlockedError, TimeoutError."""
     end = time.monotonic() + patience_s
     while (left := end - time.monotonic()) > 0:
         params = told(wait_for=seq, timeout=min(20.0, left))
-        answer = yield from ask("GET", path("rotors", rotor), params=params)
+        answer: answers.Rotor = yield from ask("GET", path("rotors", rotor), params=params)
         if answer["status"] == "blocked":
-            raise BlockedError(answer)
+            raise BlockedError({**answer})
         if answer["version"] > 0 and answer["applied_seq"] >= seq:
             return answer
     raise TimeoutError(f"rotor {rotor}: {seq} was not applied within {patience_s:g} s")
 
 
-def wait_sealed(rotor: str, patience_s: float = 120.0) -> Steps[Json]:
+def wait_sealed(rotor: str, patience_s: float = 120.0) -> Steps[answers.Rotor]:
     """The rotor once its newest posterior is sealed."""
     end = time.monotonic() + patience_s
     while time.monotonic() < end:
         answer = yield from wait_for(rotor, 0, max(0.001, end - time.monotonic()))
-        if answer["posterior"]["sealed"] and answer["status"] == "current":
+        posterior = answer["posterior"]
+        if posterior is not None and posterior["sealed"] and answer["status"] == "current":
             return answer
         yield Pause(0.05)
     raise TimeoutError(f"rotor {rotor} was not sealed within {patience_s:g} s")

@@ -108,12 +108,11 @@ def one(read: Callable[[Any], T], asked: Call) -> Steps[T]:
     return read((yield asked))
 
 
-def ask(method: str, where: str, **given: Any) -> Steps[Json]:
-    """A call that is answered with a JSON object."""
+def ask(method: str, where: str, **given: Any) -> Steps[Any]:
+    """A call that is answered with a JSON object; its type is in `service.client.answers`."""
 
-    def read(response: httpx.Response) -> Json:
-        told: Json = checked(response).json()
-        return told
+    def read(response: httpx.Response) -> Any:
+        return checked(response).json()
 
     return one(read, Call(method, where, **given))
 
@@ -123,12 +122,12 @@ def fetch(where: str, params: Mapping[str, str]) -> Steps[bytes]:
     return one(lambda response: checked(response).content, Call("GET", where, params))
 
 
-def part(steps: Steps[Json], name: str) -> Steps[Any]:
+def part(steps: Steps[Any], name: str) -> Steps[Any]:
     """A call of whose answer one field matters."""
     return (yield from steps)[name]
 
 
-def head_seq(steps: Steps[Json]) -> Steps[int]:
+def head_seq(steps: Steps[Any]) -> Steps[int]:
     """A call that appends to the log; the sequence number to wait for."""
     return int((yield from steps)["head_seq"])
 
@@ -199,20 +198,20 @@ class call(Generic[P, T]):
         return bound
 
 
-class pages(Generic[P]):
-    """A method of a function that gives the request for a first page; yields items."""
+class pages(Generic[P, T]):
+    """A method of a function that gives the request for a first page; yields items of a type."""
 
     through = "_pages"
 
-    def __init__(self, first: Callable[P, Call]) -> None:
-        self.first = first
+    def __init__(self, first: Callable[P, Call], of: type[T]) -> None:
+        self.first, self.of = first, of
 
     @overload
     def __get__(self, twin: None, owner: type) -> Callable[P, Call]: ...
     @overload
-    def __get__(self, twin: Blocking, owner: type) -> Callable[P, Iterator[Json]]: ...
+    def __get__(self, twin: Blocking, owner: type) -> Callable[P, Iterator[T]]: ...
     @overload
-    def __get__(self, twin: Awaiting, owner: type) -> Callable[P, AsyncIterator[Json]]: ...
+    def __get__(self, twin: Awaiting, owner: type) -> Callable[P, AsyncIterator[T]]: ...
     def __get__(self, twin: Any, owner: type) -> Any:
         if twin is None:
             return self.first
@@ -224,7 +223,7 @@ class pages(Generic[P]):
         return bound
 
 
-class stream(pages[P]):
+class stream(pages[P, T]):
     """A method of a function that gives the request for a stream of events; yields them."""
 
     through = "_stream"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from service.client import answers as _answers
 from service.client import beliefs as _beliefs
 from service.client import diagnoses as _diagnoses
 from service.client import frames as _frames
@@ -22,21 +25,21 @@ class Calls:
     register = call(_models.register)
     upload_model = call(_models.upload_model)
     create_rotor = call(_rotors.create_rotor)
-    rotors = pages(_rotors.rotors)
+    rotors = pages(_rotors.rotors, _answers.Standing)
     rotor = call(_rotors.rotor)
-    versions = pages(_rotors.versions)
-    blades = pages(_rotors.blades)
+    versions = pages(_rotors.versions, _answers.KeptVersion)
+    blades = pages(_rotors.blades, _answers.BladeAtOneHour)
     add_blade = call(_rotors.add_blade)
     retire_blade = call(_rotors.retire_blade)
     retry = call(_rotors.retry)
     wait_for = call(_rotors.wait_for)
     wait_sealed = call(_rotors.wait_sealed)
-    events = stream(_rotors.events)
+    events = stream(_rotors.events, dict[str, Any])
     post_inspections = call(_readings.post_inspections)
     post_csv = call(_readings.post_csv)
     post_sensorthings = call(_readings.post_sensorthings)
     retract = call(_readings.retract)
-    inspections = pages(_readings.inspections)
+    inspections = pages(_readings.inspections, _answers.Inspection)
     inspection = call(_readings.inspection)
     readings_csv = call(_readings.readings_csv)
     readings_parquet = call(_readings.readings_parquet)
@@ -47,7 +50,7 @@ class Calls:
     prediction_csv = call(_beliefs.prediction_csv)
     prediction_sensorthings = call(_beliefs.prediction_sensorthings)
     life = call(_beliefs.life)
-    series = pages(_beliefs.series)
+    series = pages(_beliefs.series, _answers.SeriesRow)
     draws = call(_beliefs.draws)
     draws_netcdf = call(_beliefs.draws_netcdf)
     draws_arviz = call(_beliefs.draws_arviz)
@@ -64,15 +67,15 @@ class Calls:
     draws_frame = call(_frames.draws_frame)
     field_xarray = call(_frames.field_xarray)
     diagnose = call(_diagnoses.diagnose)
-    diagnoses = pages(_diagnoses.diagnoses)
+    diagnoses = pages(_diagnoses.diagnoses, _answers.DiagnosisListed)
     diagnosis = call(_diagnoses.diagnosis)
     cancel_diagnosis = call(_diagnoses.cancel_diagnosis)
     report = call(_diagnoses.report)
     adopt = call(_diagnoses.adopt)
     back_out = call(_diagnoses.back_out)
-    adoptions = pages(_diagnoses.adoptions)
+    adoptions = pages(_diagnoses.adoptions, _answers.Adoption)
     create_webhook = call(_webhooks.create_webhook)
     webhook = call(_webhooks.webhook)
     delete_webhook = call(_webhooks.delete_webhook)
-    deliveries = pages(_webhooks.deliveries)
+    deliveries = pages(_webhooks.deliveries, _answers.Delivery)
     retry_delivery = call(_webhooks.retry_delivery)

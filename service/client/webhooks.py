@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 
+from service.client import answers
 from service.client.steps import Call, Json, Steps, ask, path, told
 from service.signing import verified
 
@@ -31,7 +32,7 @@ def create_webhook(
     *,
     events: Sequence[str] | None = None,
     rotors: Sequence[str] | None = None,
-) -> Steps[Json]:
+) -> Steps[answers.WebhookMade]:
     """Have what happens sent to a URL: ``{"webhook", "secret"}``; the secret is shown once.
 
     events   some of sealed, blocked, alarm, diagnosed; None: all
@@ -43,12 +44,12 @@ def create_webhook(
     return ask("POST", path("webhooks"), json=body)
 
 
-def webhook(webhook: str) -> Steps[Json]:
+def webhook(webhook: str) -> Steps[answers.Webhook]:
     """A webhook, with how many deliveries are pending, delivered and dead."""
     return ask("GET", path("webhooks", webhook))
 
 
-def delete_webhook(webhook: str) -> Steps[Json]:
+def delete_webhook(webhook: str) -> Steps[answers.WebhookDeleted]:
     """Delete a webhook and what is pending."""
     return ask("DELETE", path("webhooks", webhook))
 
@@ -58,6 +59,6 @@ def deliveries(webhook: str, status: str | None = None) -> Call:
     return Call("GET", path("webhooks", webhook, "deliveries"), told(status=status))
 
 
-def retry_delivery(webhook: str, delivery: str) -> Steps[Json]:
+def retry_delivery(webhook: str, delivery: str) -> Steps[answers.Delivery]:
     """Have a dead delivery sent again."""
     return ask("POST", path("webhooks", webhook, "deliveries", delivery, "retry"))

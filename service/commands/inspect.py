@@ -52,7 +52,7 @@ def gathered(
     quantity = quantity or next(iter(model["outputs"]))
     told["question"] = {
         "quantity": quantity,
-        "unit": model["outputs"].get(quantity, {}).get("unit"),
+        "unit": model["outputs"][quantity]["unit"] if quantity in model["outputs"] else None,
         "time_h": model["horizon_h"] if time_h is None else time_h,
         "node": node,
     }

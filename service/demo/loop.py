@@ -29,7 +29,7 @@ def closed(
     """The result after what was claimed is adopted; as before where nothing is."""
     begun = time.monotonic()
     with shown(quiet=quiet) as show:
-        told = awaited(client, client.diagnose(name), show, 1.0)
+        told = awaited(client, {**client.diagnose(name)}, show, 1.0)
     loop: Json = {
         "planted": {what: {"amplitude": a, "of": of} for what, (a, of) in PLANTED.items()},
         "diagnosis": told,
@@ -44,7 +44,7 @@ def closed(
     asked = time.monotonic()
     client.adopt(name, told["id"])
     rotor = client.wait_sealed(name, patience_s)
-    after = collect(client, plan, rotor, name, quiet=quiet)
+    after = collect(client, plan, {**rotor}, name, quiet=quiet)
     loop |= {"adopted": True, "after": summary(after)}
     loop["held_out"]["after"] = after.held_out
     loop["seconds"]["adoption"] = time.monotonic() - asked

@@ -97,4 +97,4 @@ def collect(client: Client, plan: Plan, rotor: Json, name: str, quiet: bool = Fa
     hours = np.linspace(500.0, 50_000.0, 100)
     curve = client.prediction(name, SHOWN, "elongation", times=hours.tolist())
     assert hours[-1] >= HELD_OUT_H
-    return Result(rotor, shared, local, held, curve)
+    return Result(rotor, shared, local, held, {**curve})

@@ -136,9 +136,9 @@ def wait_applied(
             if rotor["status"] == "blocked":
                 raise BladetwinError(f"rotor {ROTOR} is blocked: {rotor['last_error']}")
             shown(rotor["applied_seq"])
-            posterior = rotor.get("posterior") or {}
-            if rotor["applied_seq"] >= seq and posterior.get("sealed"):
-                return rotor
+            posterior = rotor["posterior"]
+            if rotor["applied_seq"] >= seq and posterior is not None and posterior["sealed"]:
+                return {**rotor}
             time.sleep(0.1)
     raise BladetwinError(f"rotor {ROTOR}: not sealed within {patience_s:g} s")
 

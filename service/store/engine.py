@@ -14,9 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Lock
 from typing import Any
+from weakref import WeakKeyDictionary
 
-from sqlalchemy import Connection, Double, Engine, create_engine, event, make_url
+from sqlalchemy import Connection, Double, Engine, Pool, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
@@ -27,6 +29,8 @@ from service.errors import StoreAwayError
 
 WRITE = "bladetwin_write"
 SILENT_S = 30.0
+BUSY_S = 30.0
+_WRITERS: WeakKeyDictionary[Pool, Lock] = WeakKeyDictionary()
 
 
 class now_s(FunctionElement[float]):
@@ -71,7 +75,7 @@ def open_engine(url: str) -> Engine:
         )
     engine = create_engine(
         parsed.set(drivername="sqlite+pysqlite"),
-        connect_args={"isolation_level": None, "timeout": 30.0, "check_same_thread": False},
+        connect_args={"isolation_level": None, "timeout": BUSY_S, "check_same_thread": False},
         pool_size=20,
         max_overflow=40,
         hide_parameters=True,
@@ -99,6 +103,25 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 @contextmanager
+def _turn(engine: Engine, write: bool) -> Iterator[None]:
+    """On SQLite the writers of one process go one after the other.
+
+    SQLite itself lets whoever happens to look when the lock is free have it: others look again
+    after up to 100 ms, each holding a thread, so that under load workers and reads wait for posts.
+    """
+    if not (write and is_sqlite(engine)):
+        yield
+        return
+    lock = _WRITERS.setdefault(engine.pool, Lock())
+    if not lock.acquire(timeout=BUSY_S):
+        raise StoreAwayError("locked by another writer of this process")
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+@contextmanager
 def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
     """One transaction: committed at the end, rolled back on any error.
 
@@ -106,7 +129,7 @@ def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
     calls that; what it said is the error's cause.
     """
     try:
-        with engine.connect() as connection:
+        with _turn(engine, write), engine.connect() as connection:
             connection = connection.execution_options(**{WRITE: write})
             with connection.begin():
                 yield connection

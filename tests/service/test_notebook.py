@@ -22,8 +22,8 @@ README = Path(__file__).parents[2] / "README.md"
 MOST_LINES = 30
 
 
-def script() -> str:
-    found = re.search(r"<!-- notebook -->\n```python\n(.*?)```", README.read_text(), re.DOTALL)
+def script(name: str = "notebook") -> str:
+    found = re.search(rf"<!-- {name} -->\n```python\n(.*?)```", README.read_text(), re.DOTALL)
     assert found is not None
     return found[1]
 
@@ -57,7 +57,20 @@ def test_the_notebook_of_the_readme_runs_as_it_stands(
         assert float(found.mean()) == pytest.approx(own["mean"], abs=0.15 * own["sd"])
         field = client.field("demo", "B01", "ceeq", time_h=24_000)
         assert meshio.read("B01.vtu").point_data["ceeq mean [1]"].tolist() == field["mean"]
+        exec(compile(script("frames"), "README.md", "exec"), space)
+        space["twin"].close()
+        last = space["bands"].iloc[-1]
+        assert last["lower"] < last["mean"] < last["upper"]
+        assert space["draws"].index.names == ["draw", "blade"]
+        assert space["field"]["sd"].dims == ("time_h", "node")
+        assert len(matplotlib.pyplot.get_fignums()) >= 4
         told = capsys.readouterr().out
         assert re.search(r"^offset\[B03\] +\S", told, re.MULTILINE)
     matplotlib.pyplot.close("all")
     assert os.listdir(tmp_path)
+
+
+def test_the_test_of_the_readme_passes() -> None:
+    space: dict[str, Any] = {"__name__": "test"}
+    exec(compile(script("in memory"), "README.md", "exec"), space)
+    space["test_ours"]()
