@@ -15,7 +15,6 @@ from service.client.table import Calls
 from tests.make_answer_types import FILE, NAMES, OF_ROUTES, item_of, text
 
 MODULES = (beliefs, diagnoses, models, readings, rotors, webhooks)
-UNTYPED = {"draws"}  # of a blade or of a rotor: two shapes
 
 if TYPE_CHECKING:
     from service.client import AsyncClient, Client
@@ -49,11 +48,10 @@ def test_every_call_that_is_answered_with_json_has_a_type() -> None:
         if isinstance(method, pages):
             if method.through == "_pages":
                 assert method.of.__module__ == "service.client.answers", name
-        elif isinstance(method, call):
-            if "Json" in method.steps.__annotations__["return"] and name not in UNTYPED:
-                plain.append(name)
-    # what is told of many steps, or read from a file
-    assert plain == ["upload_model", "field_series"]
+        elif isinstance(method, call) and "Json" in method.steps.__annotations__["return"]:
+            plain.append(name)
+    # of a blade or of a rotor, of many steps, or read from a file
+    assert plain == ["upload_model", "draws", "field_series"]
 
 
 def test_every_answer_that_the_client_asks_for_is_named() -> None:
