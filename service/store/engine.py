@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Lock
+from threading import RLock
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -30,7 +30,7 @@ from service.errors import StoreAwayError
 WRITE = "bladetwin_write"
 SILENT_S = 30.0
 BUSY_S = 30.0
-_WRITERS: WeakKeyDictionary[Pool, Lock] = WeakKeyDictionary()
+_WRITERS: WeakKeyDictionary[Pool, RLock] = WeakKeyDictionary()
 
 
 class now_s(FunctionElement[float]):
@@ -112,7 +112,7 @@ def _turn(engine: Engine, write: bool) -> Iterator[None]:
     if not (write and is_sqlite(engine)):
         yield
         return
-    lock = _WRITERS.setdefault(engine.pool, Lock())
+    lock = _WRITERS.setdefault(engine.pool, RLock())
     if not lock.acquire(timeout=BUSY_S):
         raise StoreAwayError("locked by another writer of this process")
     try:

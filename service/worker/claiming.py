@@ -133,7 +133,7 @@ def claim(
     Pending entries go before sealing; a rotor is sealed when it was quiet for `quiet_s`, and before
     anything else when it was provisional for `overdue_s`.
     """
-    conditions = (claimable, pending, remodelled, overdue, passed, over, unheld)
+    conditions = (claimable, pending, remodelled, overdue, passed, over, unheld, AHEAD)
     for kind in KINDS[role]:
         first = _longest(kind, lease_s, quiet_s, min(overdue_s, FOREVER), conditions)
         lease = _claim(engine, owner, lease_s, kind in ("late", "quiet"), first)
@@ -148,7 +148,7 @@ def _longest(
 ) -> Select[str]:
     """The rotor that has waited longest, built once: every commit of anybody makes workers look.
 
-    conditions   the functions that make it, so that another one makes another statement
+    conditions   what makes it, so that other ones make another statement
     """
     due = claimable(kind, lease_s=lease_s, quiet_s=quiet_s, overdue_s=overdue_s)
     return select(c.rotor_id).where(due).order_by(c.dirty_since).limit(1)

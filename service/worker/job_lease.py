@@ -19,6 +19,7 @@ from service.handlers.models import TRAIN
 from service.ports import Json
 from service.store import tables as t
 from service.store.engine import now_s, transaction
+from service.worker import claiming
 from service.worker.claiming import Role, over
 
 c = t.job.c
@@ -59,7 +60,7 @@ def _oldest(lease_s: float, role: Role, conditions: tuple[object, ...]) -> Selec
 
 def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") -> JobLease | None:
     """Take the oldest job of the role's kinds that nobody alive holds."""
-    first = _oldest(lease_s, role, (takes, over))
+    first = _oldest(lease_s, role, (takes, over, claiming.AHEAD))
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
             return None

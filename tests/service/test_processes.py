@@ -17,7 +17,7 @@ import httpx
 import pytest
 
 from core.observation import Inspection
-from service.bootstrap import SEALER_NICENESS
+from service.bootstrap import EMBEDDED_NICENESS, SEALER_NICENESS
 from service.client import Client
 from service.fake import FakeScience
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
@@ -253,7 +253,9 @@ def test_serve_applies_readings_replaces_a_dead_worker_and_ends_cleanly(
         assert not any(alive(pid) for pid in successors)
 
 
-def test_sealer_and_diagnoser_let_others_go_first_but_not_for_ever(tmp_path: Path) -> None:
+def test_workers_let_the_api_go_first_and_sealers_go_last_but_not_never(
+    tmp_path: Path,
+) -> None:
     """With idle time only, a rotor on a machine that others keep busy was never sealed."""
     own = os.getpriority(os.PRIO_PROCESS, 0)
     bare_url = f"sqlite:///{tmp_path / 'bladetwin.db'}"
@@ -264,7 +266,7 @@ def test_sealer_and_diagnoser_let_others_go_first_but_not_for_ever(tmp_path: Pat
             "a sealer and a diagnoser of low priority",
             lambda: (
                 sorted(os.getpriority(os.PRIO_PROCESS, p) for p in children(process.pid))
-                == [own] + 2 * [max(own, SEALER_NICENESS)]
+                == [max(own, EMBEDDED_NICENESS)] + 2 * [max(own, SEALER_NICENESS)]
             ),
         )
         assert {os.sched_getscheduler(p) for p in children(process.pid)} == {os.SCHED_OTHER}
