@@ -33,6 +33,15 @@ class RequestError(Exception):
         super().__init__(detail)
 
 
+def said(text: str) -> str:
+    r"""Text from outside as an answer can carry it: without tokens and halves of characters.
+
+    >>> said("a\ud800b")
+    'a?b'
+    """
+    return redacted(text.encode("utf-8", "replace").decode())
+
+
 def shown(value: object) -> object:
     """A value as JSON can carry it, and not longer than a line or two.
 
@@ -47,13 +56,13 @@ def shown(value: object) -> object:
         return value
     if isinstance(value, int):
         return "an integer of more than 64 bits"
-    text = value if isinstance(value, str) else repr(value)
-    text = redacted(text.encode("utf-8", "replace").decode())
+    text = said(value if isinstance(value, str) else repr(value))
     return text if len(text) <= LONGEST else text[:LONGEST] + "…"
 
 
 def fault(field: str, value: object, problem: str, remedy: str) -> Fault:
-    return {"field": redacted(field), "value": shown(value), "problem": problem, "remedy": remedy}
+    told = {"problem": said(problem), "remedy": said(remedy)}
+    return {"field": said(field), "value": shown(value)} | told
 
 
 def problem(
@@ -73,8 +82,8 @@ def problem(
         "type": f"urn:bladetwin:problem:{kind}",
         "title": kind.replace("-", " "),
         "status": status,
-        "detail": redacted(detail),
-        "instance": redacted(request.url.path) if instance is None else instance,
+        "detail": said(detail),
+        "instance": said(request.url.path) if instance is None else instance,
         "faults": list(faults),
     }
     return JSONResponse(

@@ -232,6 +232,21 @@ def test_a_body_that_is_no_reading_is_refused(created: httpx.Client) -> None:
     assert head(created) == 0
 
 
+@pytest.mark.parametrize("text", [
+    '{"\\ud800": 1}', '{"inspections": [{"\\udc00x": 1}]}', '{"inspections": [{"id": "\\ud800"}]}',
+    '{"inspections": [], "\\ud800": 1}', '["\\ud800"]', '"\\ud800"',
+])  # fmt: skip
+@pytest.mark.parametrize("path", ["/v1/rotors", "/v1/rotors/r1/inspections", "/v1/webhooks",
+                                  "/v1/rotors/r1/diagnoses", "/v1/models"])  # fmt: skip
+def test_half_a_character_is_refused_like_any_other_fault(
+    created: httpx.Client, path: str, text: str
+) -> None:
+    headers = {"content-type": "application/json"}
+    answer = created.post(path, content=text.encode(), headers=headers)
+    assert answer.status_code in (400, 422), answer.text
+    assert answer.json()["detail"]
+
+
 def test_a_bare_list_is_refused_with_the_shape_of_a_batch(created: httpx.Client) -> None:
     told = refuse(created.post("/v1/rotors/r1/inspections", json=[one(), one("i2")]), 422)
     assert told["faults"][0]["remedy"].startswith('give {"inspections": […]}')
