@@ -43,7 +43,7 @@ NAMES: tuple[tuple[str, Json], ...] = (
     ("Prediction", beliefs.PREDICTION),
     ("Life", beliefs.LIFE),
     ("SeriesRow", beliefs.SERIES["properties"]["items"]["items"]),
-    ("Parameter", beliefs.SUMMARY["parameters"]["additionalProperties"]),  # type: ignore[index]
+    ("Parameter", beliefs.SUMMARY["parameters"]["additionalProperties"]),
     ("Model", others.MODEL),
     ("Surface", others.SURFACE),
     ("BladeAtOneHour", others.BLADE_AT_A_GLANCE),
@@ -114,7 +114,7 @@ class Classes:
             value = self.of(more, singular(name)) if isinstance(more, dict) else "Any"
             return f"dict[str, {value}]"
         for known, same in self.made:
-            if same["properties"] == schema["properties"]:
+            if all(same[part] == schema[part] for part in ("properties", "required")):
                 return known
         assert name not in dict(self.made), f"{name} is the name of two objects"
         lines = [f"class {name}(TypedDict):"]
@@ -155,8 +155,9 @@ def text() -> str:
     for route, name in OF_ROUTES.items():
         classes.of(item_of(answers.ANSWERS[route]), name)
     whole = "\n\n\n".join([HEAD, *classes.texts]) + "\n"
-    ruff = [Path(sys.executable).with_name("ruff"), "format", "--stdin-filename", FILE, "-"]
-    return subprocess.run(ruff, input=whole, capture_output=True, text=True, check=True).stdout
+    ruff = [str(Path(sys.executable).with_name("ruff")), "format", "--stdin-filename", str(FILE)]
+    done = subprocess.run([*ruff, "-"], input=whole, capture_output=True, text=True, check=True)
+    return done.stdout
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 
 from service.client import answers
-from service.client.steps import Json, Pause, Steps, ask, part, path
+from service.client.steps import Pause, Steps, ask, part, path
 
 
 def models() -> Steps[list[answers.ModelListed]]:
@@ -32,7 +32,7 @@ def register(builtin: str, patience_s: float = 600.0) -> Steps[answers.Model]:
 
     Raises TimeoutError when it takes longer than `patience_s`, RuntimeError when it fails.
     """
-    job: Json = (yield from ask("POST", path("models"), json={"builtin": builtin}))["job"]
+    job: answers.Job = (yield from ask("POST", path("models"), json={"builtin": builtin}))["job"]
     end = time.monotonic() + patience_s
     while job["status"] in ("queued", "running"):
         if time.monotonic() > end:
@@ -52,7 +52,7 @@ def upload_model(
     leave_out: Sequence[str] = (),
     patience_s: float = 7200.0,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
-) -> Steps[Json]:
+) -> Steps[answers.Job]:
     """Runs and network sent, and the job when it has ended: ``status`` is done or failed.
 
     runs      a netCDF file (`core.archive.source`); network: its text, YAML or JSON
@@ -67,13 +67,13 @@ def upload_model(
     form = httpx.Request("POST", "http://service", data=told, files=parts)
     headers = {"content-type": form.headers["content-type"]}
     sent = ask("POST", path("models"), content=form.read(), headers=headers)
-    job: Json = (yield from sent)["job"]
+    job: answers.Job = (yield from sent)["job"]
     end = time.monotonic() + patience_s
     while job["status"] in ("queued", "running"):
         if time.monotonic() > end:
             raise TimeoutError(f"{name} was not trained within {patience_s:g} s")
         yield Pause(0.2)
         job = yield from ask("GET", path("jobs", job["id"]))
-        if job["progress"] is not None:
-            progress(*(job["progress"][key] for key in ("what", "done", "total")))
+        if (now := job["progress"]) is not None:
+            progress(now["what"], now["done"], now["total"])
     return job
