@@ -199,7 +199,8 @@ def test_each_residual_is_a_point_and_each_test_a_row(watched: Watched) -> None:
     tests = [test | {"p": p, "p_family": min(1.0, 20 * p), "alarm": p < 0.002} for p in (0.4, 1e-3)]
     facts = {
         "rotor": "r1", "as_of": {"version": 2, "computed_at": "2031-05-04T10:00:00Z"},
-        "pending": False, "error": None, "visits": [{}, {}, {}], "tests": tests, "alarms": 1,
+        "pending": False, "error": None, "tests": tests, "alarms": 1,
+        "visits": [{"visit": k, "from_h": 8e3 * k, "to_h": 8e3 * k} for k in (1, 2, 3)],
         "family_wise_error": 0.05, "draws": 999, "freedom": 6.0,
     }  # fmt: skip
 
@@ -211,6 +212,17 @@ def test_each_residual_is_a_point_and_each_test_a_row(watched: Watched) -> None:
     watched.page.route("**/v1/rotors/r1/residuals*", answer)
     page = watched.open("/rotors/r1/residuals?by=campaign")
     expect(page.locator("svg.wide circle")).to_have_count(12)
+    cells = page.locator('svg[aria-label*="by colour"] rect:has(title)')
+    names = sorted({residual(k)["blade"] for k in range(12)})
+    expect(cells).to_have_count(3 * len(names))
+    read = {(residual(k)["blade"], residual(k)["visit"]) for k in range(12)}
+    told = cells.locator("title").all_text_contents()
+    assert sum("not read" not in text for text in told) == len(read)
+    worst = cells.filter(has_text="z = 4.20")
+    expect(worst).to_have_attribute("fill", "rgb(178, 24, 43)")
+    page.get_by_label("Blades by").select_option("lot")
+    expect(page.locator('svg[aria-label*="by colour"] > text', has_text=HOSTILE)).to_have_count(1)
+    assert "order=lot" in page.url
     rows = page.get_by_role("region", name="Tests").locator("tbody tr")
     expect(rows).to_have_count(2)
     expect(rows.first).to_contain_text("alarm")  # the smallest p first

@@ -157,9 +157,19 @@ async function draw() {
   drawBands(found, readings, await lifeOf(found));
   show(list, readings.length ? readingsTable(rotor, readings.slice(-ROWS), { blade: false }) : h("p", { class: "soft" }, "None yet."),
     readings.length > ROWS ? h("p", { class: "small" }, `The last ${ROWS} to arrive of ${all.more ? "more than " : ""}${fixed(readings.length, 0)}. `, h("a", { href: `${path`/rotors/${rotor}/readings`}?blade=${encodeURIComponent(blade)}` }, "All of them, page by page")) : null);
-  marginals(prior, draws, model.network);
+  marginals(prior, draws, withEffects(now));
   corner(pairs, draws);
   await drawHistory(found, kept, came);
+}
+
+/** The model's network with what was adopted: an offset has its quantity's unit, all else is a share. */
+function withEffects(now) {
+  const { parameters = [], biases = [] } = now.network?.effects ?? {};
+  const unitOf = (name) => {
+    const bias = biases.find((b) => b.name === name && b.how === "plus");
+    return bias ? model.outputs[bias.quantity].unit : "1";
+  };
+  return { ...model.network, parameters: [...model.network.parameters, ...parameters.map((p) => ({ ...p, level: `${p.level}, adopted`, unit: unitOf(p.name) }))] };
 }
 
 show($("page"),

@@ -36,6 +36,8 @@ export function declared(network, name) {
   return quantity ? { prior: quantity.sigma_obs, unit: quantity.unit, level: "noise" } : null;
 }
 
+const priorOf = (prior) => `${words(prior.kind)}${prior.kind === "normal" ? ` ${plain(prior.mean)} ± ${plain(prior.sd)}` : ""}, ${plain(prior.low)} … ${plain(prior.high)}`;
+
 function marginal(name, values, told) {
   const sorted = [...values].sort((a, b) => a - b);
   const wide = told ? [told.prior.low, told.prior.high] : span(values);
@@ -90,7 +92,7 @@ export function marginals(place, draws, network) {
     { name: "Parameter", value: (r) => words(r.name), sort: (r) => r.name },
     { name: "Level", value: (r) => r.told?.level ?? "of the rotor's network" },
     { name: "Unit", value: (r) => r.told?.unit ?? "–" },
-    { name: "Prior", value: (r) => (r.told ? `${words(r.told.prior.kind)}, ${plain(r.told.prior.low)} … ${plain(r.told.prior.high)}` : "not declared by the model") },
+    { name: "Prior", value: (r) => (r.told ? priorOf(r.told.prior) : "not declared by the model") },
     { name: "Posterior mean ± sd", value: (r) => withSd(r.mean, r.sd), number: true },
     { name: "95 %", value: (r) => `${plain(r.low)} … ${plain(r.high)}`, number: true },
   ];

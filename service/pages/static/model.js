@@ -25,7 +25,7 @@ function errorRows(errors) {
 function bars(contest) {
   const tops = contest.map((c) => c.p95_percent);
   const [low, high] = [0.1, Math.max(100, ...tops)];
-  const X = (v) => 150 + (Math.log(Math.max(v, low) / low) / Math.log(high / low)) * 400;
+  const X = (v) => 118 + (Math.log(Math.max(v, low) / low) / Math.log(high / low)) * 200;
   const height = 30 + 26 * contest.length;
   const grid = [0.1, 1, 10, 100].map((v) => [
     s("line", { x1: X(v), x2: X(v), y1: 4, y2: height - 26, stroke: colour("grid") }),
@@ -33,13 +33,14 @@ function bars(contest) {
   const rows = contest.map((c, i) => {
     const y = 18 + 26 * i;
     return [
-      s("text", { x: 142, y: y + 4, "text-anchor": "end", "font-size": 12, fill: colour("ink") }, c.name),
+      s("text", { x: 106, y: y + 4, "text-anchor": "end", "font-size": 12, fill: colour("ink") }, c.name),
       s("line", { x1: X(c.median_percent), x2: X(c.p95_percent), y1: y, y2: y, stroke: colour("parameters"), "stroke-width": 3 }),
       s("circle", { cx: X(c.median_percent), cy: y, r: 5, fill: colour("parameters") }),
       s("rect", { x: X(c.p95_percent) - 4, y: y - 5, width: 8, height: 10, fill: colour("late") })];
   });
-  return s("svg", { viewBox: `0 0 600 ${height + 4}`, role: "img", class: "bars", "aria-label": "Error of each candidate surrogate in percent, logarithmic; the table below has the numbers" },
-    grid, rows, s("text", { x: 350, y: height + 2, "text-anchor": "middle", "font-size": 11, fill: colour("soft") }, "relative error [%], logarithmic: ● median, ■ 95th percentile"));
+  return s("svg", { viewBox: `0 0 340 ${height + 22}`, role: "img", class: "bars", "aria-label": "Error of each candidate surrogate in percent, logarithmic; the table below has the numbers" },
+    grid, rows, ["relative error of the elongation [%],", "logarithmic: ● median, ■ 95th percentile"].map((line, i) =>
+      s("text", { x: 170, y: height + 4 + 14 * i, "text-anchor": "middle", "font-size": 11, fill: colour("soft") }, line)));
 }
 
 // How a model of a user's own runs does at runs that were left out, and what to mind.

@@ -3,6 +3,7 @@
 import { get, path } from "./api.js";
 import { $, aside, asked, colour, facts, h, names, panel, remember, s, scroll, select, show, table } from "./dom.js";
 import { fixed, inUnit, moment, number, plain, withSd, words } from "./format.js";
+import { ORDERS, heat } from "./heat.js";
 import { drawn, follow, keep } from "./live.js";
 import { ticks } from "./scale.js";
 import { badges, badge, notices, statesOf, warningsOf } from "./states.js";
@@ -10,8 +11,8 @@ import { badges, badge, notices, statesOf, warningsOf } from "./states.js";
 const url = path`/v1/rotors/${names.r}`;
 const MOST = 2000;
 const LARGEST = 40;
-const ASKED = { campaign: "campaign", instrument: "instrument", quantity: "quantity", blade: "blade" };
-const chosen = { by: asked("by") in ASKED ? asked("by") : "campaign" };
+const ASKED = { campaign: "campaign", instrument: "instrument", lot: "lot", coating_lot: "coating lot", quantity: "quantity", blade: "blade" };
+const chosen = { by: asked("by") in ASKED ? asked("by") : "campaign", order: asked("order") in ORDERS ? asked("order") : "blade" };
 
 /** All residuals up to MOST, page by page; the last page's answer has the tests. */
 async function readAll() {
@@ -82,6 +83,8 @@ async function draw() {
   const [now, told] = await Promise.all([get(url), readAll()]);
   const model = await get(path`/v1/models/${now.model}`);
   const units = Object.fromEntries(Object.entries(model.outputs).map(([q, o]) => [q, o.unit]));
+  const facts_of = Object.fromEntries(now.blades.map((b) => [b.id, b]));
+  for (const r of told.items) Object.assign(r, { lot: facts_of[r.blade]?.lot ?? null, coating_lot: facts_of[r.blade]?.coating_lot ?? null });
   drawn.version = now.version;
   show($("states"), badges(statesOf(now)), told.alarms ? badge("bad", number(told.alarms, "alarm")) : null);
   notices([...warningsOf(now), told.error && ["bad", "Residuals could not be computed.", told.error],
@@ -105,6 +108,14 @@ async function draw() {
       told.items.length ? scatter(told.items) : h("p", {}, "No reading."),
       told.more ? h("p", { class: "small" }, `The first ${MOST} are shown.`) : null,
       aside(`The ${Math.min(LARGEST, told.items.length)} largest`, largest(told.items, units))),
+    panel("Blade by visit",
+      h("div", { class: "controls" }, select("Blades by", Object.entries(ORDERS), chosen.order, (order) => {
+        chosen.order = order;
+        remember({ order });
+        redraw();
+      })),
+      told.items.length ? heat(told.items, told.visits, now.blades, chosen.order) : h("p", {}, "No reading."),
+      h("p", { class: "small soft" }, "Red: read higher than predicted. Of several readings at a visit the one furthest off. Grey: not read then.")),
     panel("Tests", scroll("Tests", table(columns, told.tests, { sorted: [5, true], caption: "mean, variance and autocorrelation of groups of residuals; p among all: of the smallest p by chance" }))));
 }
 

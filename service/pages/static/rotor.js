@@ -31,7 +31,7 @@ function judged(found, health) {
     const margin = limit === null ? null : (limit - mean) / sd;
     const alarms = [];
     if (contradicted.has(blade.id)) alarms.push(["bad", "contradicts the rotor"]);
-    if (margin !== null && margin < 0) alarms.push(["bad", "predicted beyond the limit"]);
+    if (margin !== null && margin < 0) alarms.push(["bad", "beyond the limit"]);
     else if (margin !== null && margin < 2) alarms.push(["warn", "limit within 2 sd"]);
     if (blade.retired) alarms.push(["wait", "retired"]);
     if (blade.readings.counting === 0) alarms.push(["wait", "no readings: what the rotor tells"]);
@@ -93,7 +93,7 @@ function drawBlades(found, blades) {
     { name: "Readings", value: (b) => `${b.readings.counting}${b.readings.overruled ? ` (+${b.readings.overruled} void)` : ""}`, sort: (b) => b.readings.counting, number: true },
     { name: "Last at", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
     { name: "Received", value: (b) => (b.readings.last ? h("span", { title: moment(b.readings.last.received_at) }, ago(b.readings.last.received_at)) : "never"), sort: (b) => b.readings.last?.received_at },
-    { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot },
+    blades.some((b) => b.lot) ? { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot } : null,
   ].filter(Boolean);
   const made = table(columns, blades, {
     caption: `Predicted ${words(found.quantity)} at ${hours(found.time_h)}; sd of the blade itself, without a reading's noise`, sorted });
