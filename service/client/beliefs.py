@@ -293,6 +293,21 @@ def field_npz(
     return fetch(_of(rotor, blade, "field"), params)
 
 
+def field_arrow(
+    rotor: str,
+    blade: str,
+    quantity: str | None = None,
+    *,
+    times: Sequence[float] | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[bytes]:
+    """The same as an Arrow IPC stream: a batch for each hour, a row for each node."""
+    hours = _listed(times)
+    params = told(quantity=quantity, times=hours, version=version, at=at, format="arrow")
+    return fetch(_of(rotor, blade, "field"), params)
+
+
 def field_series(
     rotor: str,
     blade: str,

@@ -58,6 +58,7 @@ class Calls:
     field_vtu = call(_beliefs.field_vtu)
     field_pvd = call(_beliefs.field_pvd)
     field_npz = call(_beliefs.field_npz)
+    field_arrow = call(_beliefs.field_arrow)
     field_series = call(_beliefs.field_series)
     plan = call(_beliefs.plan)
     readings_frame = call(_frames.readings_frame)

@@ -131,6 +131,15 @@ def test_arrow_reads_a_batch_for_each_hour(api: httpx.Client, told: str, quantit
             assert found.tolist() == np.reshape(said[what], found.shape).tolist()
 
 
+def test_the_client_has_the_stream_too(api: httpx.Client, told: str) -> None:
+    twin = Client(http=api)
+    body = twin.field_arrow("r1", "B1", "ceeq", times=[5.0, 9000.0])
+    frame = pyarrow.ipc.open_stream(body).read_all().to_pandas()
+    assert sorted(set(frame["time_h"])) == [5.0, 9000.0]
+    series = twin.field_series("r1", "B1", "ceeq", times=[5.0, 9000.0])
+    assert frame["mean"].tolist() == series["mean"].reshape(-1).tolist()
+
+
 def test_without_pyarrow_a_stream_is_refused_with_what_else_there_is(
     api: httpx.Client, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
