@@ -103,10 +103,10 @@ def fill(client: httpx.Client) -> None:
     sealed(client, head)
 
 
-def sealed(client: httpx.Client, seq: int) -> None:
-    end = time.monotonic() + 120
+def sealed(client: httpx.Client, seq: int, rotor: str = "r1") -> None:
+    end = time.monotonic() + 240
     while time.monotonic() < end:
-        now = client.get("/v1/rotors/r1", params={"wait_for": seq, "timeout": 20}).json()
+        now = client.get(f"/v1/rotors/{rotor}", params={"wait_for": seq, "timeout": 20}).json()
         if now["applied_seq"] >= seq and now["posterior"] and now["posterior"]["sealed"]:
             return
         time.sleep(0.2)
@@ -117,7 +117,8 @@ def sealed(client: httpx.Client, seq: int) -> None:
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("service")
     port, database = free_port(), f"sqlite:///{folder / 'pages.db'}"
-    given = {"DATABASE_URL": database, "PORT": str(port), "DIAGNOSERS": "0", "HEARTBEAT_S": "1"}
+    given = {"DATABASE_URL": database, "PORT": str(port), "DIAGNOSERS": "0"}
+    given |= {"SEALERS": "0", "HEARTBEAT_S": "1"}  # no process that all others go before
     env = os.environ | {f"BLADETWIN_{name}": value for name, value in given.items()}
     command = [sys.executable, "-P", "-m", "service.cli", "serve"]
     with (folder / "log").open("wb") as log:

@@ -1,0 +1,84 @@
+"""Every page with the data of the main job: a hundred blades, scans, CEEQ, all of the plan."""
+
+from __future__ import annotations
+
+import httpx
+import pytest
+from playwright.sync_api import Browser, expect
+
+from core.builtin import inspection_plan
+from tests.browser.conftest import Running, sealed, watching
+from tests.browser.test_pages_in_browser import COLOURS, serious
+
+SIZES = ((1280, "light"), (1920, "dark"))
+PAGES = (
+    "/", "/rotors/demo?limit=0.9", "/rotors/demo/readings", "/rotors/demo/blades/B001?limit=0.9",
+    "/rotors/demo/blades/B028-2", "/rotors/demo/blades/B001/3d", "/rotors/demo/residuals",
+    "/rotors/demo/diagnoses", "/models", "/models/rotor-blade", "/operations",
+)  # fmt: skip
+# Pairs of words in pictures that lie on one another by more than two pixels either way.
+ON_ONE_ANOTHER = """() => [...document.querySelectorAll("svg")].flatMap((svg) => {
+  const words = [...svg.querySelectorAll("text")].map((t) => [t.textContent, t.getBoundingClientRect()])
+    .filter(([, box]) => box.width > 0);
+  return words.flatMap(([a, one], i) => words.slice(i + 1)
+    .filter(([, two]) => Math.min(one.right, two.right) - Math.max(one.left, two.left) > 2
+      && Math.min(one.bottom, two.bottom) - Math.max(one.top, two.top) > 2)
+    .map(([b]) => `${a} | ${b}`));
+})"""  # noqa: E501
+
+
+@pytest.fixture(scope="module")
+def demo(service: Running) -> Running:
+    """The rotor of the inspection plan, every reading of it applied."""
+    client: httpx.Client = service.client
+    blades = [
+        {"id": name, "slot": name[1:4], "coating_lot": f"C{int(name[1:4]) % 3 + 1}"}
+        for name in inspection_plan.blades()
+    ]
+    body = {"id": "demo", "model": "rotor-blade", "particles": 500, "blades": blades}
+    client.post("/v1/rotors", json=body).raise_for_status()
+    plan = inspection_plan.load().inspections
+    assert len(plan) == 306
+    told = client.post("/v1/rotors/demo/inspections", json={"inspections": list(plan)})
+    told.raise_for_status()
+    sealed(client, told.json()["head_seq"], "demo")
+    return service
+
+
+@pytest.mark.parametrize(("width", "scheme"), SIZES)
+def test_every_page_stands_with_the_main_job_s_data(
+    browser: Browser, demo: Running, width: int, scheme: str
+) -> None:
+    for seen in watching(browser, demo):
+        page = seen.page
+        page.set_viewport_size({"width": width, "height": 900})
+        page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+        for path in PAGES:
+            seen.open(path)
+            expect(page.locator("#notice .bad")).to_have_count(0)
+            assert page.evaluate(ON_ONE_ANOTHER) == [], path
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), path
+            assert serious(page, "color-contrast") == [], path
+        assert (seen.errors, seen.outside) == ([], [])
+
+
+def test_the_plan_s_scan_and_band_are_shown(browser: Browser, demo: Running) -> None:
+    for seen in watching(browser, demo):
+        page = seen.open("/rotors/demo/blades/B001/3d")
+        share, colours = page.locator(".space canvas").evaluate(COLOURS)
+        assert share > 0.05
+        assert colours > 20
+        expect(page.locator("main")).to_contain_text("B001-d3")
+        seen.open("/rotors/demo")
+        expect(page.locator(".ring a")).to_have_count(103)
+        assert serious(page) == []
+
+
+def test_words_on_one_another_are_seen(browser: Browser, demo: Running) -> None:
+    for seen in watching(browser, demo):
+        page = seen.open("/rotors/demo")
+        page.evaluate(
+            "document.querySelector('svg.ring').insertAdjacentHTML('beforeend',"
+            '\'<text x="200" y="200">one</text><text x="202" y="202">two</text>\')'
+        )
+        assert "one | two" in page.evaluate(ON_ONE_ANOTHER)
