@@ -3,9 +3,9 @@
 ``elongation``            (psi) → mean, sd: the model at given parameters, as this blade has it (its
                           known inputs, the effects that the rotor has adopted), without
                           discrepancy and noise; sd is the surrogate's own. Names, units and bounds
-                          of psi stand in ModelInfo. config: times, node
+                          of psi stand in ModelFacts. config: times, node
 ``elongation.posterior``  (hours) → mean, sd of the blade, sd of a reading, lower, upper: what
-                          ``GET …/prediction`` says of the version that ModelInfo names.
+                          ``GET …/prediction`` says of the version that ModelFacts names.
                           config: count (of hours, 1), node, probability, instrument
 
 Of a vector each output holds x, y, z of the first hour, then of the next.

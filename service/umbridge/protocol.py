@@ -2,6 +2,8 @@
 
     GET  /Info                               → protocolVersion, names of the models
     POST /ModelInfo    {name}                → what of the protocol a model supports
+    POST /ModelFacts   {name}                → not of the protocol: names, units and bounds of the
+                                               inputs, outputs, what a posterior rests on
     POST /InputSizes   {name, config}        → lengths of its input vectors
     POST /OutputSizes  {name, config}        → lengths of its output vectors
     POST /Evaluate     {name, input, config} → its output vectors
@@ -26,6 +28,7 @@ Json = dict[str, Any]
 Vectors = list[list[float]]
 FIELDS = {
     "/ModelInfo": {"name"},
+    "/ModelFacts": {"name"},
     "/InputSizes": {"name", "config"},
     "/OutputSizes": {"name", "config"},
     "/Evaluate": {"name", "config", "input"},
@@ -72,6 +75,8 @@ def _answer(models: Mapping[str, Served], method: str, path: str, body: bytes) -
         if method != "GET":
             raise _RefusedError("InvalidInput", f"{method} /Info: use GET", 405)
         return {"protocolVersion": 1.0, "models": list(models)}
+    if path.removeprefix("/") in UNSUPPORTED:
+        raise _RefusedError("UnsupportedFeature", f"{path} is not supported by these models")
     if path not in FIELDS:
         known = ", ".join(["/Info", *FIELDS])
         raise _RefusedError("UnsupportedFeature", f"{path} is not served here: use {known}", 404)
@@ -84,7 +89,9 @@ def _answer(models: Mapping[str, Served], method: str, path: str, body: bytes) -
         raise _RefusedError("ModelNotFound", f"no model {asked.get('name')!r}: use one of {named}")
     if path == "/ModelInfo":
         support = {"Evaluate": True} | dict.fromkeys(UNSUPPORTED, False)
-        return {"support": support} | model.info()
+        return {"support": support}
+    if path == "/ModelFacts":
+        return model.info()
     config = asked.get("config") or {}
     if not isinstance(config, dict):
         raise _RefusedError("InvalidInput", "config is no JSON object")

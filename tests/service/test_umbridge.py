@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -94,7 +97,7 @@ def test_the_model_at_given_parameters_is_that_of_core(url: str) -> None:
     assert sd == [0.0, 0.0]
     other = model([[1.1, 0.88, 0.4, -0.5]], config)[0]
     assert other != truth, "negative control"
-    told = httpx.post(f"{url}/ModelInfo", json={"name": "elongation"}).json()
+    told = httpx.post(f"{url}/ModelFacts", json={"name": "elongation"}).json()
     names = ["tbc_thickness", "t1t_rate", "creep_transient", "creep_steady"]
     assert [one["name"] for one in told["parameters"]] == names
     assert told["parameters"][1] == {"name": "t1t_rate", "unit": "1", "low": 0.8, "high": 1.0}
@@ -120,7 +123,7 @@ def test_the_posterior_model_is_the_prediction_of_core(
     assert told[3:] == [truth.lower.tolist(), truth.upper.tolist()]
     noise = np.array(told[2]) ** 2 - np.array(told[1]) ** 2
     assert noise == pytest.approx(truth.sd["noise"] ** 2)
-    info = httpx.post(f"{url}/ModelInfo", json={"name": "elongation.posterior"}).json()
+    info = httpx.post(f"{url}/ModelFacts", json={"name": "elongation.posterior"}).json()
     assert info["rests_on"]["state_digest"] == here.state.digest
     assert info["health"]["status"] == "ok"
 
@@ -170,7 +173,7 @@ def test_a_model_that_fails_says_so_and_tells_nothing_else() -> None:
         def info(self) -> Any:
             raise RuntimeError("a secret")
 
-    status, told = answer({"m": Broken()}, "POST", "/ModelInfo", b'{"name": "m"}')  # type: ignore[dict-item]
+    status, told = answer({"m": Broken()}, "POST", "/ModelFacts", b'{"name": "m"}')  # type: ignore[dict-item]
     assert (status, told["error"]["type"]) == (500, "InternalError")
     assert "secret" not in told["error"]["message"]
 
@@ -212,3 +215,35 @@ def test_the_command_serves_what_the_service_says(
         process.send_signal(signal.SIGTERM)
         process.wait(30)
         process.stdout.close()
+
+
+VENDOR = Path(__file__).parent / "vendor" / "umbridge"
+JSONSCHEMA = """import jsonschema_rs
+
+
+def validate(instance, schema):
+    jsonschema_rs.validate(schema, instance)
+"""
+
+
+def conform(url: str, folder: Path, value: list[float]) -> subprocess.CompletedProcess[str]:
+    """UM-Bridge's own test of a server (protocol 1.0), run as it stands."""
+    for name in ("conftest.py", "test_model_schema.py"):
+        (folder / name).write_text((VENDOR / f"{name}.txt").read_text())
+    (folder / "jsonschema.py").write_text(JSONSCHEMA)  # the validator that is installed here
+    asked = [f"--model_url={url}", "--input_value=" + str(value).replace(" ", "")]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *asked]
+    return subprocess.run(
+        [*command, "test_model_schema.py"], cwd=folder, capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+    )  # fmt: skip
+
+
+def test_the_server_conforms_by_the_protocol_s_own_test(url: str, tmp_path: Path) -> None:
+    listed = (VENDOR / "VENDORED").read_text().splitlines()[1:]
+    for line in listed:
+        digest, name = line.split("  ")
+        assert sha256((VENDOR / name).read_bytes()).hexdigest() == digest, name
+    run = conform(url, tmp_path, PSI)
+    assert run.returncode == 0, run.stdout[-3000:]
+    assert re.search(r"\b\d{2,} passed", run.stdout), run.stdout

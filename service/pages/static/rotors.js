@@ -2,7 +2,7 @@
 
 import { get, path } from "./api.js";
 import { $, asked, h, panel, remember, scroll, show, table } from "./dom.js";
-import { fixed, moment } from "./format.js";
+import { fixed, moment, number } from "./format.js";
 import { keep } from "./live.js";
 import { badges, notices, statesOf } from "./states.js";
 
@@ -58,7 +58,7 @@ async function draw() {
       : h("p", {}, "No rotor comes after that name."));
     return;
   }
-  const made = table(columns, found.items, { caption: `${found.items.length} rotors of this page, by name`, sorted });
+  const made = table(columns, found.items, { caption: X, sorted });
   made.addEventListener("sorted", (event) => { sorted = event.detail; });
   show(list, scroll("Rotors", made));
 }
