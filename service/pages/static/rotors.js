@@ -58,7 +58,7 @@ async function draw() {
       : h("p", {}, "No rotor comes after that name."));
     return;
   }
-  const made = table(columns, found.items, { caption: X, sorted });
+  const made = table(columns, found.items, { caption: `${number(found.items.length, "rotor")} on this page, by name`, sorted });
   made.addEventListener("sorted", (event) => { sorted = event.detail; });
   show(list, scroll("Rotors", made));
 }
