@@ -89,10 +89,13 @@ class Worker:
     def run(self) -> None:
         """Work until stopped; a database that is away is waited for."""
         wake = open_wake(self.store.engine, "bladetwin_work", self.settings.poll_ms)
+        cold = True
         try:
-            self.warm()
             while not self._stop.is_set():
                 try:
+                    if cold:
+                        self.warm()
+                        cold = False
                     self.drain()
                 except StoreAwayError as error:
                     log.error("%s The worker looks again in 1 s.", error)

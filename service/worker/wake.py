@@ -9,6 +9,7 @@ work in the tables, and looks there now and then without a hint.
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
 from sqlalchemy import Engine
@@ -57,27 +58,34 @@ class SqliteWake:
 
 
 class PostgresWake:
-    """Listens on one channel with a connection of its own, opened again if it was lost."""
+    """Listens on one channel with a connection of its own, opened again if it was lost.
+
+    A database that is away when this begins is as good as one that went away: nothing is raised,
+    `wait` tries again. What was committed while nobody listened gave no hint, so each opening
+    counts as one.
+    """
 
     def __init__(self, engine: Engine, channel: str) -> None:
-        self._psycopg: Any = engine.dialect.dbapi
+        driver: Any = engine.dialect.dbapi
+        self._connect, self._away = driver.connect, driver.OperationalError
         self._parameters = engine.dialect.create_connect_args(engine.url)
         self._channel = channel
         self._connection: psycopg.Connection[Any] | None = None
-        self._open()
+        with suppress(self._away):
+            self._open()
 
     def _open(self) -> None:
         arguments, options = self._parameters
-        self._connection = self._psycopg.connect(*arguments, **options, autocommit=True)
+        self._connection = self._connect(*arguments, **options, autocommit=True)
         self._connection.execute(f"LISTEN {self._channel}")
 
     def wait(self, timeout_s: float) -> bool:
         try:
             if self._connection is None:
                 self._open()
-            assert self._connection is not None
+                return True
             return any(True for _ in self._connection.notifies(timeout=timeout_s, stop_after=1))
-        except self._psycopg.OperationalError:
+        except self._away:
             self.close()
             time.sleep(min(1.0, timeout_s))
             return True

@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
 
 import httpx
 import pytest
 
 from core.observation import Inspection
-from service.bootstrap import EMBEDDED_NICENESS, SEALER_NICENESS
+from service.bootstrap import EMBEDDED_NICENESS, SEALER_NICENESS, make_store, make_worker
 from service.client import Client
 from service.fake import FakeScience
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
+from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
+from service.store.migrate import migrate
 from service.store.unit_of_work import SqlStore
+from service.studies.chaos.postgres import Server
 from service.worker.claiming import Role
 from service.worker.supervise import Supervisor
 
@@ -285,20 +291,41 @@ def test_no_worker_outlives_a_server_that_was_killed(tmp_path: Path) -> None:
         until("the end of the workers", lambda: not any(alive(pid) for pid in workers))
 
 
+def test_a_worker_that_begins_while_the_database_is_away_waits_for_it() -> None:
+    with Server() as server:
+        settings = Settings(database_url=server.url(), science="fake")
+        store = make_store(settings)
+        migrate(store.engine)
+        register_builtins(store, FakeScience())
+        create_rotor(store, "r1", "rotor-blade", [BladeRecord("B1")], 64, 7)
+        server.stop(signal.SIGQUIT)
+        worker = make_worker(store, FakeScience(), settings, "early", "all")
+        running = threading.Thread(target=worker.run)
+        running.start()
+        try:
+            time.sleep(2.5)  # it has looked in vain by then, more than once
+            assert running.is_alive()
+            server.start()
+            until("its work", lambda: view_rotor(store, "r1").rotor.version > 0)
+        finally:
+            worker.stop()
+            running.join()
+            store.engine.dispose()
+
+
 def test_a_server_that_is_told_to_stop_lets_those_who_wait_go(tmp_path: Path) -> None:
     bare_url = f"sqlite:///{tmp_path / 'bladetwin.db'}"
     settings = Settings(database_url=bare_url, science="fake", workers=0)
     with serving(settings) as (process, client):
         client.create_rotor("r1", blades=["B1"])
-        probe = (
-            "import httpx, sys; r = httpx.get(sys.argv[1], timeout=100);"
-            "sys.exit(0 if r.status_code == 200 and r.json()['applied_seq'] == 0 else 1)"
-        )
-        url = f"{client._http.base_url}/v1/rotors/r1?wait_for=9&timeout=55"
-        waiting = subprocess.Popen([sys.executable, "-c", probe, url])
-        time.sleep(1.5)
-        process.send_signal(signal.SIGINT)
-        assert waiting.wait(PATIENCE_S) == 0
+        netloc = client._http.base_url.netloc.decode()
+        with closing(HTTPConnection(netloc, timeout=PATIENCE_S)) as waiting:
+            waiting.request("GET", "/v1/rotors/r1?wait_for=9&timeout=55")
+            time.sleep(1.5)  # sent, so it waits in the server by then
+            process.send_signal(signal.SIGINT)
+            answer = waiting.getresponse()
+            assert answer.status == 200
+            assert json.loads(answer.read())["applied_seq"] == 0
         assert process.wait(PATIENCE_S) == 0
 
 

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from types import TracebackType
@@ -143,7 +144,8 @@ class Processes:
         at: TracebackType | None,
     ) -> None:
         for child in self.children:
-            child.signal(signal.SIGTERM)
+            with suppress(ProcessLookupError):  # its end has been seen in what it left undone
+                child.signal(signal.SIGTERM)
         for child in self.children:
             try:
                 child.end(20)
