@@ -89,7 +89,8 @@ export function chart(place, { time, lines, bands = [], marks = [], across = [],
       ctx.fillStyle = colour("bad-ink");
       ctx.font = `${12 * ratio}px system-ui, sans-serif`;
       ctx.textAlign = "left";
-      ctx.fillText(level.name, u.bbox.left + 6 * ratio, y - 5 * ratio);
+      ctx.textBaseline = "bottom";
+      ctx.fillText(level.name, u.bbox.left + 6 * ratio, y - 2 * ratio);
     }
     for (const one of marks) {
       const [, ink, d, filled] = MARKS[one.kind];

@@ -87,8 +87,10 @@ function result(found, unitName) {
     panel("Before and after", beforeAfter(found.before_after, unitName),
       shared.length ? table([
         { name: "Shared parameter", value: (p) => words(p.name) },
-        { name: "Before", value: (p) => pair(p.before), number: true },
-        { name: "After", value: (p) => pair(p.after), number: true },
+        ...(found.names.length ? [
+          { name: "Before", value: (p) => pair(p.before), number: true },
+          { name: "After", value: (p) => pair(p.after), number: true },
+        ] : [{ name: "Mean ± sd", value: (p) => pair(p.before), number: true }]),
       ], shared) : null),
     panel("What was tried", bars ?? h("p", { class: "soft" }, "Nothing had to be tried."),
       found.tried.length ? aside(`The first ${Math.min(MOST, found.tried.length)} of ${found.tried.length} as a table`, scroll("Tried", table([
