@@ -13,6 +13,7 @@ from service import tracing
 from service.errors import KeysMissingError, SchemaError
 from service.handlers.keys import list_keys
 from service.handlers.models import register_builtins
+from service.pauses import set_aside
 from service.ports import Science
 from service.settings import Settings
 from service.store.engine import is_sqlite, open_engine
@@ -155,6 +156,7 @@ def serve(settings: Settings) -> None:
         store.engine, worker_roles(settings), worker_command, settings.environ()
     )
     supervisor.start()
+    set_aside()
     try:
         server.run()
     finally:
