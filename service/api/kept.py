@@ -1,18 +1,19 @@
-"""Answers that are kept as bytes, as long as their rotor's posterior is the one they rest on.
+"""Answers that are kept as bytes, as long as what they rest on stands in the database.
 
 A prediction, a posterior or a life of the newest version is a function of the question and of that
-version (`service.handlers.reads.Basis`). A route says so of its answer (`rests_on`), and this layer
-keeps the bytes under the question. The same question is answered with them after one look at which
-version is the newest, in the database, so that a new version is seen from the moment on at which it
-is committed, by whatever process. What differs between callers (key, rate, request id) lies
-outside of this layer; what the answer is encoded in is part of the question.
+version (`service.handlers.reads.Basis`); a rotor as it stands is one of its row and that version. A
+route says so of its answer (`rests_on`, `shows`), and this layer keeps the bytes under the
+question. The same question is answered with them after one look at the version or the row, in the
+database, so that a new one is seen from the moment on at which it is committed, by whatever
+process. What differs between callers (key, rate, request id) lies outside of this layer; what the
+answer is encoded in is part of the question.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import MutableMapping
+from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,25 +23,36 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.tags import COMPRESSED, REVALIDATE, same_tag
 from service.errors import StoreAwayError
-from service.handlers.reads import Basis, newest
+from service.handlers.reads import Basis, newest, standing
+from service.handlers.rotors import RotorView
 from service.ports import Store, Which
 
 PLACE = "bladetwin.rests_on"
 Question = tuple[str, bytes, bool]
-Version = tuple[int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """What an answer follows from, beside its question: `look` at the rotor found `there`."""
+
+    rotor: str
+    look: Callable[[Store, str], object]
+    there: object
+
+    def holds(self, store: Store) -> bool:
+        return self.look(store, self.rotor) == self.there
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """An answer and the version of its rotor that it is of.
+    """An answer and what it rests on.
 
     tag    its plain ETag
     body   None: only that who has the tag has the answer is known
     scope  what the layers outside want to know of the route
     """
 
-    rotor: str
-    version: Version
+    ground: Ground
     tag: str
     headers: list[tuple[bytes, bytes]]
     body: bytes | None
@@ -81,7 +93,13 @@ def rests_on(scope: MutableMapping[str, Any], found: Basis, which: Which) -> Non
     """Say of the answer under way that it follows from the question and this version alone."""
     if which.newest:
         state = found.state
-        scope[PLACE] = (state.rotor_id, (state.version, state.digest))
+        scope[PLACE] = Ground(state.rotor_id, newest, (state.version, state.digest))
+
+
+def shows(scope: MutableMapping[str, Any], view: RotorView) -> None:
+    """Say of the answer under way that it follows from the rotor as it stands alone."""
+    rotor, state = view.rotor, view.state
+    scope[PLACE] = Ground(rotor.id, standing, (rotor, state and state.digest))
 
 
 class Answers:
@@ -110,7 +128,7 @@ class Answers:
 
     async def _holds(self, kept: Kept) -> bool:
         try:
-            return await run_in_threadpool(newest, self.store, kept.rotor) == kept.version
+            return await run_in_threadpool(kept.ground.holds, self.store)
         except StoreAwayError:
             return False  # the route tells it
 
@@ -135,13 +153,13 @@ class Answers:
     def _keep(self, question: Question, scope: Scope, start: Message, body: bytes) -> None:
         headers = Headers(raw=start["headers"])
         tag = headers.get("etag", "").replace(COMPRESSED + '"', '"')
-        rotor, version = scope[PLACE]
+        ground: Ground = scope[PLACE]
         told = {name: scope[name] for name in ("route", "path_params") if name in scope}
         if start["status"] == 200:
-            kept = Kept(rotor, version, tag, list(start["headers"]), body, told)
+            kept = Kept(ground, tag, list(start["headers"]), body, told)
             self.shelf.put(question, kept)
-        elif (old := self.shelf.get(question)) is None or old.version != version:
-            self.shelf.put(question, Kept(rotor, version, tag, [], None, told))
+        elif (old := self.shelf.get(question)) is None or old.ground != ground:
+            self.shelf.put(question, Kept(ground, tag, [], None, told))
 
 
 async def _again(scope: Scope, send: Send, kept: Kept, has: str | None) -> None:

@@ -34,8 +34,10 @@ def takes(document: Mapping[str, object], path: str, method: str) -> Takes:
     }
 
 
-def known_query(request: Request) -> None:
-    """Raises a problem 422 for parameters that the route does not take, or takes once."""
+async def known_query(request: Request) -> None:
+    """(Awaited, as every dependency here: FastAPI sends others through a thread, for each request.)
+
+    Raises a problem 422 for parameters that the route does not take, or takes once."""
     given = request.query_params.multi_items()
     if not given or not request.url.path.startswith(BELOW):
         return

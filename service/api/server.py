@@ -1,14 +1,47 @@
-"""uvicorn, as the service runs it."""
+"""uvicorn, as the service runs it: on uvloop, with the parser of httptools and a bound on heads."""
 
 from __future__ import annotations
 
 import socket
+from http import HTTPStatus
 
 import uvicorn
 from fastapi import FastAPI
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from service.api.waiting import Changes
 from service.settings import Settings
+
+HEAD_BYTES = 64 * 2**10
+
+
+class Protocol(HttpToolsProtocol):
+    """One connection, whose requests' heads and trailers are bounded.
+
+    The parser (llhttp) keeps a line until its end, however long it gets. So what has come since the
+    last part of a body, or since the last request, is counted, and above `HEAD_BYTES` the
+    connection ends with 431. (A single read may go beyond it, and holds 256 KiB at most.)
+    """
+
+    _since = 0
+
+    def data_received(self, data: bytes) -> None:
+        self._since += len(data)
+        super().data_received(data)
+        if self._since > HEAD_BYTES and not self.transport.is_closing():
+            self.logger.warning("a request's head is above %d KiB", HEAD_BYTES // 2**10)
+            status = HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
+            head = f"HTTP/1.1 {status.value} {status.phrase}\r\ncontent-length: 0\r\n"
+            self.transport.write(f"{head}connection: close\r\n\r\n".encode())
+            self.transport.close()
+
+    def on_body(self, body: bytes) -> None:
+        self._since = 0
+        super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        self._since = 0
+        super().on_message_complete()
 
 
 class Server(uvicorn.Server):
@@ -30,6 +63,7 @@ def server(app: FastAPI, settings: Settings) -> Server:
     """A server of the application at the settings' address."""
     config = uvicorn.Config(
         app,
+        http=Protocol,
         host=settings.host,
         port=settings.port,
         log_config=None,

@@ -17,7 +17,7 @@ At = Annotated[
 ]
 
 
-def which_of(version: Version = None, at: At = None) -> Which:
+async def which_of(version: Version = None, at: At = None) -> Which:
     """The version asked for; 422 for a moment that is none, or for both."""
     if at is None:
         return Which(version)

@@ -27,6 +27,7 @@ def umbridge(
     """
     import uvicorn
 
+    from service.api.server import Protocol
     from service.bootstrap import make_science
     from service.handlers.reads import basis
     from service.ports import Which
@@ -46,4 +47,6 @@ def umbridge(
         say(facts, [line, *(f"  {name}" for name in models)], as_json=as_json)
         sys.stdout.flush()
         app = umbridge_app(models)
-        uvicorn.run(app, host="127.0.0.1", port=port, log_config=None, access_log=False)
+        uvicorn.run(
+            app, http=Protocol, host="127.0.0.1", port=port, log_config=None, access_log=False
+        )

@@ -18,6 +18,7 @@ from service.ports import (
     Json,
     ModelCard,
     Prediction,
+    RotorRecord,
     Science,
     StateRecord,
     Store,
@@ -96,6 +97,18 @@ def newest(store: Store, rotor_id: str) -> tuple[int, str] | None:
     """Number and digest of a rotor's newest version; None: it has none, or there is no rotor."""
     with store.read() as tx:
         return tx.states.newest(rotor_id)
+
+
+def standing(store: Store, rotor_id: str) -> tuple[RotorRecord, str | None] | None:
+    """A rotor's row and the digest of its newest version, from which all that is told of the
+    rotor as it stands follows; None: there is no such rotor."""
+    with store.read() as tx:
+        try:
+            rotor = tx.records.rotor(rotor_id)
+        except NotFoundError:
+            return None
+        found = tx.states.newest(rotor_id)
+    return rotor, found and found[1]
 
 
 def posterior(store: Store, science: Science, found: Basis) -> Json:

@@ -16,6 +16,7 @@ import uvicorn
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from core.observation import Inspection
+from service.api.server import Protocol
 from service.bootstrap import make_app, make_worker
 from service.fake import FakeScience
 from service.handlers.inspections import Item, post_inspections
@@ -64,15 +65,20 @@ class Switch:
 
 
 class RunningServer:
-    """uvicorn on a free port of the loopback, in a thread of its own."""
+    """uvicorn on a free port of the loopback, in a thread of its own, on what the service uses."""
 
     def __init__(self) -> None:
         self.switch = Switch()
         config = uvicorn.Config(
-            self.switch, host="127.0.0.1", port=0, lifespan="off", log_config=None
+            self.switch,
+            http=Protocol,
+            host="127.0.0.1",
+            port=0,
+            lifespan="off",
+            log_config=None,
         )
         self.server = uvicorn.Server(config)
-        self.loop = asyncio.new_event_loop()
+        self.loop = (config.get_loop_factory() or asyncio.new_event_loop)()
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
         while not self.server.started:

@@ -8,10 +8,16 @@ from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import update
 
 from core.observation import Inspection
-from service.api.kept import Kept, Shelf
+from service.api.kept import Ground, Kept, Shelf
+from service.api.rotor_answers import view_out
 from service.fake import FakeScience
+from service.handlers import rotors
+from service.handlers.rotors import view_in
+from service.store import tables as t
+from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
@@ -119,6 +125,75 @@ def test_a_version_that_is_named_and_a_refusal_are_never_kept(
     assert len(counted) == 2
 
 
+@pytest.fixture
+def views(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The rotors that were read with their blades."""
+    found: list[str] = []
+    whole = rotors.view_in
+
+    def view_in(tx: Any, rotor_id: str) -> Any:
+        found.append(rotor_id)
+        return whole(tx, rotor_id)
+
+    monkeypatch.setattr(rotors, "view_in", view_in)
+    return found
+
+
+def test_a_rotor_is_read_again_only_where_something_changed(
+    api: httpx.Client,
+    told: str,
+    store: SqlStore,
+    post: Callable[..., int],
+    reading: Callable[..., Inspection],
+    worker: Worker,
+    views: list[str],
+) -> None:
+    address = f"/v1/rotors/{told}"
+
+    def block() -> None:
+        with store.write() as tx:
+            row = t.cursor.c.rotor_id == told
+            tx.connection.execute(update(t.cursor).where(row).values(blocked=True, last_error="x"))
+
+    changes: tuple[Callable[[], object], ...] = (
+        lambda: post(told, reading("n1", value=0.3)),
+        worker.drain,
+        lambda: api.post(f"{address}/inspections/n1/retraction"),
+        worker.drain,
+        lambda: api.post(f"{address}/blades", json={"id": "B9"}),
+        worker.drain,
+        lambda: api.post(f"{address}/blades/B9/retirement"),
+        block,
+        lambda: api.post(f"{address}/retry"),
+        worker.drain,
+    )
+    seen = [api.get(address)]
+    for change in changes:
+        done = change()
+        assert not isinstance(done, httpx.Response) or done.status_code == 202, done
+        with store.read() as tx:
+            now = view_out(view_in(tx, told))
+        views.clear()
+        tag = {"If-None-Match": seen[-1].headers["etag"]}
+        new, again = api.get(address, headers=tag), api.get(address)
+        assert new.json() == now
+        assert own(again) == own(new)
+        assert again.content == new.content
+        assert api.get(address, headers={"If-None-Match": new.headers["etag"]}).status_code == 304
+        assert views == [told], "read once for the three"
+        seen.append(new)
+    assert len({one.content for one in seen}) == len(seen), "each change was seen"
+
+
+def test_a_rotor_that_is_waited_for_or_gone_is_never_kept(
+    api: httpx.Client, told: str, views: list[str]
+) -> None:
+    for _ in range(2):
+        assert api.get(f"/v1/rotors/{told}?wait_for=1&timeout=0").status_code == 200
+        assert api.get("/v1/rotors/nobody").status_code == 404
+    assert views == [told, "nobody"] * 2
+
+
 def test_what_is_kept_is_behind_keys_and_rights(
     told: str, serving: Serving, key: Callable[..., dict[str, str]]
 ) -> None:
@@ -145,12 +220,13 @@ def test_nothing_is_kept_where_there_is_no_room(
 
 
 def test_the_shelf_drops_what_was_not_asked_for_the_longest() -> None:
+    ground = Ground("r", lambda store, rotor: None, None)
     shelf = Shelf(3 * (Shelf.ENTRY_BYTES + 100) / 2**20)
     for name in "abc":
-        shelf.put((name, b"", False), Kept("r", (1, ""), name, [], b"x" * 100, {}))
+        shelf.put((name, b"", False), Kept(ground, name, [], b"x" * 100, {}))
     assert shelf.get(("a", b"", False)) is not None
-    shelf.put(("d", b"", False), Kept("r", (1, ""), "d", [], b"x" * 100, {}))
+    shelf.put(("d", b"", False), Kept(ground, "d", [], b"x" * 100, {}))
     found = {name for name in "abcd" if shelf.get((name, b"", False)) is not None}
     assert found == {"a", "c", "d"}
-    shelf.put(("a", b"", False), Kept("r", (1, ""), "a", [], None, {}))
+    shelf.put(("a", b"", False), Kept(ground, "a", [], None, {}))
     assert shelf.get(("c", b"", False)) is not None

@@ -185,7 +185,7 @@ def test_requests_are_counted_by_the_route_s_template_and_status(
         api.get(f"/v1/rotors/{name}")
     for path in ("/no/such/path", "/another", "/v1/rotors/r1/nothing"):
         api.get(path)
-    api.request("BREW", "/v1/rotors/r1")
+    api.request("PROPFIND", "/v1/rotors/r1")
     api.post("/v1/rotors", json={})
     api.get("/v1/rotors/r1/blades/B1/prediction")
     found = read(api)

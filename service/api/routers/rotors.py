@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
+from service.api.kept import shows
 from service.api.preconditions import rotor_tag, text_of
 from service.api.problems import RequestError, fault
 from service.api.rotor_answers import blade_out, rotor_out, view_out
@@ -91,6 +92,8 @@ async def get_rotor(
         view = await run_in_threadpool(use.view_rotor, services.store, r, which)
     else:
         raise _both(wait_for)
+    if which.newest and wait_for is None:
+        shows(request.scope, view)
     body = view_out(view)
     text = text_of(body)
     tag = rotor_tag(r, text)
