@@ -15,6 +15,7 @@ whether the blade contradicts the rotor or the model altogether (or itself).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,13 @@ def _improbable(nats: float, rows: int) -> bool:
     >>> _improbable(15.0, 2), _improbable(30.0, 2), _improbable(30.0, 40)
     (False, True, False)
     """
-    return not chi2.logsf(2 * nats, rows) > IMPROBABLE
+    return not 2 * nats < _most(rows, IMPROBABLE)
+
+
+@lru_cache(maxsize=1024)
+def _most(rows: int, log_p: float) -> float:
+    """chi² that `rows` rows of noise exceed with this log probability."""
+    return float(chi2.isf(np.exp(log_p), rows))
 
 
 def best_fit(message: BladeMessage, at: Array, *free: str) -> float:

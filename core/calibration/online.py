@@ -20,9 +20,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from core.calibration.collapsed import message_of
 from core.calibration.rotor import node_count
-from core.calibration.space import nominal, shared_space
+from core.calibration.space import shared_space
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, RotorSpec, RotorState
 from core.calibration.step import Step, Workspace
@@ -87,11 +86,7 @@ def begun(
     prepare(model, inspections)
     rows = {b: work.rows_of(model, by_blade[b]) for b in sorted(by_blade)}
     space = shared_space(model, rows.values(), prior)
-    known = rotor.known or {}
-    messages = {
-        b: message_of(model, r, space, nominal(model, r.response.names, known.get(b)))
-        for b, r in rows.items()
-    }
+    messages = work.messages_of(model, rows, space, rotor.known or {})
     if prior is not None:
         prior.check(model, rotor.id, {b: m.digest for b, m in messages.items()})
     digest = digest_of(inspections)

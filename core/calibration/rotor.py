@@ -121,7 +121,7 @@ def weigh(
     """
     messages = known.gathered(messages)
     d, n = space.dim, max(node_count(space.dim, bool(space.heavy)), 64 * space.tails)
-    scouts, enough = (16 if d <= 2 else 32, 0.5) if d <= 4 else (128, MORE)
+    scouts, enough = (16 if d <= 2 else 32, 0.4 if space.heavy else 0.5) if d <= 4 else (128, MORE)
     tabled = 2 * sum(m.tabled for m in messages.values()) > len(messages)
     fitting, cheap = min(0.3, 1.2 / d), all(m.cheap for m in messages.values())
     if cheap:
@@ -173,8 +173,9 @@ def weigh(
     def mended(start: Proposal, blades: Mapping[str, float]) -> Proposal | None:
         """Where a descent on all rough messages ends, mended by the exact ones of some blades."""
         unit, log_q = start.nodes(base[:scouts])
-        exact, rough = (seen(unit, how, blades) for how in ("exact", "rough"))
-        likely = space.log_prior(unit) + seen(unit, "exact", dict.fromkeys(blades, 1.0))
+        how: How = "near" if blades is everyone else "exact"
+        exact, rough = (seen(unit, how, blades) for how in (how, "rough"))
+        likely = space.log_prior(unit) + seen(unit, how, dict.fromkeys(blades, 1.0))
         mend, left = quadratic(unit, exact - rough, likely - log_q)
         if left > MISLED:
             return None
@@ -199,6 +200,7 @@ def weigh(
         was tried is judged together.
         """
         best, idle, tried = (-1.0, -1.0, start), 0, dict[bytes, Tried]()
+        told = dict[bytes, float]()
         for _ in range(turns):
             unit, log_q = start.nodes(base[:n])
             log_p = space.log_prior(unit) + seen(unit, "near", everyone)
@@ -208,9 +210,14 @@ def weigh(
             leading = max(circle, key=lambda one: one.share)
             for one in (leading, here) if leading is not here else (here,):
                 share, further = judged(one, circle)
+                if further is None:  # no surface: what the last one said of it stands
+                    share = min(share, told.get(one.proposal.key, share))
+                told[one.proposal.key] = share
                 ways += [further] if further is not None and one.share > CARRIES else []
                 believed = max(believed, share)
                 best = max(best, (share, one.share, one.proposal), key=lambda found: found[:2])
+            if best[0] >= enough:
+                break
             if len(circle) > 1 and here.share > CARRIES:
                 ways += [further for _, further in [judged(here, [here])] if further is not None]
             better = best[0] > 1.05 * before[0] or best[1] > 1.05 * before[1]
@@ -222,7 +229,7 @@ def weigh(
                 ways.insert(0 if idle else len(ways), finely_rounded(*found, space.heavy))
             ways.append(improved(start, unit, log_p, log_q, fitting))
             fresh = [way for way in ways if way.key not in tried]
-            if best[0] >= enough or not fresh or believed < least or idle == IDLE:
+            if not fresh or believed < least or idle == IDLE:
                 break
             start = fresh[0]
         return best[0], best[2]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.alike import family_key
+from core.calibration.collapsed import message_of
 from core.calibration.columns import Columns
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
@@ -23,7 +24,7 @@ from core.calibration.message import BladeMessage
 from core.calibration.rotor import Weighed, weigh
 from core.calibration.sets import Nodes, ParticleSets
 from core.calibration.smooth import NEARLY
-from core.calibration.space import SharedSpace, locals_of
+from core.calibration.space import SharedSpace, locals_of, nominal
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.surface import evening
@@ -39,6 +40,7 @@ LEAST_TEMPERING = 0.2  # below this exponent the nodes are placed anew at once
 MANY = 4  # touched blades above which nothing is tempered
 FIRST = 12  # touched blades that are looked at before all, where there are more
 MANY_ESS, FIRST_ESS = 0.2, 0.5  # shares of the nodes that they must leave, or all is placed anew
+KEPT = 2000  # blades' rows and messages
 PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
 
 
@@ -48,6 +50,7 @@ class Workspace:
     def __init__(self) -> None:
         self.columns = Columns()
         self.rows: OrderedDict[tuple[str, str], BladeRows] = OrderedDict()
+        self.messages: OrderedDict[tuple[Any, ...], BladeMessage] = OrderedDict()
         self.sets = ParticleSets()
 
     def rows_of(self, model: Model, readings: Sequence[Inspection]) -> BladeRows:
@@ -56,9 +59,33 @@ class Workspace:
             made = assemble(model, readings)
             assert made is not None
             self.rows[key] = made
-            while len(self.rows) > 2000:
+            while len(self.rows) > KEPT:
                 self.rows.popitem(last=False)
         return self.rows[key]
+
+    def messages_of(
+        self,
+        model: Model,
+        rows: Mapping[str, BladeRows],
+        space: SharedSpace,
+        known: Mapping[str, Mapping[str, float]],
+    ) -> dict[str, BladeMessage]:
+        """The blades' messages; those of before, with what they have made of their rows."""
+        found = dict[str, BladeMessage]()
+        for blade, own in rows.items():
+            fixed = nominal(model, own.response.names, known.get(blade))
+            if space.joint is not None:  # a prior from elsewhere is no part of the key
+                found[blade] = message_of(model, own, space, fixed)
+                continue
+            told = (space.names, space.priors, space.tails, space.heavy)
+            key = (model.digest, own.digest, tuple(sorted(fixed.items())), told)
+            if key not in self.messages:
+                self.messages[key] = message_of(model, own, space, fixed)
+            self.messages.move_to_end(key)
+            found[blade] = self.messages[key]
+        while len(self.messages) > KEPT:
+            self.messages.popitem(last=False)
+        return found
 
 
 def tempering(log_w: Array, share: float = QUICK_ESS) -> float:

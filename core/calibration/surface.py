@@ -41,7 +41,7 @@ DEPTH = 25.0  # nats below the best node that still shape the surface
 LENGTHS = (1.0, 1.5, 2.0, 3.0, 4.5)
 NUGGETS = (1e-8, 1e-5, 1e-2)
 CHOOSING = 512  # nodes at most at which length and nugget are chosen
-POINTS = 8192
+POINTS = 8192  # at which a surface is integrated; fewer in few dimensions
 FORESEEN = 2.0  # nat of leave-one-out error up to which a surface tells where to go
 KEPT = 0.6  # of the effective nodes: a tilt that costs more is not believed
 TRUSTED = 0.5  # nat of leave-one-out error up to which a surface is
@@ -141,11 +141,13 @@ def foreseen(proposal: Proposal, unit: Array, log_p: Array, log_q: Array) -> tup
     surface, error = Surface.through(unit, log_p, w)
     if not error < FORESEEN:
         raise InputError("surface", error, "nat off", "use the nodes alone")
-    dense, log_dense_q = proposal.spread(2.0).nodes(sobol(POINTS, unit.shape[1], POINTS))
+    d = unit.shape[1]
+    points = POINTS // (4 if d <= 2 else 2 if d <= 4 else 1)
+    dense, log_dense_q = proposal.spread(2.0).nodes(sobol(points, d, points))
     log_dense_p = surface(dense)
     log_w = log_dense_p - log_dense_q
     total = log_sum_exp(log_w)
-    log_ratio = log_dense_p - total + np.log(POINTS) - proposal.log_density(dense)  # of p to q
+    log_ratio = log_dense_p - total + np.log(points) - proposal.log_density(dense)  # of p to q
     share = np.exp(-log_sum_exp(log_w - total + log_ratio))
     return float(share), rounded(*moments(dense, normalised(log_w)), proposal.heavy)
 
@@ -164,9 +166,10 @@ def evening(
         surface, error = Surface.through(unit, log_p, normalised(log_w), x)
         if not error < TRUSTED:
             return none, None
-        dense, log_dense_q = proposal.nodes(sobol(POINTS, space.dim, POINTS))
+        points = POINTS // (2 if space.dim <= 2 else 1)
+        dense, log_dense_q = proposal.nodes(sobol(points, space.dim, points))
         log_dense_w = surface(dense) - log_dense_q
-        if ess(log_dense_w) / POINTS < KEPT * ess(log_w) / len(log_w):  # it rises between nodes
+        if ess(log_dense_w) / points < KEPT * ess(log_w) / len(log_w):  # it rises between nodes
             return none, None
         mean, cov = moments(space.to_x(dense), normalised(log_dense_w))
         z = np.linalg.solve(np.linalg.cholesky(cov), (x - mean).T).T

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,9 +117,11 @@ _HEAVY = _Shape(
 def rounded(mean: Array, covariance: Array, heavy: tuple[int, ...] = ()) -> Proposal:
     """The proposal for these moments on the coarse lattice.
 
-    Spreads are rounded to powers of sqrt 2, correlations to quarters, centres to half a spread.
+    Spreads are rounded to powers of sqrt 2, centres to half a spread, correlations to quarters, of
+    two parameters to halves: single readings move those back and forth, and hardly any weight.
     """
     d = len(mean)
+    parts = 2 if d <= 2 else 4
     covariance = covariance + 1e-14 * np.eye(d)
     chol = np.linalg.cholesky(covariance)
     out = np.zeros((d, d))
@@ -126,16 +129,21 @@ def rounded(mean: Array, covariance: Array, heavy: tuple[int, ...] = ()) -> Prop
         spread = 2.0 ** (np.round(2 * np.log2(WIDEN * chol[i, i])) / 2)
         out[i, i] = min(spread, 1.0)
         for j in range(i):
-            out[i, j] = np.round(4 * chol[i, j] / chol[i, i]) / 4 * out[i, i]
+            turn = np.round(parts * chol[i, j] / chol[i, i]) / parts + 0.0  # never -0
+            out[i, j] = turn * out[i, i]
     total = np.sqrt(np.sum(out**2, axis=1))
     step = 2.0 ** np.floor(np.log2(total)) / 2
     return Proposal(np.clip(np.round(mean / step) * step, 0.0, 1.0), out, heavy)
 
 
+@lru_cache(maxsize=64)
 def sobol(n: int, d: int, seed: int) -> Array:
-    """Scrambled Sobol points, strictly inside the unit cube; n a power of two."""
+    """Scrambled Sobol points, strictly inside the unit cube; n a power of two. Not to be written
+    to: equal questions have one answer."""
     points = qmc.Sobol(d, scramble=True, rng=np.random.default_rng(seed)).random(n)
-    return np.asarray(np.clip(points, 1e-9, 1 - 1e-9))
+    inside = np.asarray(np.clip(points, 1e-9, 1 - 1e-9))
+    inside.flags.writeable = False
+    return inside
 
 
 def moments(u: Array, w: Array) -> tuple[Array, Array]:
