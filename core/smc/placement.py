@@ -136,14 +136,15 @@ def rounded(mean: Array, covariance: Array, heavy: tuple[int, ...] = ()) -> Prop
     return Proposal(np.clip(np.round(mean / step) * step, 0.0, 1.0), out, heavy)
 
 
-@lru_cache(maxsize=64)
 def sobol(n: int, d: int, seed: int) -> Array:
-    """Scrambled Sobol points, strictly inside the unit cube; n a power of two. Not to be written
-    to: equal questions have one answer."""
+    """Scrambled Sobol points, strictly inside the unit cube; n a power of two."""
+    return _sobol(n, d, seed).copy()
+
+
+@lru_cache(maxsize=64)
+def _sobol(n: int, d: int, seed: int) -> Array:
     points = qmc.Sobol(d, scramble=True, rng=np.random.default_rng(seed)).random(n)
-    inside = np.asarray(np.clip(points, 1e-9, 1 - 1e-9))
-    inside.flags.writeable = False
-    return inside
+    return np.asarray(np.clip(points, 1e-9, 1 - 1e-9))
 
 
 def moments(u: Array, w: Array) -> tuple[Array, Array]:
