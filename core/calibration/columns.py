@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from core.calibration.alike import AlikeMessage, Family, gathered
 from core.calibration.message import PARTS, POOL, BladeMessage
-from core.calibration.smooth import NEARLY, TOLERANCE, Column, smoothly
+from core.calibration.smooth import NEARLY, TOLERANCE, Column, as_near, smoothly
 from core.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -74,9 +74,11 @@ class Columns:
     """Messages already computed, by what they rest on. Bounded, oldest out.
 
     How a column is asked for: ``exact``; ``near``, which may be off by `smooth.NEARLY`; ``rough``.
+    A near column is the same whether the exact one is kept or not: by near ones is decided where
+    nodes stand, and equal readings have to end in equal states whatever a process has met before.
     """
 
-    kept: dict[tuple[str, bool, bytes], Column] = field(default_factory=dict)
+    kept: dict[tuple[str, How, bytes], Column] = field(default_factory=dict)
     limit: int = 20_000
     computed: int = 0
     families: dict[bytes, Family] = field(default_factory=dict)
@@ -89,20 +91,32 @@ class Columns:
         """The column of each blade; those that are missing are computed side by side."""
         # by the nodes: rotors with equal readings share the proposal, but each has its own nodes
         nodes = blake2b(np.ascontiguousarray(unit).tobytes(), digest_size=16).digest()
-        places = {b: (m.name, how == "rough", nodes) for b, m in messages.items()}
-        tolerance = NEARLY if how == "near" else TOLERANCE
-        begun = {b: self.kept.get(place) for b, place in places.items()}
-        missing = {b: messages[b] for b, c in begun.items() if c is None or c.error > tolerance}
+        places = {b: (m.name, how, nodes) for b, m in messages.items()}
+        many = how != "rough" and len(unit) >= MANY
+        begun = dict[str, Column | None]()
+        for blade, message in messages.items():
+            if places[blade] in self.kept or how == "rough":
+                continue
+            other: How = "near" if how == "exact" else "exact"
+            known = begun[blade] = self.kept.get((message.name, other, nodes))
+            if known is not None and how == "near":
+                smooth = many and message.smooth
+                self.kept[places[blade]] = as_near(known, unit, message.seen) if smooth else known
+        missing = {b: m for b, m in messages.items() if places[b] not in self.kept}
         if len(self.kept) + len(missing) > self.limit:
             for old in list(self.kept)[: self.limit // 2]:
                 if old not in places.values():
                     del self.kept[old]
-        many = how != "rough" and len(unit) >= MANY
-        smooth = {b: m for b, m in missing.items() if many and m.smooth}
-        others = {b: m for b, m in missing.items() if b not in smooth}
-        made = smooth_columns([*smooth.values()], unit, [begun[b] for b in smooth], tolerance)
-        full = columns([*others.values()], unit, rough=how == "rough")
-        found = dict(zip(smooth, made, strict=True))
+        smooth_ones = {b: m for b, m in missing.items() if many and m.smooth}
+        others = [b for b in missing if b not in smooth_ones]
+        made = smooth_columns(
+            [*smooth_ones.values()],
+            unit,
+            [begun[b] for b in smooth_ones],
+            NEARLY if how == "near" else TOLERANCE,
+        )
+        full = columns([missing[b] for b in others], unit, rough=how == "rough")
+        found = dict(zip(smooth_ones, made, strict=True))
         found |= {b: Column(v, len(unit), 0.0) for b, v in zip(others, full, strict=True)}
         for blade, column in found.items():
             self.computed += 1

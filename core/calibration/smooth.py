@@ -119,6 +119,14 @@ class Ladder:
             self._krigings[stage] = Kriging.between(known, wanted)
         return self._krigings[stage]
 
+    def column(self, values: Array, stage: int) -> Column:
+        """The column (n,), changed, from its values at the nodes of this stage."""
+        known, wanted = self.order[:stage], self.order[stage:]
+        error = 0.0 if stage == len(values) else np.inf
+        if len(wanted) and np.isfinite(values[known]).all():
+            values[wanted], error = self.kriging(stage)(values[known])
+        return Column(values, stage, error)
+
 
 @lru_cache(maxsize=8)
 def ladder_of(nodes: bytes, dim: int) -> Ladder:
@@ -151,19 +159,34 @@ def smoothly(
     begun    what is known of each blade's column; None: nothing
     seen     numbers of the coordinates that the columns depend on; None: all
     """
-    n, own = len(unit), unit if seen is None else unit[:, list(seen)]
-    ladder = ladder_of(np.ascontiguousarray(own).tobytes(), own.shape[1])
-    columns, before = [one or Column(np.empty(n)) for one in begun], 0
+    ladder = _ladder(unit, seen)
+    columns, before = [one or Column(np.empty(len(unit))) for one in begun], 0
     for stage in ladder.stages:
-        fresh, known, wanted = (
-            ladder.order[part] for part in (slice(before, stage), slice(stage), slice(stage, n))
-        )
+        fresh = ladder.order[before:stage]
         due = [i for i, c in enumerate(columns) if c.error > tolerance and c.computed < stage]
         for i, values in zip(due, compute(due, unit[fresh]) if due else (), strict=True):
-            column, error = columns[i].values.copy(), 0.0 if stage == n else np.inf
+            column = columns[i].values.copy()
             column[fresh] = values
-            if stage < n and np.isfinite(column[known]).all():
-                column[wanted], error = ladder.kriging(stage)(column[known])
-            columns[i] = Column(column, stage, error)
+            columns[i] = ladder.column(column, stage)
         before = stage
     return columns
+
+
+def as_near(column: Column, unit: Array, seen: Sequence[int] | None = None) -> Column:
+    """The column as it was when it was first known to `NEARLY`, before it was known any better.
+
+    Where nodes should stand is told by such columns, and must not depend on what else is kept.
+    """
+    ladder = _ladder(unit, seen)
+    for stage in ladder.stages:
+        if stage >= column.computed:
+            break
+        found = ladder.column(column.values.copy(), stage)
+        if found.error <= NEARLY:
+            return found
+    return column
+
+
+def _ladder(unit: Array, seen: Sequence[int] | None) -> Ladder:
+    own = unit if seen is None else unit[:, list(seen)]
+    return ladder_of(np.ascontiguousarray(own).tobytes(), own.shape[1])

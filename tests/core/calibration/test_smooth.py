@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.calibration.columns import columns, smooth_columns
+from core.calibration.columns import Columns, columns, smooth_columns
 from core.calibration.message import BladeMessage
 from core.calibration.smooth import NEARLY, TOLERANCE, from_afar, smoothly
 from core.calibration.space import shared_space
@@ -147,8 +147,8 @@ def test_a_blade_sees_the_noises_of_its_own_readings() -> None:
     assert np.ptp(message.column(unit)) == 0.0
 
 
-def test_the_blades_of_a_rotor_are_known_between_the_nodes() -> None:
-    """The built-in blade: what is not computed is off by less than the quadrature itself."""
+def of_a_rotor(wide: float = 1.0) -> tuple[list[BladeMessage], Array]:
+    """The messages of twenty built-in blades, and 64 nodes about the truth."""
     variant, model = plan("rotor-20", 20), rotor_blade()
     made = simulate(model, variant, 0, 5)
     by_blade: dict[str, list[object]] = {}
@@ -161,7 +161,13 @@ def test_the_blades_of_a_rotor_are_known_between_the_nodes() -> None:
     truth = np.array([made.shared[name] for name in space.names])
     scaled = [p.log_scale for p in space.priors]
     centre = (np.where(scaled, np.log(truth), truth) - low) / (high - low)
-    unit, _ = Proposal(centre, np.diag([0.01, 0.02])).nodes(sobol(64, 2, 0))
+    unit, _ = Proposal(centre, wide * np.diag([0.01, 0.02])).nodes(sobol(64, 2, 0))
+    return messages, unit
+
+
+def test_the_blades_of_a_rotor_are_known_between_the_nodes() -> None:
+    """The built-in blade: what is not computed is off by less than the quadrature itself."""
+    messages, unit = of_a_rotor()
     exact = np.array(columns(messages, unit, rough=False))
     found = np.array([column.values for column in smooth_columns(messages, unit)])
     off = found - exact
@@ -169,3 +175,20 @@ def test_the_blades_of_a_rotor_are_known_between_the_nodes() -> None:
     assert np.sqrt(np.mean(off**2)) < 0.001
     assert np.abs(off).max() < 0.02
     assert np.abs(off.sum(axis=0)).max() < 0.03
+
+
+def test_a_near_column_does_not_depend_on_what_was_known_before() -> None:
+    """By near columns is decided where nodes stand: a process that knows the exact ones already
+    has to decide alike."""
+    messages, unit = of_a_rotor(4.0)
+    named = {str(i): m for i, m in enumerate(messages)}
+    cold, warm = Columns(), Columns()
+    first = cold.all(named, unit, "near")
+    exact = warm.all(named, unit, "exact")
+    computed = warm.computed
+    again = warm.all(named, unit, "near")
+    assert warm.computed == computed, "nothing is computed for it"
+    assert all(np.array_equal(first[b], again[b]) for b in named)
+    assert not all(np.array_equal(exact[b], again[b]) for b in named), "control: they differ"
+    later = cold.all(named, unit, "exact")
+    assert all(np.array_equal(exact[b], later[b]) for b in named)

@@ -80,9 +80,7 @@ def test_a_short_study_compares_three_designs_that_begin_alike(rows: list[dict[s
     assert len(rows) == 3
     for row in rows:
         assert row["region"]["of"] == "posterior of 20 blades, 60 readings"
-        assert row["region"]["sd"][1] < 0.03, (
-            "one gas temperature; 0.058 before"
-        )
+        assert row["region"]["sd"][1] < 0.03, "one gas temperature; 0.058 before"
         assert row["region"]["sd"][0] > 0.15, "coatings of all blades"
         assert [one["n"] for one in row["adaptive"]] == [16, 22, 28]
         first = [row[kind][0]["rms"] for kind in ("one_shot", "adaptive", "uniform")]
