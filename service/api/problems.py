@@ -65,6 +65,20 @@ def fault(field: str, value: object, problem: str, remedy: str) -> Fault:
     return {"field": said(field), "value": shown(value)} | told
 
 
+def document(
+    status: int, kind: str, detail: str, instance: str, faults: Sequence[Fault] = ()
+) -> dict[str, Any]:
+    """The body of an answer for one error."""
+    return {
+        "type": f"urn:bladetwin:problem:{kind}",
+        "title": kind.replace("-", " "),
+        "status": status,
+        "detail": said(detail),
+        "instance": instance,
+        "faults": list(faults),
+    }
+
+
 def problem(
     request: Request,
     status: int,
@@ -78,14 +92,9 @@ def problem(
     visit = visit_of(request.scope)
     if visit is not None:
         visit.problem = kind
-    body = {
-        "type": f"urn:bladetwin:problem:{kind}",
-        "title": kind.replace("-", " "),
-        "status": status,
-        "detail": said(detail),
-        "instance": said(request.url.path) if instance is None else instance,
-        "faults": list(faults),
-    }
+    body = document(
+        status, kind, detail, said(request.url.path) if instance is None else instance, faults
+    )
     return JSONResponse(
         body, status, media_type="application/problem+json", headers=dict(headers or {})
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 from http import HTTPStatus
 
@@ -9,6 +10,7 @@ import uvicorn
 from fastapi import FastAPI
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
+from service.api.problems import document
 from service.api.waiting import Changes
 from service.settings import Settings
 
@@ -30,10 +32,25 @@ class Protocol(HttpToolsProtocol):
         super().data_received(data)
         if self._since > HEAD_BYTES and not self.transport.is_closing():
             self.logger.warning("a request's head is above %d KiB", HEAD_BYTES // 2**10)
-            status = HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
-            head = f"HTTP/1.1 {status.value} {status.phrase}\r\ncontent-length: 0\r\n"
-            self.transport.write(f"{head}connection: close\r\n\r\n".encode())
-            self.transport.close()
+            detail = f"The head of this request is above {HEAD_BYTES} bytes; shorten its headers."
+            self.refuse(431, "head-too-large", detail)
+
+    def send_400_response(self, msg: str) -> None:
+        detail = "This is no request of HTTP/1.1, or of a method that HTTP does not know."
+        self.refuse(400, "malformed-request", detail)
+
+    def refuse(self, status: int, kind: str, detail: str) -> None:
+        """Answer with a problem, in the shape of all others, and end the connection."""
+        body = json.dumps(document(status, kind, detail, "")).encode()
+        lines = (
+            f"HTTP/1.1 {status} {HTTPStatus(status).phrase}",
+            "content-type: application/problem+json",
+            f"content-length: {len(body)}",
+            "connection: close\r\n\r\n",
+        )
+        head = "\r\n".join(lines)
+        self.transport.write(head.encode() + body)
+        self.transport.close()
 
     def on_body(self, body: bytes) -> None:
         self._since = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import sys
 from collections.abc import Iterator
@@ -46,6 +47,16 @@ def answered(one: socket.socket) -> bytes:
     return found
 
 
+def told(answer: bytes, status: int, kind: str) -> None:
+    """The answer is a problem, in the shape of all others."""
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert head.startswith(f"HTTP/1.1 {status} ".encode())
+    assert b"content-type: application/problem+json" in head
+    found = json.loads(body)
+    assert found.keys() == {"type", "title", "status", "detail", "instance", "faults"}
+    assert (found["type"], found["status"]) == (f"urn:bladetwin:problem:{kind}", status)
+
+
 @pytest.mark.parametrize("beginning", ENDLESS.values(), ids=list(ENDLESS))
 def test_a_head_that_never_ends_is_cut_off(
     api: httpx.Client, server: RunningServer, rotor: str, beginning: bytes
@@ -65,7 +76,7 @@ def test_a_head_that_never_ends_is_cut_off(
 def test_a_head_above_the_bound_is_told_so(api: httpx.Client, server: RunningServer) -> None:
     with connected(server) as one:
         one.sendall(GET + b"X-Long: " + b"x" * HEAD_BYTES)
-        assert answered(one).startswith(b"HTTP/1.1 431 ")
+        told(answered(one), 431, "head-too-large")
 
 
 def test_bodies_and_many_requests_do_not_count_as_heads(
@@ -90,6 +101,7 @@ def test_bodies_and_many_requests_do_not_count_as_heads(
         b"GET /healthz\x00 HTTP/1.1\r\nHost: localhost\r\n\r\n",
         b"GET /healthz HTTP/1.1\r\n Host : localhost\r\n\r\n",
         b"\x16\x03\x01 no HTTP at all\r\n\r\n",
+        b"BREW /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n",
     ],
 )
 def test_what_is_no_request_is_answered_with_400(
@@ -98,7 +110,7 @@ def test_what_is_no_request_is_answered_with_400(
     """Two lengths among them: what a proxy and we read differently smuggles a request."""
     with connected(server) as one:
         one.sendall(wrong)
-        assert answered(one).startswith(b"HTTP/1.1 400 ")
+        told(answered(one), 400, "malformed-request")
 
 
 def test_the_service_takes_the_fast_loop_and_the_bounded_parser(
