@@ -14,7 +14,8 @@ Imported when it is first needed, with the compiled kernels of the calibration.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import MutableMapping, Sequence
+from typing import Any
 
 from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec
@@ -98,18 +99,21 @@ def diagnosed(
     families: Sequence[Json],
     compare_h: float | None,
     progress: Progress,
+    kept: MutableMapping[str, Any] | None = None,
 ) -> Json:
     """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`).
 
     ``adds`` is what an adoption adds to the rotor's network (`service.variant`): the effects that
     are claimed, or, where a lack has no name, the discrepancy that the readings bear out.
+
+    kept  where an earlier attempt found the posteriors; those are not searched again
     """
     total = STEPS + 4 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
     case = Case(spec, tuple(readings), facts, families_of(model, families))
     case.cells(model)  # refuses at once where there is nothing to look for
-    work = Workspace()
+    work = Workspace(kept)
     progress("calibration", 0, total)
     state = update(model, spec, case.readings, workspace=work)
 

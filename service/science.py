@@ -9,7 +9,7 @@ worker warms up, so that a process that only serves never loads them.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -277,11 +277,14 @@ class CoreScience:
         families: Sequence[Json],
         compare_h: float | None,
         progress: Progress,
+        kept: MutableMapping[str, Any],
     ) -> Json:
         from service.effects import diagnosed
 
         spec = _spec(rotor)
-        return diagnosed(self.models.of(card), spec, facts, readings, families, compare_h, progress)
+        return diagnosed(
+            self.models.of(card), spec, facts, readings, families, compare_h, progress, kept
+        )
 
     def residuals(
         self,

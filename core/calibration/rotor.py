@@ -113,11 +113,13 @@ def weigh(
     *,
     rounds: int = 12,
     start: Start | None = None,
+    placed: Proposal | None = None,
 ) -> Weighed:
     """Place and weight the shared nodes for these messages.
 
     start  where they are tried first; none, for what must depend on the messages alone. With one
            a posterior is wanted for a comparison, and less is done to find it where it is not there
+    placed  the placement that these very messages, seed and start had before: nothing is searched
     """
     messages = known.gathered(messages)
     d, n = space.dim, max(node_count(space.dim, bool(space.heavy)), 64 * space.tails)
@@ -257,7 +259,9 @@ def weigh(
         return best
 
     best = nowhere = (-1.0, Proposal(np.zeros(d), None))
-    if start is not None and (expected := start.on(space)) is not None:
+    if placed is not None:
+        best = (enough, placed)
+    elif start is not None and (expected := start.on(space)) is not None:
         best = settled(expected, EXPECTED)
     if best[0] < (enough if start is None else PASSABLE):
         best = max(best, found(), key=lambda one: one[0])

@@ -7,9 +7,10 @@ provisional at those of the state before; what it takes for both is kept in a `W
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from core.model import Model
 from core.observation import Inspection, digest_of
 from core.rng import seed_of
 from core.smc.particles import log_sum_exp, tempering_exponent
+from core.smc.placement import Proposal
 
 Array = NDArray[np.float64]
 QUICK_ESS = 0.1  # share of the nodes that must carry the weight, tempered if need be
@@ -45,9 +47,14 @@ PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands 
 
 
 class Workspace:
-    """What is kept between updates of one process; dropping it changes no result."""
+    """What is kept between updates of one process; dropping it changes no result.
 
-    def __init__(self) -> None:
+    places  where nodes were found to stand, as JSON by what that follows from: a calibration that
+            is asked for again, by another process perhaps, searches nothing. None: not kept
+    """
+
+    def __init__(self, places: MutableMapping[str, Any] | None = None) -> None:
+        self.places = places
         self.columns = Columns()
         self.rows: OrderedDict[tuple[str, str], BladeRows] = OrderedDict()
         self.messages: OrderedDict[tuple[Any, ...], BladeMessage] = OrderedDict()
@@ -213,8 +220,31 @@ class Step:
     @cached_property
     def weighed(self) -> Weighed:
         """The shared nodes with their weights."""
-        seed = seed_of(self.rotor.seed, self.rotor.id, "nodes") % 2**63
-        return weigh(self.space, self.messages, self.work.columns, seed, start=self.start)
+        seed, places = seed_of(self.rotor.seed, self.rotor.id, "nodes") % 2**63, self.work.places
+        if places is None:
+            return weigh(self.space, self.messages, self.work.columns, seed, start=self.start)
+        told = places.get(key := self.question)
+        placed = None if told is None else Proposal.of(told)
+        made = weigh(
+            self.space, self.messages, self.work.columns, seed, start=self.start, placed=placed
+        )
+        places[key] = made.proposal.told()
+        return made
+
+    @cached_property
+    def question(self) -> str:
+        """Digest of all that the nodes' places follow from: readings, model, seed and start."""
+        start = self.start
+        told = [(b, self.messages[b].name) for b in sorted(self.messages)]
+        same = (ALGORITHM, self.rotor.id, self.rotor.seed, self.space.names, told, self.prior)
+        parts = [repr(same)]
+        if start is not None:
+            parts += [
+                repr(start.names),
+                start.mean.tobytes().hex(),
+                start.covariance.tobytes().hex(),
+            ]
+        return sha256("\n".join(parts).encode()).hexdigest()
 
     @property
     def log_evidence(self) -> float:

@@ -8,7 +8,8 @@ exactly. Residuals are those of each hour's elongations, predicted from the hour
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -27,12 +28,18 @@ def diagnosed(
     readings: Sequence[Inspection],
     progress: Progress,
     delay_s: float,
+    kept: MutableMapping[str, Any],
 ) -> Json:
-    """Chi-square of the residuals of each blade's line, n - 1 degrees of freedom each."""
+    """Chi-square of the residuals of each blade's line, n - 1 degrees of freedom each.
+
+    kept  blades that an earlier attempt had looked at: they cost no time
+    """
     chi2, freedom = 0.0, 0
     for done, blade in enumerate(rotor.blades):
         progress(f"blade {blade}", done, len(rotor.blades))
-        time.sleep(delay_s)
+        if kept.setdefault(blade, False) is False:
+            time.sleep(delay_s)
+            kept[blade] = True
         own = [r for r in readings if (r.blade, r.quantity) == (blade, "elongation")]
         h = np.array([r.time_h / HORIZON_H for r in own])
         y = np.array([float(r.values[0]) for r in own])

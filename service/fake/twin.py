@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as default
 from typing import Any
@@ -118,8 +118,9 @@ class FakeScience:
         families: Sequence[Json],
         compare_h: float | None,
         progress: Progress,
+        kept: MutableMapping[str, Any],
     ) -> Json:
-        return questions.diagnosed(card, rotor, readings, progress, self.delay_s)
+        return questions.diagnosed(card, rotor, readings, progress, self.delay_s, kept)
 
     def plan(
         self,

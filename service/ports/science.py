@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -202,12 +202,15 @@ class Science(Protocol):
         families: Sequence[Json],
         compare_h: float | None,
         progress: Progress,
+        kept: MutableMapping[str, Any],
     ) -> Json:
         """What the model lacks, by the readings that count (`core.diagnosis`), as plain JSON.
 
         families    beside the built-in ones, checked by `check_families`
         compare_h   hour of the forecast before and after [h]; None: no comparison
         progress    called with (what, done, total) before each step; what it raises ends the work
+        kept        what an earlier attempt had found out, as JSON; what is found out now joins it.
+                    The answer is the same with and without
 
         Raises InputError where there is nothing to diagnose.
         """

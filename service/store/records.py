@@ -147,6 +147,7 @@ class SqlRecords:
                 fence=t.job.c.fence + 1,
                 owner=None,
                 lease_until=None,
+                kept=None,
                 finished_at=now_s(),
             )
         )

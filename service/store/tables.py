@@ -91,6 +91,7 @@ job = Table(
     Column("rotor_id", NAME),
     Column("progress", Text),
     Column("traceparent", String(60)),
+    Column("kept", Text),
     Index("ix_job_status_created_at", "status", "created_at"),
     Index("ix_job_rotor_id_id", "rotor_id", "id"),
 )

@@ -8,6 +8,7 @@ it runs, nor how often it was begun changes the answer.
 from __future__ import annotations
 
 import math
+from collections.abc import MutableMapping
 from typing import Any
 
 from core.errors import InputError
@@ -22,9 +23,16 @@ MOST_PARTICLES = 2000  # a diagnosis calibrates about ten models
 
 
 def diagnose(
-    store: SqlStore, science: Science, rotor_id: str, request: Json, progress: Progress
+    store: SqlStore,
+    science: Science,
+    rotor_id: str,
+    request: Json,
+    progress: Progress,
+    kept: MutableMapping[str, Any],
 ) -> Json:
     """The result of a diagnosis of the log through ``request["through_seq"]``.
+
+    kept  what an earlier attempt had found out; it spares time and changes nothing
 
     Raises InputError where no reading counts.
     """
@@ -50,7 +58,8 @@ def diagnose(
         rotor.origin or rotor.id, tuple(b.id for b in blades), particles, rotor.seed, known
     )
     compare_h = float(request["horizon_h"]) if request["compare"] else None
-    found = science.diagnose(card, spec, blades, readings, request["families"], compare_h, progress)
+    families = request["families"]
+    found = science.diagnose(card, spec, blades, readings, families, compare_h, progress, kept)
     rests_on = {
         "rotor": rotor_id,
         "through_seq": through,

@@ -7,7 +7,7 @@ that take minutes (`LONG`) belong to workers of their own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from json import dumps, loads
 
@@ -28,7 +28,7 @@ LONG = (DIAGNOSE, TRAIN)
 
 @dataclass(frozen=True, slots=True)
 class JobLease:
-    """A claimed job."""
+    """A claimed job; `kept` is what earlier attempts at it have found out."""
 
     id: str
     kind: str
@@ -37,6 +37,7 @@ class JobLease:
     attempts: int
     rotor_id: str | None
     traceparent: str | None = None
+    kept: Json = field(default_factory=dict)
 
 
 def takes(role: Role) -> ColumnElement[bool]:
@@ -79,8 +80,8 @@ def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") ->
                 lease_until=now_s() + lease_s,
             )
         )
-        told = take.returning(c.kind, c.request, c.fence, c.attempts, c.rotor_id, c.traceparent)
-        row = connection.execute(told).one()
+        told = (c.kind, c.request, c.fence, c.attempts, c.rotor_id, c.traceparent, c.kept)
+        row = connection.execute(take.returning(*told)).one()
         return JobLease(
             id=job_id,
             kind=row.kind,
@@ -89,6 +90,7 @@ def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") ->
             attempts=row.attempts,
             rotor_id=row.rotor_id,
             traceparent=row.traceparent,
+            kept=loads(row.kept) if row.kept else {},
         )
 
 
@@ -101,10 +103,13 @@ def beat_job(engine: Engine, lease: JobLease, lease_s: float) -> bool:
 
 
 def tell_progress(engine: Engine, lease: JobLease, progress: Json) -> None:
-    """Write how far a job is. LostLeaseError: it was cancelled, or another worker has it."""
+    """Write how far a job is, and what was found out on the way, for whoever has to go on.
+
+    LostLeaseError: it was cancelled, or another worker has it.
+    """
     own = (c.id == lease.id) & holds(lease)
     with transaction(engine, write=True) as connection:
-        told = update(t.job).where(own).values(progress=dumps(progress))
+        told = update(t.job).where(own).values(progress=dumps(progress), **_found(lease))
         if connection.execute(told).rowcount != 1:
             raise LostLeaseError(f"job {lease.id}", lease.fence)
 
@@ -120,4 +125,10 @@ def close(connection: Connection, lease: JobLease, **values: object) -> None:
 def give_back(engine: Engine, lease: JobLease) -> None:
     """End a claim of which nothing came: the job is queued again, and no attempt is counted."""
     with transaction(engine, write=True) as connection:
-        close(connection, lease, status="queued", attempts=c.attempts - 1, progress=None)
+        same = _found(lease) | {"attempts": c.attempts - 1, "progress": None}
+        close(connection, lease, status="queued", **same)
+
+
+def _found(lease: JobLease) -> dict[str, object]:
+    """What was found out so far, as a column's value."""
+    return {"kept": dumps(lease.kept)} if lease.kept else {}

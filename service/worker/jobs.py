@@ -87,6 +87,7 @@ class Jobs:
                     tx.connection,
                     lease,
                     status="done",
+                    kept=None,
                     result=dumps(result, allow_nan=False),
                     error=None,
                     progress=None,
@@ -124,7 +125,9 @@ class Jobs:
             return lambda tx: keep(tx, lease.id, lease.request, card, artefact)
         if lease.kind == DIAGNOSE and lease.rotor_id is not None:
             told = self.progress(lease, span)
-            found = diagnose(self.store, self.science, lease.rotor_id, lease.request, told)
+            found = diagnose(
+                self.store, self.science, lease.rotor_id, lease.request, told, lease.kept
+            )
             return lambda tx: self.concluded(tx, lease, found)
         raise NotFoundError("kind of job", lease.kind, "run a worker of the release that wrote it")
 
@@ -188,6 +191,7 @@ class Jobs:
                     lease,
                     status="failed" if final else "queued",
                     **refused,
+                    **({"kept": None} if final else {}),
                     error=f"{type(error).__name__}: {error}"[:4000],
                     progress=None,
                     not_before=now_s() + min(pause, self.settings.retry_max_s),

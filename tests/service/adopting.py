@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import MutableMapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -73,9 +73,10 @@ class Offsets(FakeScience):
         families: Sequence[Json],
         compare_h: float | None,
         progress: Progress,
+        kept: MutableMapping[str, Any],
     ) -> Json:
         own = corrected(card.network, readings)
-        found = super().diagnose(card, rotor, facts, own, families, compare_h, progress)
+        found = super().diagnose(card, rotor, facts, own, families, compare_h, progress, kept)
         if found["verdict"] == "adequate":
             return found
         off = self._off(own)

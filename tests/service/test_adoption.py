@@ -415,7 +415,7 @@ def lost(store: SqlStore, settings: Settings) -> tuple[str, int]:
         def diagnose(self, *given: Any) -> Json:
             with store.write() as tx:
                 tx.records.cancel_job(names[0])
-            return super().diagnose(*given[:-1], lambda what, done, total: None)
+            return super().diagnose(*given[:-2], lambda what, done, total: None, given[-1])
 
     science = Cancelled()
     job, _ = request_diagnosis(store, science, "r1", (), compare=True, horizon_h=None)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import update
+from sqlalchemy import select, update
 from typer.testing import CliRunner
 
 from core.observation import Inspection
@@ -63,12 +63,13 @@ class Stepped(FakeScience):
         families: Sequence[Json],
         compare_h: float | None,
         progress: Progress,
+        kept: MutableMapping[str, Any],
     ) -> Json:
         def told(what: str, done: int, total: int) -> None:
             progress(what, done, total)
             self.at(done)
 
-        return super().diagnose(card, rotor, facts, readings, families, compare_h, told)
+        return super().diagnose(card, rotor, facts, readings, families, compare_h, told, kept)
 
 
 def stepped(at: Callable[[int], None]) -> Stepped:
@@ -311,6 +312,54 @@ def test_a_worker_that_is_stopped_gives_its_diagnosis_back_uncounted(
     assert (back.status, back.attempts, back.progress) == ("queued", 0, None)
     make_worker(store, science, settings, "e", "diagnose").drain()
     assert find_diagnosis(store, "r1", job.id).status == "done"
+
+
+def stored(store: SqlStore, job: str) -> Any:
+    """What the database keeps of a job for whoever has to go on."""
+    with transaction(store.engine, write=False) as connection:
+        return connection.execute(select(t.job.c.kept).where(t.job.c.id == job)).scalar()
+
+
+class Noted(FakeScience):
+    """The twin; `met` is what it was given of earlier attempts."""
+
+    met: list[Json]
+
+    def diagnose(self, *given: Any) -> Json:
+        self.met.append(dict(given[-1]))
+        return super().diagnose(*given)
+
+
+@pytest.mark.parametrize("way", ["killed", "stopped"])
+def test_a_diagnosis_goes_on_where_its_worker_was(
+    store: SqlStore, settings: Settings, straight: str, science: FakeScience, way: str
+) -> None:
+    """Of three blades two were looked at when the worker was killed, or asked to stop."""
+    job, _ = request_diagnosis(store, science, "r1", (), compare=True, horizon_h=None)
+    first: list[Worker] = []
+
+    def at(done: int) -> None:
+        if done == 2 and way == "killed":
+            raise SystemExit  # nothing is given back
+        if done == 1 and way == "stopped":
+            first[0].stop()  # before the next step
+
+    first.append(make_worker(store, stepped(at), settings, "first", "diagnose"))
+    if way == "killed":
+        with pytest.raises(SystemExit):
+            first[0].drain()
+        release(store.engine, "first")
+    else:
+        first[0].drain()
+    looked_at = {"B1": True, "B2": True}
+    assert json.loads(stored(store, job.id)) == looked_at
+    second = Noted()
+    object.__setattr__(second, "met", [])
+    make_worker(store, second, settings, "second", "diagnose").drain()
+    assert second.met == [looked_at]
+    ended = find_diagnosis(store, "r1", job.id)
+    assert (ended.status, ended.attempts) == ("done", 2 if way == "killed" else 1)
+    assert stored(store, job.id) is None, "of no use any more"
 
 
 @pytest.mark.parametrize("role", ["all", "apply", "seal"])

@@ -37,6 +37,7 @@ from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.unit_of_work import SqlStore
 from service.variant import effects_between, vary, with_more
+from service.worker.lease import release
 from service.worker.residuals import Residuals
 from tests.service.smooth import elongation, formula_science
 from tests.service.test_diagnoses import FAMILY
@@ -120,6 +121,36 @@ def test_the_same_blades_without_the_offset_are_adequate(
     found = diagnosed(fleet, settings, 0.0)["result"]
     assert (found["verdict"], found["effects"], found["before_after"]) == ("adequate", [], None)
     assert found["p"] > 0.05
+
+
+def test_a_diagnosis_that_another_worker_goes_on_with_says_the_same(
+    fleet: SqlStore, settings: Settings
+) -> None:
+    """Its first worker dies in the fifth step; what it had found is not searched again."""
+    whole = diagnosed(fleet, settings, 5.0)["result"]
+    job, _ = request_diagnosis(fleet, formula_science(), "r1", (), compare=True, horizon_h=None)
+    first = make_worker(fleet, formula_science(), settings, "first", "diagnose")
+    tell, steps = first.jobs.progress, list[str]()
+
+    def dying(*given: Any) -> Any:
+        told = tell(*given)
+
+        def step(what: str, done: int, total: int) -> None:
+            told(what, done, total)
+            steps.append(what)
+            if len(steps) == 5:
+                raise SystemExit
+
+        return step
+
+    first.jobs.progress = dying  # type: ignore[method-assign]
+    with pytest.raises(SystemExit):
+        first.drain()
+    release(fleet.engine, "first")
+    make_worker(fleet, formula_science(), settings, "second", "diagnose").drain()
+    ended = find_diagnosis(fleet, "r1", job.id)
+    assert (ended.status, ended.attempts) == ("done", 2)
+    assert ended.result == whole
 
 
 def test_adopted_by_the_real_science_the_worker_s_model_is_the_diagnosed_one_and_backs_out(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,6 +50,30 @@ def test_a_start_that_is_far_off_costs_time_and_changes_nothing() -> None:
     sd = np.sqrt(np.diag(known.covariance))
     off = replace(known, mean=known.mean + np.array([-12.0, 8.0]) * sd)
     assert made(off)[0].log_evidence == pytest.approx(alone.log_evidence, abs=0.1)
+
+
+def test_what_was_found_before_is_not_searched_again() -> None:
+    """By another process, from JSON: the same bits for a part of the columns; other readings, or
+    another start, are another question."""
+    places: dict[str, Any] = {}
+    work = Workspace(places)
+    step = begun(MODEL, SPEC, READINGS, workspace=work)
+    first = step.sealed()
+    kept = json.loads(json.dumps(places))
+    assert len(kept) == 1
+    again = Workspace(kept)
+    other = begun(MODEL, SPEC, READINGS, workspace=again)
+    assert other.sealed().digest == first.digest == made()[0].sealed().digest
+    assert 2 * again.columns.computed < work.columns.computed
+    known = Start.of(MODEL, first)
+    for more in (
+        begun(MODEL, SPEC, READINGS[1:], workspace=again),
+        begun(MODEL, SPEC, READINGS, workspace=again, start=known),
+        begun(MODEL, replace(SPEC, seed=4), READINGS, workspace=again),
+    ):
+        assert more.question not in kept
+    begun(MODEL, SPEC, READINGS[1:], workspace=again).weighed  # noqa: B018
+    assert len(kept) == 2
 
 
 def test_a_start_for_other_parameters_is_none() -> None:
