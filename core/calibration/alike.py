@@ -39,14 +39,8 @@ from hashlib import blake2b
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.message import (
-    PARTS,
-    POOL,
-    BladeMessage,
-    monomials_of,
-    side_by_side,
-    split,
-)
+from core.calibration.layout import monomials_of
+from core.calibration.message import PARTS, POOL, BladeMessage, side_by_side, split
 from core.calibration.tetrahedra import CORNERS, answers, histogram, seen
 
 Array = NDArray[np.float64]

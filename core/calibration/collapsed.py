@@ -32,7 +32,8 @@ from numpy.typing import NDArray
 from core.calibration import collapsed_kernels as kernels
 from core.calibration.collapsed_split import Split, pivots, split_of
 from core.calibration.direct import DirectMessage
-from core.calibration.message import PARTS, BladeMessage, monomials_of, natural, prior_draws
+from core.calibration.layout import monomials_of
+from core.calibration.message import PARTS, BladeMessage, natural, prior_draws
 from core.calibration.space import SharedSpace, locals_of
 from core.calibration.target import BladeRows
 from core.errors import CalibrationError

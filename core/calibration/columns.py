@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from core.calibration.alike import AlikeMessage, Family, gathered
 from core.calibration.message import PARTS, POOL, BladeMessage
-from core.calibration.smooth import NEARLY, TOLERANCE, Column, as_near, smoothly
+from core.calibration.smooth import NEARLY, TOLERANCE, Asked, Column, as_near, stages, together
 from core.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -30,21 +30,29 @@ def columns(messages: Sequence[BladeMessage], unit: Array, *, rough: bool) -> li
 
     Those of alike blades come family by family (`alike`).
     """
-    found = dict[int, Array]()
-    families = dict[int, list[AlikeMessage]]()
-    for m in messages:
-        if isinstance(m, AlikeMessage):
-            families.setdefault(id(m.family), []).append(m)
-    for alike in families.values():
-        made = alike[0].family.columns(alike, unit, rough)
-        found |= {id(m): column for m, column in zip(alike, made, strict=True)}
-    others = [m for m in messages if id(m) not in found]
+    return several([(messages, unit)], rough=rough)[0]
+
+
+def several(
+    asked: Sequence[tuple[Sequence[BladeMessage], Array]], *, rough: bool
+) -> list[list[Array]]:
+    """`columns` of several groups of blades, each at nodes of its own, all side by side."""
+    found = dict[tuple[int, int], Array]()
+    for k, (messages, unit) in enumerate(asked):
+        families = dict[int, list[AlikeMessage]]()
+        for m in messages:
+            if isinstance(m, AlikeMessage):
+                families.setdefault(id(m.family), []).append(m)
+        for alike in families.values():
+            made = alike[0].family.columns(alike, unit, rough)
+            found |= {(k, id(m)): column for m, column in zip(alike, made, strict=True)}
+    others = [(k, m, u) for k, (ms, u) in enumerate(asked) for m in ms if (k, id(m)) not in found]
     if len(others) < PARTS:
-        found |= {id(m): m.column(unit, rough) for m in others}
+        found |= {(k, id(m)): m.column(unit, rough) for k, m, unit in others}
     else:
-        made = list(POOL.map(lambda m: m.column(unit, rough, parts=1), others))
-        found |= {id(m): column for m, column in zip(others, made, strict=True)}
-    return [found[id(m)] for m in messages]
+        made = list(POOL.map(lambda one: one[1].column(one[2], rough, parts=1), others))
+        found |= {(k, id(m)): column for (k, m, _), column in zip(others, made, strict=True)}
+    return [[found[k, id(m)] for m in messages] for k, (messages, _) in enumerate(asked)]
 
 
 def smooth_columns(
@@ -54,18 +62,21 @@ def smooth_columns(
     tolerance: float = TOLERANCE,
 ) -> list[Column]:
     """Exact columns of several blades at many nodes, at as many as each needs (`smooth`)."""
-
     begun = begun or [None] * len(messages)
-    kinds, found = dict[tuple[int, ...], list[int]](), dict[int, Column]()
+    kinds = dict[tuple[int, ...], list[int]]()
     for i, m in enumerate(messages):
         kinds.setdefault(m.seen, []).append(i)
-    for seen, own in kinds.items():
+    own = list(kinds.values())
 
-        def compute(which: Sequence[int], nodes: Array, own: list[int] = own) -> list[Array]:
-            return columns([messages[own[i]] for i in which], nodes, rough=False)
+    def compute(asked: list[Asked]) -> list[list[Array]]:
+        return several(
+            [([messages[own[k][i]] for i in due], nodes) for k, due, nodes in asked], rough=False
+        )
 
-        made = smoothly(compute, [begun[i] for i in own], unit, tolerance, seen)
-        found |= dict(zip(own, made, strict=True))
+    runs = [stages([begun[i] for i in kinds[seen]], unit, tolerance, seen) for seen in kinds]
+    found = dict[int, Column]()
+    for which, made in zip(own, together(runs, compute), strict=True):
+        found |= dict(zip(which, made, strict=True))
     return [found[i] for i in range(len(messages))]
 
 

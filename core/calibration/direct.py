@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from core.calibration import draws as drawing
 from core.calibration import kernel
 from core.calibration.boxes import Boxes, boxes, laid_out
-from core.calibration.message import PARTS, BladeMessage, cut_offset, side_by_side, split
+from core.calibration.layout import cut_offset
+from core.calibration.message import PARTS, BladeMessage, side_by_side, split
 from core.calibration.space import locals_of
 from core.calibration.vector import LANES
 from core.calibration.windows import Readings
@@ -195,7 +196,7 @@ class DirectMessage(BladeMessage):
             for k in range(part.start, part.stop):
                 given, out = blocks[k], sums[k : k + 1]
                 if dim == 3:
-                    kernel.volume_messages(*given, False, out)
+                    kernel.volume_messages(*given, 0, out)
                 else:
                     (kernel.plane_messages if dim == 2 else kernel.line_messages)(*given, out)
 
@@ -225,7 +226,7 @@ class DirectMessage(BladeMessage):
                 given = laid_out(found.boxes, here, found.y, found.s2)
                 one = slice(k, k + 1)
                 if dim == 3:
-                    kernel.volume_draws(*given, points[one], out[one], log_w[one])
+                    kernel.volume_draws(*given, 1, points[one], out[one], log_w[one])
                 else:
                     kernel.fewer_draws(*given, dim, points[one], out[one], log_w[one])
 

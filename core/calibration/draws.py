@@ -1,11 +1,11 @@
 """Weighted draws of a blade's local parameters at 16 values of the shared ones at once.
 
 The filter's move: particles are not pushed around but drawn anew from the tube that the message
-was integrated over, with exact weights. A particle's outer parameter falls into a station's cell
-with the cell's rough probability and is uniform inside; the middle one is drawn from the chords of
-the log of a rough inner integral along the plane there, the inner one from the chords of log L
-along its line. With q the density of that draw the weight is L / q. The average of the weights
-estimates the message, independently of the quadrature: tests hold the two against each other.
+was integrated over, with exact weights. A particle's outer parameter is drawn from the chords of
+the log of a rough integral over the plane there, the middle one from those of a rough inner
+integral along the plane, the inner one from the chords of log L along its line. With q the density
+of that draw the weight is L / q. The average of the weights estimates the message, independently
+of the quadrature: tests hold the two against each other.
 
 `SHARE` particles have one outer value: their inner parameters are drawn from one plane.
 
@@ -28,12 +28,14 @@ from core.calibration.planes import AT, BEND, BOUND, MODE, STEEP, TOP, profile, 
 from core.calibration.planes import FIELDS as PLANE_FIELDS
 from core.calibration.planes import STATIONS as PLANE_STATIONS
 from core.calibration.vector import LANES, fast_exp
-from core.calibration.volumes import FIELDS, HIGH, IXX, LOW, STATIONS, near, volume_glances
+from core.calibration.volumes import IXX, STATIONS, laplace, near, volume_glances
 from core.compiled import compiled
 
-SHARE = 12
+SHARE = 10
 SLICES = 8
 GOLDEN, PLASTIC = 0.6180339887498949, (0.7548776662466927, 0.5698402909980532)
+FALL = 2.0  # nats from place to place, above which another one is put between
+MOST = STATIONS + 6  # places over the outer parameter
 FLOOR = 9.0  # nats below the whole: a thin floor under the rough values, so that no place is missed
 
 
@@ -171,37 +173,97 @@ def draw_planes(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def draw_volumes(a, b, v, y, s2, ka2, kb2, u, out, log_w):  # type: ignore[no-untyped-def]
+def uneven_chords(at, edge, count, i, mass):  # type: ignore[no-untyped-def]
+    """`chords` between `count` + 1 places at[:, i]."""
+    peak = edge[0, i]
+    for q in range(1, count + 1):
+        peak = max(peak, edge[q, i])
+    total = 0.0
+    for q in range(count):
+        before, after = math.exp(edge[q, i] - peak), math.exp(edge[q + 1, i] - peak)
+        d, h = edge[q + 1, i] - edge[q, i], at[q + 1, i] - at[q, i]
+        mass[q, i] = h * ((after - before) / d if abs(d) > 1e-6 else before)
+        total += mass[q, i]
+    return math.log(total) + peak
+
+
+@compiled
+def steepest(at, rough, count, i):  # type: ignore[no-untyped-def]
+    """The cell of lane i where most may lie above a chord that falls by nats; −1 for none."""
+    best, most, peak = -1, -math.inf, -math.inf
+    for q in range(count[i]):
+        peak = max(peak, rough[q, i])
+    for q in range(count[i] - 1):
+        high, low = max(rough[q, i], rough[q + 1, i]), min(rough[q, i], rough[q + 1, i])
+        if high - low > FALL and high > peak - FLOOR:
+            score = high + math.log(at[q + 1, i] - at[q, i])
+            if score > most:
+                best, most = q, score
+    return best
+
+
+@compiled
+def refined(  # type: ignore[no-untyped-def]
+    a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, total, at, rough, count
+):
+    """The glance's rough log density over the outer parameter, and more places where it falls
+    steeply: at and rough (MOST, LANES), of which each lane has its own count.
+
+    A profile that runs into a bound is a plateau with an edge, far above the chord that hides it.
+    """
+    cell = np.empty(LANES, np.int64)
+    for i in range(LANES):
+        count[i] = STATIONS
+        for s in range(STATIONS):
+            at[s, i], rough[s, i] = seen[AT, s, i], max(seen[IXX, s, i] - total[i], -FLOOR)
+    for _ in range(MOST - STATIONS):
+        some = False
+        for i in range(LANES):
+            cell[i] = steepest(at, rough, count, i)
+            q = max(cell[i], 0)
+            w[modes.X + i] = 0.5 * (at[q, i] + at[q + 1, i])
+            some = some or cell[i] >= 0
+        if not some:
+            break
+        near(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan)
+        for i in range(LANES):
+            if cell[i] < 0:
+                continue
+            for q in range(count[i], cell[i] + 1, -1):
+                at[q, i], rough[q, i] = at[q - 1, i], rough[q - 1, i]
+            at[cell[i] + 1, i] = w[modes.X + i]
+            value = laplace(w[modes.V + i], w[modes.HXX + i], w[modes.HXG + i], w[modes.HGG + i])
+            rough[cell[i] + 1, i] = max(value - total[i], -FLOOR)
+            count[i] += 1
+
+
+@compiled
+def draw_volumes(a, b, v, y, s2, ka2, kb2, seen, plan, led, u, out, log_w):  # type: ignore[no-untyped-def]
     """Draws of three local parameters for a block of volumes: out (LANES, m, 3)."""
     rows, m = len(ka2), out.shape[1]
     wp, w = np.empty(modes.SCRATCH), np.empty(lines.SCRATCH)
     la, lb, lv = np.empty(6 * rows * LANES), np.empty(6 * rows * LANES), np.empty(6 * rows * LANES)
     pa, pb = np.empty(36 * rows * LANES), np.empty(36 * rows * LANES)
     pv = np.empty(36 * rows * LANES)
-    seen, plan = np.empty((FIELDS, STATIONS, LANES)), np.empty((3, LANES))
     seen2, plan2 = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
-    work, mass, total = np.empty((4, 16, LANES)), np.empty((STATIONS, LANES)), np.empty(LANES)
-    volume_glances(a, b, v, y, s2, ka2, kb2, seen, plan, total)
+    work, mass, total = np.empty((4, 16, LANES)), np.empty((MOST, LANES)), np.empty(LANES)
+    volume_glances(a, b, v, y, s2, ka2, kb2, seen, plan, led, total)
+    at, rough, count = np.empty((MOST, LANES)), np.empty((MOST, LANES)), np.empty(LANES, np.int64)
+    refined(
+        a, b, v, y, s2, ka2, kb2, wp, pa, pb, pv, seen, plan, total, at, rough, count
+    )  # fmt: skip
     for i in range(LANES):
-        h = (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
-        for s in range(STATIONS):
-            low = max(seen[AT, s, i] - 0.5 * h, -1.0)
-            high = min(seen[AT, s, i] + 0.5 * h, 1.0)
-            mass[s, i] = (high - low) * math.exp(max(seen[IXX, s, i] - total[i], -FLOOR))
+        total[i] = uneven_chords(at, rough, count[i] - 1, i, mass)
     for first in range(0, m, SHARE):
         last = min(first + SHARE, m)
         for i in range(LANES):
-            s, inside = pick(mass, STATIONS, i, u[i, first, 0])
-            h = (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
-            low = max(seen[AT, s, i] - 0.5 * h, -1.0)
-            high = min(seen[AT, s, i] + 0.5 * h, 1.0)
-            x = low + inside * (high - low)
-            whole = 0.0
-            for q in range(STATIONS):
-                whole += mass[q, i]
+            cell, inside = pick(mass, count[i] - 1, i, u[i, first, 0])
+            part, value = along(rough, cell, i, inside)
+            x = at[cell, i] + part * (at[cell + 1, i] - at[cell, i])
+            x = min(max(x, -1.0), 1.0)
             for n in range(first, last):
                 out[i, n, 0] = x
-                log_w[i, n] = -math.log(mass[s, i] / whole / (high - low))
+                log_w[i, n] = total[i] - value
             wp[modes.X + i] = x
         near(a, b, v, y, s2, ka2, kb2, wp, pa, pb, pv, seen, plan)
         draw_planes(

@@ -6,7 +6,8 @@ over the box of one, two or three local parameters l (`lines`, `planes`, `volume
 polynomials over all inputs are first collapsed to the local ones at each s. Parameters that do
 not exist take the outer places with no dependence, and are not integrated. `LANES` values of s go
 through the quadrature together; their neighbourhood decides how well they keep step, never what
-comes out.
+comes out. Only a glance and the draws' survey, which need not be exact, are led: within a
+chain of blocks, each starts from the one before it (`volumes.survey`).
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ def collapsed(a, b, v, exponents, factors, ka2, kb2, ca, cb, cv):  # type: ignor
 
 
 @compiled
-def volume_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, rough, out):  # type: ignore[no-untyped-def]
-    """log ∫ L over the box of three local parameters, or a glance at it.
+def volume_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, chain, out):  # type: ignore[no-untyped-def]
+    """log ∫ L over the box of three local parameters; or glances at it, in chains of blocks.
 
     a, b, v (R, M); factors (N, M, LANES); y and s2 (N, R, LANES) readings and noise variances;
     out (N, LANES).
@@ -62,8 +63,9 @@ def volume_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, rough, out):  
     seen, plan = np.empty((FIELDS, STATIONS, LANES)), np.empty((3, LANES))
     for n in range(len(factors)):
         collapsed(a, b, v, exponents, factors[n], ka2, kb2, ca, cb, cv)
-        if rough:
-            volume_glances(ca, cb, cv, y[n].ravel(), s2[n].ravel(), ka2, kb2, seen, plan, out[n])
+        if chain > 0:
+            yn, sn = y[n].ravel(), s2[n].ravel()
+            volume_glances(ca, cb, cv, yn, sn, ka2, kb2, seen, plan, n % chain > 0, out[n])
         else:
             volume_sums(ca, cb, cv, y[n].ravel(), s2[n].ravel(), ka2, kb2, out[n])
 
@@ -112,17 +114,19 @@ def line_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, out):  # type: i
 
 
 @compiled
-def volume_draws(a, b, v, exponents, factors, y, s2, ka2, kb2, u, out, log_w):  # type: ignore[no-untyped-def]
+def volume_draws(a, b, v, exponents, factors, y, s2, ka2, kb2, chain, u, out, log_w):  # type: ignore[no-untyped-def]
     """Draws of three local parameters: u (N, LANES, m, 6) uniforms, out (N, LANES, m, 3).
 
     log_w (N, LANES, m) receives log L / q, without the constants of L.
     """
     size = 216 * len(ka2) * LANES
     ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
+    seen, plan = np.empty((FIELDS, STATIONS, LANES)), np.empty((3, LANES))
     for n in range(len(factors)):
         collapsed(a, b, v, exponents, factors[n], ka2, kb2, ca, cb, cv)
         yn, sn = y[n].ravel(), s2[n].ravel()
-        draw_volumes(ca, cb, cv, yn, sn, ka2, kb2, u[n], out[n], log_w[n])
+        led = n % chain > 0
+        draw_volumes(ca, cb, cv, yn, sn, ka2, kb2, seen, plan, led, u[n], out[n], log_w[n])
 
 
 @compiled

@@ -22,7 +22,7 @@ computed, and whether at once or first nearly and then in full.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -146,16 +146,19 @@ class Column:
     error: float = np.inf
 
 
-def smoothly(
-    compute: Callable[[Sequence[int], Array], Sequence[Array]],
+Stages = Generator[tuple[list[int], Array], Sequence[Array], list[Column]]
+
+
+def stages(
     begun: Sequence[Column | None],
     unit: Array,
     tolerance: float = TOLERANCE,
     seen: Sequence[int] | None = None,
-) -> list[Column]:
+) -> Stages:
     """Columns at nodes `unit` (n, d) to within `tolerance`, each from where it was left.
 
-    compute  exact columns of some blades, by number, at some nodes
+    Asks for exact columns of some blades, by number, at some nodes, and is sent them.
+
     begun    what is known of each blade's column; None: nothing
     seen     numbers of the coordinates that the columns depend on; None: all
     """
@@ -164,12 +167,49 @@ def smoothly(
     for stage in ladder.stages:
         fresh = ladder.order[before:stage]
         due = [i for i, c in enumerate(columns) if c.error > tolerance and c.computed < stage]
-        for i, values in zip(due, compute(due, unit[fresh]) if due else (), strict=True):
-            column = columns[i].values.copy()
-            column[fresh] = values
-            columns[i] = ladder.column(column, stage)
+        if due:
+            for i, values in zip(due, (yield due, unit[fresh]), strict=True):
+                column = columns[i].values.copy()
+                column[fresh] = values
+                columns[i] = ladder.column(column, stage)
         before = stage
     return columns
+
+
+Asked = tuple[int, list[int], Array]  # whose stages; of which blades; at which nodes
+
+
+def together(
+    runs: Sequence[Stages], compute: Callable[[list[Asked]], Sequence[Sequence[Array]]]
+) -> list[list[Column]]:
+    """Several kinds of blades stage by stage: what all of them ask for is computed at once."""
+    found: list[list[Column]] = [[] for _ in runs]
+    answers: dict[int, Sequence[Array] | None] = dict.fromkeys(range(len(runs)))
+    while answers:
+        asked = list[Asked]()
+        for k, answer in answers.items():
+            try:
+                asked.append((k, *(next(runs[k]) if answer is None else runs[k].send(answer))))
+            except StopIteration as end:
+                found[k] = end.value
+        made = compute(asked) if asked else ()
+        answers = {k: values for (k, *_), values in zip(asked, made, strict=True)}
+    return found
+
+
+def smoothly(
+    compute: Callable[[Sequence[int], Array], Sequence[Array]],
+    begun: Sequence[Column | None],
+    unit: Array,
+    tolerance: float = TOLERANCE,
+    seen: Sequence[int] | None = None,
+) -> list[Column]:
+    """The columns of one kind of blades (`stages`), from a function that computes them."""
+
+    def each(asked: list[Asked]) -> list[Sequence[Array]]:
+        return [compute(due, nodes) for _, due, nodes in asked]
+
+    return together([stages(begun, unit, tolerance, seen)], each)[0]
 
 
 def as_near(column: Column, unit: Array, seen: Sequence[int] | None = None) -> Column:

@@ -30,6 +30,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.message import POOL
 from core.calibration.space import SharedSpace
 from core.errors import InputError
 from core.response import monomials
@@ -45,6 +46,7 @@ POINTS = 8192  # at which a surface is integrated; fewer in few dimensions
 FORESEEN = 2.0  # nat of leave-one-out error up to which a surface tells where to go
 KEPT = 0.6  # of the effective nodes: a tilt that costs more is not believed
 TRUSTED = 0.5  # nat of leave-one-out error up to which a surface is
+AT_ONCE = 1024  # points, whoever works beside whom
 GRAIN = 2.0**-20  # nat: tilts are rounded, so that the last bits of a solver do not matter
 
 
@@ -61,6 +63,10 @@ class Surface:
 
     def __call__(self, unit: Array) -> Array:
         """log p at (n, d), (n,)."""
+        parts = [unit[i : i + AT_ONCE] for i in range(0, len(unit), AT_ONCE)]
+        return np.concatenate(list(POOL.map(self._at, parts)))
+
+    def _at(self, unit: Array) -> Array:
         z = (unit - self.mean) @ self.turn.T
         r = np.sqrt(np.sum(z**2, axis=1))
         z = z * np.minimum(1.0, self.reach / np.maximum(r, 1e-300))[:, None]

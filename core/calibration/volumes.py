@@ -46,6 +46,8 @@ STATIONS = 16
 STARTS = ((0.0, 0.0), (0.7, 0.7), (-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7))
 DEPTH = 11.5  # nats below the profile's top that still count
 SPLIT = 0.025  # nat, times a panel's share, that its last coefficient may be
+WIDER = 0.25  # of its width, at each end: the range that is taken over from a block near by
+GAP = 0.3  # of the box's 2: further from station to station, a ridge may have two summits
 THIN = 0.01  # share of the support that is no panel of its own
 EDGES = (-1.0, 0.0, 1.0)  # breaks about a meeting with a bound, in its half widths
 # a survey's numbers by station: place, profile, middle and inner mode, information, active bounds
@@ -58,8 +60,8 @@ LOW, HIGH, BEST = range(3)
 def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type: ignore[no-untyped-def]
     """Climb at station s from the mode at station `start` (−1 − q: from the q-th of `STARTS`).
 
-    From a station also with the step that led there from the one behind it: a narrow ridge leaves
-    the mode of one station far below the ridge at the next.
+    From another station also with the step that led there from the one behind it: a narrow ridge
+    leaves the mode of one station far below the ridge at the next.
     """
     for i in range(LANES):
         w[X + i] = plan[LOW, i] + s * (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
@@ -72,7 +74,7 @@ def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type
     collapse_volumes(b, kb2, w, pb)
     collapse_volumes(v, kb2, w, pv)
     plane_modes(pa, pb, pv, y, s2, ka2, kb2, w)
-    behind = 2 * start - s
+    behind = 2 * start - s if start != s else -1
     if start >= 0 and 0 <= behind < STATIONS:
         for i in range(LANES):
             m, g = 2.0 * seen[MID, start, i], 2.0 * seen[INN, start, i]
@@ -88,31 +90,91 @@ def look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start):  # type
 
 
 @compiled
-def survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan):  # type: ignore[no-untyped-def]
-    """Profiles over the outer parameter: seen (8, STATIONS, LANES), ranges in plan (3, LANES)."""
+def survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, led):  # type: ignore[no-untyped-def]
+    """Profiles over the outer parameter: seen (8, STATIONS, LANES), ranges in plan (3, LANES).
+
+    `led`: seen and plan are those of a block near by, whose ranges, a little wider, and modes it
+    starts from; a summit is then handed on only over gaps of the ridge. Where the profile has not
+    fallen off at an end of such a range, the survey begins anew.
+    """
     for i in range(LANES):
-        plan[LOW, i], plan[HIGH, i], plan[BEST, i] = -1.0, 1.0, -math.inf
-    for _ in range(14):
-        for s in range(STATIONS):
+        if led:
+            more = WIDER * (plan[HIGH, i] - plan[LOW, i])
+            moved(seen, plan, i, max(plan[LOW, i] - more, -1.0), min(plan[HIGH, i] + more, 1.0))
+        else:
+            plan[LOW, i], plan[HIGH, i] = -1.0, 1.0
+        plan[BEST, i] = -math.inf
+    known = led
+    for _ in range(15):
+        climbs(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, known, led)
+        done, covered = True, True
+        for i in range(LANES):
+            first, last = support(seen, plan, i)
+            low, high = plan[LOW, i], plan[HIGH, i]
+            covered = covered and (first > 0 or low == -1.0)
+            covered = covered and (last < STATIONS - 1 or high == 1.0)
+            if last - first < 4 and high - low > 1e-7:
+                h = (high - low) / (STATIONS - 1)
+                low, high = max(seen[AT, first, i] - h, low), min(seen[AT, last, i] + h, high)
+                moved(seen, plan, i, low, high)
+                done = False
+        known = True
+        if led and not covered:
+            led = known = done = False
             for i in range(LANES):
-                seen[TOP, s, i] = -math.inf
+                plan[LOW, i], plan[HIGH, i], plan[BEST, i] = -1.0, 1.0, -math.inf
+        if done:
+            break
+
+
+@compiled
+def climbs(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, known, led):  # type: ignore[no-untyped-def]
+    """The mode at each station: from the one known there, or five places at every fifth of them;
+    then handed on up and down, everywhere or (`led`) over gaps only.
+    """
+    for s in range(STATIONS):
+        for i in range(LANES):
+            seen[TOP, s, i] = -math.inf
+    if known:
+        for s in range(STATIONS):
+            look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, s)
+    else:
         for s in range(0, STATIONS, STATIONS // 3):
             for start in range(-1, -1 - len(STARTS), -1):
                 look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, start)
-        for s in range(1, STATIONS):
+    for s in range(1, STATIONS):
+        if not led or gap(seen, s - 1, s):
             look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, s - 1)
-        for s in range(STATIONS - 2, -1, -1):
+    for s in range(STATIONS - 2, -1, -1):
+        if not led or gap(seen, s, s + 1):
             look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, s + 1)
-        done = True
-        for i in range(LANES):
-            first, last = support(seen, plan, i)
-            if last - first < 4 and plan[HIGH, i] - plan[LOW, i] > 1e-7:
-                h = (plan[HIGH, i] - plan[LOW, i]) / (STATIONS - 1)
-                plan[LOW, i] = max(seen[AT, first, i] - h, plan[LOW, i])
-                plan[HIGH, i] = min(seen[AT, last, i] + h, plan[HIGH, i])
-                done = False
-        if done:
-            break
+
+
+@compiled
+def moved(seen, plan, i, low, high):  # type: ignore[no-untyped-def]
+    """Set the range of lane i, and its modes to what is known of them at the new stations."""
+    width = plan[HIGH, i] - plan[LOW, i]
+    own = np.empty((2, STATIONS))
+    for s in range(STATIONS):
+        own[0, s], own[1, s] = seen[MID, s, i], seen[INN, s, i]
+    for s in range(STATIONS):
+        x = low + s * (high - low) / (STATIONS - 1)
+        place = (x - plan[LOW, i]) / width * (STATIONS - 1)
+        q = min(max(int(place), 0), STATIONS - 2)
+        for k in range(2):
+            mode = own[k, q] + (place - q) * (own[k, q + 1] - own[k, q])
+            seen[MID + k, s, i] = min(max(mode, -1.0), 1.0)
+    plan[LOW, i], plan[HIGH, i] = low, high
+
+
+@compiled
+def gap(seen, s, t):  # type: ignore[no-untyped-def]
+    """Whether the modes of stations s and t lie further apart than a ridge leads, in any lane."""
+    for i in range(LANES):
+        for k in (MID, INN):
+            if abs(seen[k, s, i] - seen[k, t, i]) > GAP:
+                return True
+    return False
 
 
 @compiled
@@ -217,7 +279,7 @@ def volume_sums(a, b, v, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
     f, value, peak = np.empty((POINTS, LANES)), np.empty(LANES), np.empty(LANES)
     # a single row leaves a thin sheet through the box, whose profile bends where it meets a side
     split = SPLIT if rows > 1 else 0.4 * SPLIT
-    survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan)
+    survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, False)
     for i in range(LANES):
         waiting[i] = first_panels(seen, plan, i, breaks, panels)
         out[i], peak[i] = 0.0, -math.inf
@@ -238,7 +300,14 @@ def volume_sums(a, b, v, y, s2, ka2, kb2, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def volume_glances(a, b, v, y, s2, ka2, kb2, seen, plan, out):  # type: ignore[no-untyped-def]
+def laplace(top, xx, xg, gg):  # type: ignore[no-untyped-def]
+    """log of a plane's integral from the height and the information of its mode."""
+    det = (xx + 1.0) * (gg + 1.0) - xg * xg
+    return top + min(math.log(2.0 * math.pi) - 0.5 * math.log(max(det, 1e-9)), math.log(4.0))
+
+
+@compiled
+def volume_glances(a, b, v, y, s2, ka2, kb2, seen, plan, led, out):  # type: ignore[no-untyped-def]
     """A rough log of the triple integral: Laplace in the inner two, a sum over stations outside.
 
     A tenth of the integral's work and off by tenths of a nat: it tells where the shared
@@ -249,13 +318,12 @@ def volume_glances(a, b, v, y, s2, ka2, kb2, seen, plan, out):  # type: ignore[n
     w = np.empty(SCRATCH)
     pa, pb = np.empty(36 * rows * LANES), np.empty(36 * rows * LANES)
     pv = np.empty(36 * rows * LANES)
-    survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan)
+    survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, led)
     for i in range(LANES):
         peak = -math.inf
         for s in range(STATIONS):
-            det = (seen[IXX, s, i] + 1.0) * (seen[IGG, s, i] + 1.0) - seen[IXG, s, i] ** 2
-            area = min(math.log(2.0 * math.pi) - 0.5 * math.log(max(det, 1e-9)), math.log(4.0))
-            seen[IXX, s, i] = seen[TOP, s, i] + area
+            xx, xg, gg = seen[IXX, s, i], seen[IXG, s, i], seen[IGG, s, i]
+            seen[IXX, s, i] = laplace(seen[TOP, s, i], xx, xg, gg)
             peak = max(peak, seen[IXX, s, i])
         total = 0.0
         for s in range(STATIONS):

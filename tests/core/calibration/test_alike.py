@@ -19,7 +19,8 @@ from core.calibration.alike import (
     gathered,
 )
 from core.calibration.columns import Columns, columns
-from core.calibration.message import BladeMessage, monomials_of
+from core.calibration.layout import monomials_of
+from core.calibration.message import BladeMessage
 from core.calibration.online import RotorSpec, RotorState, Workspace, begun, update
 from core.calibration.tetrahedra import CORNERS, histogram
 from core.model import Model, rotor_blade

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from core.builtin import inspection_plan
+from core.calibration.layout import Packed, readings_at
 from core.calibration.lines import SAME
-from core.calibration.message import BladeMessage, Packed, _readings
+from core.calibration.message import BladeMessage
 from core.calibration.online import update
 from core.calibration.space import shared_space
 from core.calibration.state import RotorSpec, shared_posterior
@@ -84,7 +85,7 @@ def test_rows_and_remainder_are_the_density_of_the_whole_scan(kind: str) -> None
     n = 40
     shared = space.to_x(0.2 + 0.6 * rng.random((n, space.dim)))
     inputs = np.stack([shared[:, 0], rng.uniform(-1, 1, n)], axis=1)
-    y, s2, rest = _readings(rows, space, shared)
+    y, s2, rest = readings_at(rows, space, shared)
     mean, _ = rows.response.evaluate(inputs)
     got = rest - 0.5 * np.sum((y - mean) ** 2 / s2 + np.log(2 * np.pi * s2), axis=1)
     phi = model.surrogate.deformation_modes(np.arange(NODES))
@@ -189,7 +190,7 @@ def test_factors_that_rows_of_a_scan_share_are_computed_once(
 
     def found() -> list[np.ndarray]:
         exact = message.column(unit)
-        return [exact, message.column(unit, rough=True), *message.draws(unit, 24, rng(1), exact)]
+        return [exact, message.column(unit, rough=True), *message.draws(unit, 20, rng(1), exact)]
 
     once = found()
     monkeypatch.setattr(Packed, "marked", property(lambda packed: packed.kb2))

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from core.builtin import inspection_plan
-from core.calibration.message import _readings as readings_at
+from core.calibration.layout import readings_at
 from core.calibration.online import update
 from core.calibration.schedule import Schedule, calibrate, instants
 from core.calibration.schedule_filter import Readings
