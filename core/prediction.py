@@ -249,6 +249,7 @@ def predict(
     known: Mapping[str, float] | None = None,
     reader: tuple[str | None, str | None] | None = None,
     sigma: float | None = None,
+    levels: Sequence[float] = QUANTILES,
 ) -> Prediction:
     """Predict `quantity` at `times` [h] from a blade's posterior.
 
@@ -257,6 +258,7 @@ def predict(
     noise       False: the blade itself, without one more reading's noise
     instrument  of that reading (default: `instrument_of`); a new one has its prior's noise
     sigma       noise of that reading where it is known [unit]; None: as calibrated
+    levels      of the quantiles beside the bounds
     reader      (instrument, campaign): what their reading says, with their biases; None: the
                 blade itself
     Raises RangeError for times or nodes outside the model, InputError for a bad probability and
@@ -287,7 +289,7 @@ def predict(
     }
     parts["total"] = np.sqrt(sum(v**2 for v in parts.values()))
     tail = (1 - probability) / 2
-    p = np.array([tail, 1 - tail, *QUANTILES])
+    p = np.array([tail, 1 - tail, *levels])
     q = mixture_quantiles(one.mean, np.hypot(one.width, own_noise[:, None]), w, p)
     return Prediction(
         quantity,
@@ -298,7 +300,7 @@ def predict(
         q[0],
         q[1],
         probability,
-        {float(k): v for k, v in zip(QUANTILES, q[2:], strict=True)},
+        {float(k): v for k, v in zip(levels, q[2:], strict=True)},
         len(w),
         instrument,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
 from core.diagnosis.adopt import typical_noise
@@ -12,6 +12,7 @@ from core.diagnosis.conclude import Rival
 from core.diagnosis.grammar import Cell, Facts, cells, families_for
 from core.diagnosis.halves import halves
 from core.diagnosis.scan import Scan
+from core.diagnosis.scores import Scores
 from core.diagnosis.scoring import scores
 from core.diagnosis.signature import Physics, signatures, unnamed
 from core.diagnosis.verdict import DEALT, Held
@@ -20,6 +21,8 @@ from core.family import Family
 from core.model import Answers, Model, Stacked
 from core.observation import Inspection
 from core.surrogate.driven import Driven
+
+KEPT = 3  # states whose scores are kept
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class Case:
     facts: Mapping[str, Facts]
     families: Sequence[Family] = ()
     dealt: int = DEALT
+    _seen: dict[tuple[str, str], Scores] = field(default_factory=dict, compare=False, repr=False)
 
     def noise(self, model: Model, state: RotorState) -> dict[str, float]:
         """Of a reading, by quantity, as the state has it."""
@@ -61,9 +65,18 @@ class Case:
             )
         return every
 
+    def seen(self, model: Model, state: RotorState) -> Scores:
+        """Its scores under a state; those of the last few states are kept."""
+        key = (model.digest, state.digest)
+        if key not in self._seen:
+            while len(self._seen) >= KEPT:
+                del self._seen[next(iter(self._seen))]
+            self._seen[key] = scores(model, state, self.readings, self.spec.known)
+        return self._seen[key]
+
     def scan(self, model: Model, state: RotorState, taken: Sequence[Cell] = ()) -> Scan:
         """Of a state; effects that are in the model already are left out, and may be all."""
-        seen = scores(model, state, self.readings, self.spec.known)
+        seen = self.seen(model, state)
         facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
         gone = {one.name for one in taken}
         left = [c for c in self.cells(model) if c.name not in gone]
@@ -74,7 +87,7 @@ class Case:
         """Whether the amplitudes of the effects in a model agree between halves."""
         if not taken.effects:
             return ()
-        seen = scores(taken.model, taken.state, self.readings, self.spec.known)
+        seen = self.seen(taken.model, taken.state)
         facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
         noise = self.noise(model, taken.state)
         physics = _physics(taken.model)

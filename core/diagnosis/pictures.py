@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.message import POOL
 from core.calibration.space import shared_prior
 from core.calibration.state import Posterior, RotorState, blade_posterior, shared_posterior
 from core.diagnosis.adopt import amplitude
@@ -23,10 +24,9 @@ from core.diagnosis.case import Case
 from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.left_out import left_out
-from core.diagnosis.scoring import scores
 from core.model import Model
 from core.observation import Inspection
-from core.prediction import predict
+from core.prediction import Prediction, predict
 from core.prior import Prior
 from core.rng import stream
 
@@ -45,12 +45,8 @@ def pictures(found: Diagnosis, case: Case) -> Json:
     """All of it; readings of several values are counted, not shown."""
     (model, state), (model_after, state_after) = found.before, found.after
     changed = state_after is not state
-    before = left_out(scores(model, state, case.readings, case.spec.known))
-    after = (
-        left_out(scores(model_after, state_after, case.readings, case.spec.known))
-        if changed
-        else before
-    )
+    before = left_out(case.seen(model, state))
+    after = left_out(case.seen(model_after, state_after)) if changed else before
     later = {r.id: i for i, r in enumerate(after.readings)}
     rows = []
     for i, reading in enumerate(before.readings):
@@ -129,14 +125,26 @@ def _both_courses(found: Diagnosis, case: Case) -> Json | None:
 def _courses(model: Model, state: RotorState, case: Case, quantity: str, hours: Array) -> Json:
     """mean, sd, low, median, high: one row a blade, one column an hour."""
     told: Json = {"mean": [], "sd": [], "low": [], "median": [], "high": []}
-    for blade in case.spec.blades:
+
+    def course(blade: str) -> Prediction:
         posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
         if len(posterior.particles.log_w) > ENOUGH:
             drawn = posterior.particles.resampled(ENOUGH, stream(0, "courses"))
             posterior = Posterior(posterior.names, drawn)
         known = (case.spec.known or {}).get(blade)
-        got = predict(model.for_blade(blade), posterior, quantity, hours, noise=False, known=known)
-        rows = (got.mean, got.sd["total"], *(got.quantiles[p] for p in LEVELS))
+        own = model.for_blade(blade)
+        return predict(
+            own, posterior, quantity, hours, noise=False, known=known, levels=LEVELS[1:2]
+        )
+
+    # one blade of each model first: it compiles what the others ask for again
+    first = {id(model.for_blade(b)): b for b in reversed(case.spec.blades)}.values()
+    made = {b: course(b) for b in first}
+    rest = [b for b in case.spec.blades if b not in made]
+    made |= zip(rest, POOL.map(course, rest), strict=True)
+    for blade in case.spec.blades:
+        got = made[blade]
+        rows = (got.mean, got.sd["total"], got.lower, got.quantiles[LEVELS[1]], got.upper)
         for name, row in zip(told, rows, strict=True):
             told[name].append([_short(v) for v in row])
     return told

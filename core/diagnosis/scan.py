@@ -32,6 +32,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.message import POOL
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures
@@ -183,19 +184,22 @@ class Scan:
         shared = self.seen.by_chance(rng, count) @ np.einsum(
             "bnk,bnc->kc", self.seen.deviation, self.g
         )
-        out = np.empty(count)
+        alike = [np.flatnonzero(rows == n) for n in np.unique(rows)]
+        dealt = np.empty((count, *white.shape))
         for k in range(count):
             order = np.arange(len(rows))
-            for n in np.unique(rows):
-                own = np.flatnonzero(rows == n)
+            for own in alike:
                 order[own] = rng.choice(own, len(own))
-            dealt = white[order] * rng.choice([-1.0, 1.0], len(rows))[:, None]
-            c = np.einsum("bjc,bj->bc", weighted, dealt)
+            dealt[k] = white[order] * rng.choice([-1.0, 1.0], len(rows))[:, None]
+
+        def largest(k: int) -> float:
+            c = np.einsum("bjc,bj->bc", weighted, dealt[k])
             u = c.sum(axis=0) + shared[k]
             phi = overdispersion(c, self.own, u, information, concerned, alone)
             gains = _gains(u, information, phi, self._signs)
-            out[k] = self.by_family(gains, u, phi).max()
-        return out
+            return float(self.by_family(gains, u, phi).max())
+
+        return np.array(list(POOL.map(largest, range(count))))
 
     def including(self, *which: int) -> Scan:
         """The scan of what is left once these cells' effects are in the model."""

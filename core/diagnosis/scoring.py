@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.message import POOL
 from core.calibration.space import locals_of, nominal, shared_prior
 from core.calibration.state import Posterior, RotorState, blade_posterior
 from core.calibration.target import BladeRows, assemble
@@ -53,9 +54,9 @@ def scores(
         raise InputError(
             "state", state.meta["events"], "rests on other readings than these", "update it first"
         )
-    made = [
-        _blade(model, state, b, r, (known or {}).get(b)) for b, r in zip(blades, rows, strict=True)
-    ]
+    made = list(
+        POOL.map(lambda b, r: _blade(model, state, b, r, (known or {}).get(b)), blades, rows)
+    )
     shape = (len(made), max(len(one.q) for one in made))
     place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(2)]
     information, lean = (np.zeros((*shape, shape[1])) for _ in range(2))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.message import POOL
 from core.course import Course
 from core.diagnosis.grammar import Cell, Facts, there
 from core.diagnosis.scores import Scores
@@ -131,17 +132,24 @@ def signatures(
         raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
     physics = physics or Physics(model.surrogate, {})
     held: Held = {}
-    found: dict[_Course, tuple[Array, Array]] = {}
-    parts: list[tuple[Array, Array]] = []
-    for cell in cells:
+
+    def course(cell: Cell) -> _Course | None:
         family = cell.family
         if family.target == "reading":
-            parts.append(_reading(cell, seen, facts, noise))
-            continue
-        key = _Course(family.of, family.how, directed(cell), cell.course, family.clock != "blade")
-        if key not in found:
-            found[key] = seen.over(_change(physics, seen, facts, key, held))
-        parts.append(found[key])
+            return None
+        return _Course(family.of, family.how, directed(cell), cell.course, family.clock != "blade")
+
+    def changed(key: _Course) -> tuple[Array, Array]:
+        return seen.over(_change(physics, seen, facts, key, held))
+
+    keys = [course(cell) for cell in cells]
+    every = [key for key in dict.fromkeys(keys) if key is not None]
+    found = {key: changed(key) for key in every[:1]}  # computes what is without, for all
+    found |= zip(every[1:], POOL.map(changed, every[1:]), strict=True)
+    parts = [
+        _reading(cell, seen, facts, noise) if key is None else found[key]
+        for cell, key in zip(cells, keys, strict=True)
+    ]
     return Signatures.of(parts, masks(cells, seen, facts))
 
 

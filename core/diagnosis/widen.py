@@ -26,7 +26,6 @@ from core.calibration.state import RotorState, blade_posterior
 from core.diagnosis.case import Case
 from core.diagnosis.expected import with_columns
 from core.diagnosis.scores import Scores
-from core.diagnosis.scoring import scores
 from core.discrepancy import affine
 from core.errors import InputError
 from core.model import Model
@@ -82,7 +81,7 @@ def widen(
     """
     if model.network.quantity(quantity).discrepancy.kind != "none":
         return None
-    seen = scores(model, state, case.readings, case.spec.known)
+    seen = case.seen(model, state)
     tried = [
         (gain, declared, bigger, g, h)
         for declared in _candidates(model)

@@ -39,6 +39,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from core.errors import ModelError
+from core.pools import by_rows
 from core.response import monomials
 
 Array = NDArray[np.float64]
@@ -70,6 +71,11 @@ def correlation(z: Array, other: Array, lengths: Array) -> Array:
     np.maximum(out, 0.0, out=out)
     out += 1.0
     return np.asarray(np.reciprocal(out, out=out))
+
+
+def _along(a: Array, b: Array) -> Array:
+    """Products of rows (m, n) with rows, (m,)."""
+    return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,59 +123,65 @@ class SharedGP:
 
     def mean(self, z: Array, columns: Sequence[slice] = (slice(None),)) -> list[Array]:
         """At z (m, d): coefficients (m, J') of each set of columns."""
-        k, h = correlation(z, self.z, np.array(self.hyper.lengths)), monomials(z, self.hyper.trend)
-        return [k @ self.weights[:, some] + h @ self.beta[:, some] for some in columns]
+
+        def work(z: Array) -> tuple[Array, ...]:
+            k, h = self._seen(z)
+            return tuple(k @ self.weights[:, some] + h @ self.beta[:, some] for some in columns)
+
+        return list(by_rows(work, z))
 
     def mean_and_variance(
         self, z: Array, columns: Sequence[slice] = (slice(None),)
     ) -> tuple[list[Array], Array]:
         """At z (m, d): coefficients (m, J') of each set of columns, the shared v (m,)."""
-        k = correlation(z, self.z, np.array(self.hyper.lengths))
-        h = monomials(z, self.hyper.trend)
-        means = [k @ self.weights[:, some] + h @ self.beta[:, some] for some in columns]
-        half = k @ self.whiten.T
-        u = (h - k @ self.h_solve) @ self.trend.T
-        v = 1.0 - np.einsum("ij,ij->i", half, half) + np.einsum("ij,ij->i", u, u)
-        return means, np.maximum(v, 0.0) + self.hyper.nugget
+
+        def work(z: Array) -> tuple[Array, ...]:
+            k, h = self._seen(z)
+            means = (k @ self.weights[:, some] + h @ self.beta[:, some] for some in columns)
+            half, u = self._errors(k, h)
+            return *means, self._variance(half, u)
+
+        *means, v = by_rows(work, z)
+        return means, v
+
+    def _seen(self, z: Array) -> tuple[Array, Array]:
+        """Correlations with the runs (m, n) and trend rows (m, p)."""
+        lengths = np.array(self.hyper.lengths)
+        return correlation(z, self.z, lengths), monomials(z, self.hyper.trend)
+
+    def _errors(self, k: Array, h: Array) -> tuple[Array, Array]:
+        """What the runs, (m, n), and the trend, (m, p), leave unknown, whitened."""
+        return k @ self.whiten.T, (h - k @ self.h_solve) @ self.trend.T
+
+    def _variance(self, half: Array, u: Array) -> Array:
+        v = 1.0 - _along(half, half) + _along(u, u)
+        return np.asarray(np.maximum(v, 0.0) + self.hyper.nugget)
 
     def covariance(self, z: Array, other: Array) -> tuple[Array, Array, Array]:
         """v(z), v(z'), (m,), and the posterior covariance of the errors at each pair (z, z').
 
         The nugget, what the kernel cannot follow, is taken for alike where inputs are nearly so.
         """
-        seen = []
-        for at in (z, other):
-            k, h = (
-                correlation(at, self.z, np.array(self.hyper.lengths)),
-                monomials(at, self.hyper.trend),
-            )
-            half, u = k @ self.whiten.T, (h - k @ self.h_solve) @ self.trend.T
-            seen.append((half, u))
-        (half, u), (half1, u1) = seen
-        apart = (z - other) / np.array(self.hyper.lengths)
-        prior = 1.0 / (1.0 + 0.5 * np.sum(apart**2, axis=1))
+        lengths = np.array(self.hyper.lengths)
 
-        def between(a: Array, b: Array) -> Array:
-            return np.asarray(np.einsum("ij,ij->i", a, b))
+        def work(z: Array, other: Array) -> tuple[Array, ...]:
+            (half, u), (half1, u1) = (self._errors(*self._seen(at)) for at in (z, other))
+            prior = 1.0 / (1.0 + 0.5 * np.sum(((z - other) / lengths) ** 2, axis=1))
+            alike = (1.0 + self.hyper.nugget) * prior
+            both = alike - _along(half, half1) + _along(u, u1)
+            return self._variance(half, u), self._variance(half1, u1), both
 
-        own = [
-            np.maximum(1.0 - between(a, a) + between(b, b), 0.0) + self.hyper.nugget
-            for a, b in seen
-        ]
-        alike = (1.0 + self.hyper.nugget) * prior
-        return own[0], own[1], alike - between(half, half1) + between(u, u1)
+        v, v1, c = by_rows(work, z, other)
+        return v, v1, c
 
     def cross_covariance(self, z: Array, other: Array) -> Array:
         """Posterior covariance of the errors at every pair of z (n, d), z' (m, d): (n, m).
 
         Relative to sigma_j^2 as v is, without the nugget: c(z, z) = v(z) - nugget.
         """
-        lengths, seen = np.array(self.hyper.lengths), []
-        for at in (z, other):
-            k, h = correlation(at, self.z, lengths), monomials(at, self.hyper.trend)
-            seen.append((k @ self.whiten.T, (h - k @ self.h_solve) @ self.trend.T))
-        (half, u), (half1, u1) = seen
-        return np.asarray(correlation(z, other, lengths) - half @ half1.T + u @ u1.T)
+        (half, u), (half1, u1) = (self._errors(*self._seen(at)) for at in (z, other))
+        prior = correlation(z, other, np.array(self.hyper.lengths))
+        return np.asarray(prior - half @ half1.T + u @ u1.T)
 
     def left_out(self) -> tuple[Array, Array]:
         """Leave-one-out residuals e (n, J) and their relative variances v (n,)."""
