@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude, expected
 from core.diagnosis.grammar import Cell, Facts
-from core.diagnosis.scan import overdispersion
+from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures, masks
 from core.diagnosis.verdict import WIDE, Held
@@ -94,7 +94,7 @@ def between(
     u = np.einsum("bic,bi->c", d, seen.q) + pull.sum(axis=0)
     information = np.diag(seen.cross(d))
     concerned, alone = np.any(d != 0, axis=1), np.array([cell.whom == "blade"])
-    phi = float(overdispersion(c, own, u, information, concerned, alone)[0])
+    phi = float(Scatter.of(own, concerned, alone).phi(c, u, information)[0])
     variance = 1.0 / (float(information[0]) / phi + 1.0 / WIDE**2)
     off = variance * float(u[0]) / phi
     return Held(by, (mean + off, mean - off), 2.0 * float(np.sqrt(variance)))

@@ -34,13 +34,12 @@ from numpy.typing import NDArray
 
 from core.calibration.message import POOL
 from core.diagnosis.grammar import Cell
+from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures
 from core.rng import stream
-from core.smc.particles import log_sum_exp
 
 Array = NDArray[np.float64]
-LEAST_BLADES = 8  # from which phi is a cell's own
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,8 @@ class Scan:
 
     free    sets of columns that have no name, by what they are: their places among the columns
     g (B, n, C) signatures, those of `free` behind the cells', and h, their covariances with the
-    residual (`scores`); u, phi (C,); information (C, C);
+    residual (`scores`); u, phi (C,); information (C, C), within: without what shared parameters
+    imitate;
     c, own (B, C): the blades' shares of score and information
     """
 
@@ -58,6 +58,7 @@ class Scan:
     seen: Scores
     g: Array
     h: Array
+    within: Array
     efficient: Array
     u: Array
     information: Array
@@ -89,18 +90,20 @@ class Scan:
         seen: Scores,
         g: Array,
         h: Array,
+        within: Array | None = None,
     ) -> Scan:
+        within = seen.within(g) if within is None else within
         efficient = seen.efficient(g)
         weighted = np.einsum("bij,bjc->bic", seen.information, efficient)
         own = np.einsum("bic,bic->bc", efficient, weighted)
         pull = h.sum(axis=1)
         c = np.einsum("bic,bi->bc", efficient, seen.q) + pull
-        information = seen.cross(g)
+        information = seen.cross(g, within)
         concerned = np.any(g != 0, axis=1)  # (B, C)
         alone = _alone(cells, g.shape[2])
         u = np.einsum("bic,bi->c", g, seen.q) + pull.sum(axis=0)
-        phi = overdispersion(c, own, u, np.diag(information), concerned, alone)
-        return Scan(cells, free, seen, g, h, efficient, u, information, c, own, phi)
+        phi = Scatter.of(own, concerned, alone).phi(c, u, np.diag(information))
+        return Scan(cells, free, seen, g, h, within, efficient, u, information, c, own, phi)
 
     @cached_property
     def _scaled(self) -> tuple[Array, Array]:
@@ -155,9 +158,22 @@ class Scan:
             found.setdefault(f"{cell.family.name}, {cell.whom}", []).append(i)
         return found
 
+    @cached_property
+    def _grouped(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Cells family by family, where each family begins, and how many it has."""
+        members = list(self.families.values())
+        size = np.array([len(one) for one in members], dtype=np.int64)
+        order = np.concatenate(members).astype(np.int64) if members else size
+        return order, np.cumsum(size) - size, size
+
     def by_family(self, gains: Array, u: Array, phi: Array) -> Array:
         """log of the mean Bayes factor of each family's cells, then log BF of each free set."""
-        found = [_log_mean(gains[members]) for members in self.families.values()]
+        order, first, size = self._grouped
+        own, found = gains[order], list[Array]()
+        if len(size):
+            top = np.maximum.reduceat(own, first)
+            total = np.add.reduceat(np.exp(own - np.repeat(top, size)), first)
+            found = list(top + np.log(total / size))
         for s in map(list, self.free.values()):
             root = np.sqrt(phi[s])
             a = self.information[np.ix_(s, s)] / np.outer(root, root) + np.eye(len(s))
@@ -179,7 +195,7 @@ class Scan:
         rows = self.seen.real.sum(axis=1)
         weighted = np.einsum("bij,bic->bjc", root, self.efficient)  # rootᵀ g⊥
         alone = _alone(self.cells, self.g.shape[2])
-        concerned = np.any(self.g != 0, axis=1)
+        scatter = Scatter.of(self.own, np.any(self.g != 0, axis=1), alone)
         information = np.diag(self.information)
         shared = self.seen.by_chance(rng, count) @ np.einsum(
             "bnk,bnc->kc", self.seen.deviation, self.g
@@ -195,7 +211,7 @@ class Scan:
         def largest(k: int) -> float:
             c = np.einsum("bjc,bj->bc", weighted, dealt[k])
             u = c.sum(axis=0) + shared[k]
-            phi = overdispersion(c, self.own, u, information, concerned, alone)
+            phi = scatter.phi(c, u, information)
             gains = _gains(u, information, phi, self._signs)
             return float(self.by_family(gains, u, phi).max())
 
@@ -205,7 +221,7 @@ class Scan:
         """The scan of what is left once these cells' effects are in the model."""
         mean, _ = self.amplitudes(*which)
         taken = self.seen.including(self.g[:, :, list(which)], mean)
-        return Scan._of(self.cells, self.free, taken, self.g, self.h)
+        return Scan._of(self.cells, self.free, taken, self.g, self.h, self.within)
 
 
 def _alone(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
@@ -215,35 +231,10 @@ def _alone(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
     return out
 
 
-def overdispersion(
-    c: Array,
-    own: Array,
-    u: Array,
-    information: Array,
-    concerned: NDArray[np.bool_],
-    alone: NDArray[np.bool_],
-) -> Array:
-    """phi ≥ 1 of each cell, (C,), from the blades' contributions c and information own (B, C)."""
-    a = u / np.maximum(information, 1e-300)
-    seen = concerned & (own > 1e-12)
-    count = seen.sum(axis=0)
-    excess = np.where(seen, (c - a * own) ** 2, 0.0).sum(axis=0)
-    total = np.where(seen, own, 0.0).sum(axis=0)
-    freedom = np.maximum(count - 1, 1) / np.maximum(count, 1)
-    phi = np.maximum(1.0, excess / np.maximum(total * freedom, 1e-300))
-    many = np.asarray(count >= LEAST_BLADES)
-    typical = float(np.median(phi[many & ~alone])) if np.any(many & ~alone) else 1.0
-    return np.asarray(np.where(many, phi, np.maximum(typical, 1.0)))
-
-
 def _gains(u: Array, information: Array, phi: Array, signs: NDArray[np.int64]) -> Array:
     scaled: Array = np.asarray(information / phi)
     gains: Array = 0.5 * (u / phi) ** 2 / (1 + scaled) - 0.5 * np.log1p(scaled)
     return np.asarray(np.where((signs > 0) & (u < 0), -0.5 * np.log1p(scaled), gains))
-
-
-def _log_mean(gains: Array) -> float:
-    return float(log_sum_exp(gains) - np.log(len(gains)))
 
 
 def _roots(seen: Scores) -> tuple[Array, Array]:

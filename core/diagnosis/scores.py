@@ -157,11 +157,14 @@ class Scores:
         weight = np.einsum("bnk,bnc->kc", self.deviation, g)
         return np.asarray(g - self.imitated @ weight)
 
-    def cross(self, g: Array) -> Array:
-        """Information matrix (C, C) of signatures (B, n, C)."""
+    def cross(self, g: Array, own: Array | None = None) -> Array:
+        """Information matrix (C, C) of signatures (B, n, C); own: `within`, if it is known."""
         shared = np.tensordot(self.deviation, g, axes=((0, 1), (0, 1)))
-        own = np.tensordot(g, self.information @ g, axes=((0, 1), (0, 1)))
-        return np.asarray(own - shared.T @ shared)
+        return np.asarray((self.within(g) if own is None else own) - shared.T @ shared)
+
+    def within(self, g: Array) -> Array:
+        """The same if no parameter were shared, Σ_b gᵀ Q_b g, (C, C)."""
+        return np.tensordot(g, self.information @ g, axes=((0, 1), (0, 1)))
 
     def including(self, g: Array, amplitude: Array) -> Scores:
         """With effects of signatures g (B, n, C) as shared parameters, at their best amplitudes.
