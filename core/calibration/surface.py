@@ -96,26 +96,28 @@ class Surface:
         some = slice(None, None, -(-k // CHOOSING))
         best, alpha, left_out = np.inf, np.empty(0), np.empty(0)
         length = nugget = 0.0
+        bells = {length: _bells(z[some], z[some], length) for length in LENGTHS}
         for one in product(LENGTHS, NUGGETS):
-            tried = _fitted(z[some], basis[some], value[some], *one)
+            tried = _fitted(bells[one[0]], basis[some], value[some], one[1])
             if (judged := float(matters[some] @ tried[1] ** 2)) < best:
                 best, (alpha, left_out), (length, nugget) = judged, tried, one
         if not np.isfinite(best):
             raise InputError("surface", best, "goes through no nodes", "use the nodes alone")
         if k > CHOOSING:
-            alpha, left_out = _fitted(z, basis, value, length, nugget)
+            alpha, left_out = _fitted(_bells(z, z, length), basis, value, nugget)
         reach = float(np.sqrt(np.max(np.sum(z**2, axis=1))))
         error = float(np.sqrt(w @ left_out**2))
         return Surface(mean, turn, z, length, alpha, reach), error
 
 
-def _fitted(
-    z: Array, basis: Array, value: Array, length: float, nugget: float
-) -> tuple[Array, Array]:
-    """Coefficients (k + m,) of the surface through values (k,), and its leave-one-out errors."""
+def _fitted(bells: Array, basis: Array, value: Array, nugget: float) -> tuple[Array, Array]:
+    """Coefficients (k + m,) of the surface through values (k,), and its leave-one-out errors.
+
+    bells  (k, k) between the nodes; basis (k, m)
+    """
     k, m = basis.shape
     system = np.zeros((k + m, k + m))
-    system[:k, :k] = _bells(z, z, length) + nugget * np.eye(k)
+    system[:k, :k] = bells + nugget * np.eye(k)
     system[:k, k:], system[k:, :k] = basis, basis.T
     inverse = np.linalg.inv(system)
     alpha = inverse[:, :k] @ value

@@ -39,8 +39,9 @@ def ess(log_w: Array) -> float:
     >>> round(ess(np.zeros(50)), 9)
     50.0
     """
-    w = normalised(log_w)
-    return float(1.0 / np.sum(w * w))
+    w = np.exp(log_w - np.max(log_w))
+    total = w.sum()
+    return float(total * total / (w @ w))
 
 
 def tempering_exponent(log_ratio: Array, target_ess: float) -> float:
@@ -51,10 +52,11 @@ def tempering_exponent(log_ratio: Array, target_ess: float) -> float:
     finite = np.where(np.isfinite(log_ratio), log_ratio, -1e300)
     if ess(finite) >= target_ess:
         return 1.0
-    low, high = 0.0, 1.0
+    below, low, high = finite - np.max(finite), 0.0, 1.0
     for _ in range(60):
         mid = 0.5 * (low + high)
-        if ess(mid * finite) >= target_ess:
+        w = np.exp(mid * below)
+        if float(w.sum()) ** 2 >= target_ess * float(w @ w):
             low = mid
         else:
             high = mid
