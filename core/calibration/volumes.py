@@ -104,9 +104,8 @@ def survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, led):  # type: i
         else:
             plan[LOW, i], plan[HIGH, i] = -1.0, 1.0
         plan[BEST, i] = -math.inf
-    known = led
     for _ in range(15):
-        climbs(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, known, led)
+        climbs(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, led)
         done, covered = True, True
         for i in range(LANES):
             first, last = support(seen, plan, i)
@@ -118,9 +117,8 @@ def survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, led):  # type: i
                 low, high = max(seen[AT, first, i] - h, low), min(seen[AT, last, i] + h, high)
                 moved(seen, plan, i, low, high)
                 done = False
-        known = True
         if led and not covered:
-            led = known = done = False
+            led = done = False
             for i in range(LANES):
                 plan[LOW, i], plan[HIGH, i], plan[BEST, i] = -1.0, 1.0, -math.inf
         if done:
@@ -128,14 +126,14 @@ def survey(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, led):  # type: i
 
 
 @compiled
-def climbs(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, known, led):  # type: ignore[no-untyped-def]
-    """The mode at each station: from the one known there, or five places at every fifth of them;
-    then handed on up and down, everywhere or (`led`) over gaps only.
+def climbs(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, led):  # type: ignore[no-untyped-def]
+    """The mode at each station: from five places at every fifth of them, then handed on up and
+    down; `led`, from the one that is known there, and handed on over gaps only.
     """
     for s in range(STATIONS):
         for i in range(LANES):
             seen[TOP, s, i] = -math.inf
-    if known:
+    if led:
         for s in range(STATIONS):
             look(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, s, s)
     else:
