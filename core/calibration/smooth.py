@@ -197,21 +197,6 @@ def together(
     return found
 
 
-def smoothly(
-    compute: Callable[[Sequence[int], Array], Sequence[Array]],
-    begun: Sequence[Column | None],
-    unit: Array,
-    tolerance: float = TOLERANCE,
-    seen: Sequence[int] | None = None,
-) -> list[Column]:
-    """The columns of one kind of blades (`stages`), from a function that computes them."""
-
-    def each(asked: list[Asked]) -> list[Sequence[Array]]:
-        return [compute(due, nodes) for _, due, nodes in asked]
-
-    return together([stages(begun, unit, tolerance, seen)], each)[0]
-
-
 def as_near(column: Column, unit: Array, seen: Sequence[int] | None = None) -> Column:
     """The column as it was when it was first known to `NEARLY`, before it was known any better.
 

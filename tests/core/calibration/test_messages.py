@@ -15,6 +15,18 @@ from core.smc.particles import log_sum_exp
 from tests.core.calibration.bar import LOCAL, bar, creep
 
 
+def read_at_steps(step_h: float, elongations: tuple[float, ...]) -> BladeMessage:
+    """A rotor blade read after each of equal steps."""
+    model = rotor_blade()
+    readings = [
+        Inspection(f"i{k}", "b", "elongation", step_h * k, np.array([y]))
+        for k, y in enumerate(elongations, 1)
+    ]
+    rows = assemble(model, readings)
+    assert rows is not None
+    return BladeMessage(model, rows, shared_space(model, [rows]), {})
+
+
 def dense(message: BladeMessage, rate: float, sigma: float, n: int = 40) -> float:
     """log ∫ L dl / volume by Gauss and Legendre on n³ points; 40 and 80 agree to 1e-13 here."""
     z, w = np.polynomial.legendre.leggauss(n)
@@ -92,17 +104,10 @@ def test_a_second_summit_holds_no_climb(
 
     The column jumped by 6 nat between neighbours; draws missed up to 86 % of a node's mass.
     """
-    model = rotor_blade()
-    readings = [
-        Inspection(f"i{k}", "b", "elongation", 8e3 * k, np.array([y]))
-        for k, y in enumerate(elongations, 1)
-    ]
-    rows = assemble(model, readings)
-    assert rows is not None
-    space = shared_space(model, [rows])
+    message, rng = read_at_steps(8e3, elongations), np.random.default_rng(0)
+    space = message.space
     low, high = np.array([prior.box for prior in space.priors]).T
     centre = (np.array([rate, np.log(sigma)]) - low) / (high - low)
-    message, rng = BladeMessage(model, rows, space, {}), np.random.default_rng(0)
     z = rng.uniform(-1, 1, (128, 2))
     column = message.column(centre + np.array([2e-3, 4e-3]) * z)
     plane = np.column_stack([np.ones(len(z)), z, z**2, z[:, :1] * z[:, 1:]])
@@ -162,20 +167,13 @@ def test_no_draw_outweighs_the_others_where_the_profile_is_steep() -> None:
     Drawn evenly within a station's cell, a coating just inside of where the profile falls weighed
     140 times the mean, and moved the rotor's temperature in this blade's particles by 0.13 sd.
     """
-    model = rotor_blade()
     values = (0.46393294, 0.74331325, 1.01407451, 1.25351424, 1.49971248, 1.74249605)
-    readings = [
-        Inspection(f"i{k}", "b", "elongation", 7e3 * k, np.array([y]))
-        for k, y in enumerate(values, 1)
-    ]
-    rows = assemble(model, readings)
-    assert rows is not None
-    space = shared_space(model, [rows])
+    message = read_at_steps(7e3, values)
+    space = message.space
     low, high = np.array([prior.box for prior in space.priors]).T
     nodes = np.tile([0.957, 0.0103], (64, 1))
     nodes += np.array([0.01, 5e-4]) * np.random.default_rng(0).uniform(-1, 1, nodes.shape)
     unit = (np.column_stack([nodes[:, 0], np.log(nodes[:, 1])]) - low) / (high - low)
-    message = BladeMessage(model, rows, space, {})
     column = message.column(unit)
     weights = [message.draws(unit, 2000, np.random.default_rng(s), column)[1] for s in range(3)]
     assert 2000 * np.exp(max(w.max() for w in weights)) < 10.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from core.calibration.columns import Columns, columns, smooth_columns
 from core.calibration.message import BladeMessage
-from core.calibration.smooth import NEARLY, TOLERANCE, from_afar, smoothly
+from core.calibration.smooth import (
+    NEARLY,
+    TOLERANCE,
+    Asked,
+    Column,
+    from_afar,
+    stages,
+    together,
+)
 from core.calibration.space import shared_space
 from core.calibration.target import assemble
 from core.model import rotor_blade
@@ -20,6 +28,21 @@ from core.validation.simulate import simulate
 from core.validation.variants import plan
 
 Array = NDArray[np.float64]
+
+
+def smoothly(
+    compute: Callable[[Sequence[int], Array], Sequence[Array]],
+    begun: Sequence[Column | None],
+    unit: Array,
+    tolerance: float = TOLERANCE,
+    seen: Sequence[int] | None = None,
+) -> list[Column]:
+    """The columns of one kind of blades, from a function that computes them."""
+
+    def each(asked: list[Asked]) -> list[Sequence[Array]]:
+        return [compute(due, nodes) for _, due, nodes in asked]
+
+    return together([stages(begun, unit, tolerance, seen)], each)[0]
 
 
 def gentle(scale: float, u: Array) -> Array:
