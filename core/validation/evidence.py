@@ -61,7 +61,7 @@ def log_evidence(
             u_s, u_l = jax.nn.sigmoid(q_s), jax.nn.sigmoid(q_l)
             log_jacobian += jnp.sum(jax.nn.log_sigmoid(q_l) + jax.nn.log_sigmoid(-q_l), axis=1)
             rest = jnp.sum(jax.nn.log_sigmoid(q_s) + jax.nn.log_sigmoid(-q_s))
-            rest += target.log_remainders(jnp, u_s)
+            rest += target.log_shared(jnp, u_s)
             return target.log_blades(jnp, u_s, u_l) + log_jacobian, rest
 
         inside, rest = jax.vmap(one)(e_l)

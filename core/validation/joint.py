@@ -3,12 +3,14 @@
 All parameters of all blades at once, on the compiled rows of `core.calibration.target`,
 
     log p(s, l, D) = log p(s) + Σ_b log p(l_b)
-                     + Σ_r log N(y_r | Y_r(l, s), sigma_r² + extra_r + (nu y_r)² + s_r(l, s)²)
+                     + Σ_r log N(y_r | g_r(s) Y_r(l, s) + o_r(s), sigma_r² + extra_r
+                                       + (nu (y_r − o_r))² + (g_r s_r(l, s))²)
                      + remainders of scans
 
-with Y_r = a_r e^{b_r} and the surrogate's standard deviation s_r taken at every point. The rows are
-evaluated by code of its own (numpy, jax.numpy or pytensor), so that a fault in the compiled
-messages shows. Parameters lie on unit boxes: a log-uniform noise is uniform in its logarithm.
+with Y_r = a_r e^{b_r}, the surrogate's standard deviation s_r taken at every point, and a gain
+g = 1 + Σ and an offset o that are linear in the discrepancies' parameters. The rows are evaluated
+by code of its own (numpy, jax.numpy or pytensor), so that a fault in the compiled messages shows.
+Parameters lie on unit boxes: a log-uniform noise is uniform in its logarithm.
 """
 
 from __future__ import annotations
@@ -21,13 +23,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.scans import Dense
 from core.calibration.space import locals_of, shared_space
 from core.calibration.state import RotorSpec
 from core.calibration.target import DEGREE, BladeRows, assemble
+from core.discrepancy import Term
 from core.errors import InputError
 from core.model import Model, Stacked
 from core.observation import Inspection
-from core.response import Response, multi_indices
+from core.prior import cut_mass
+from core.response import multi_indices
+from core.validation.tables import powers, products, split
 
 Array = NDArray[np.float64]
 
@@ -42,7 +48,10 @@ class Target:
                     the shared inputs, then monomials of the local ones with exponents (M, L)
     blade, row      (N,) which blade and which of the U rows a reading belongs to
     noise           (N,) place of its shared sigma, or −1 where `sd` (N,) is known
-    remainders      (place of sigma, sd, residual sum of squares, degrees of freedom) of scans
+    relative        (N,) error in proportion to the model's answer
+    gain, offset    (N, S) coefficients of g − 1 and o in the shared parameters
+    normal          (place, mean, sd, log of the mass within the box) of shared normal priors
+    remainders      of scans: place of sigma, sd, and the scan's own numbers
     """
 
     shared: tuple[str, ...]
@@ -62,7 +71,11 @@ class Target:
     extra: Array
     noise: NDArray[np.int64]
     sd: Array
-    remainders: tuple[tuple[int, float, float, int], ...]
+    relative: Array
+    gain: Array
+    offset: Array
+    normal: tuple[tuple[int, float, float, float], ...]
+    remainders: tuple[tuple[int, float, Dense], ...]
 
     @staticmethod
     def of(model: Model, rotor: RotorSpec, readings: Sequence[Inspection]) -> Target:
@@ -86,13 +99,12 @@ class Target:
         index: dict[bytes, int] = {}
         tables: list[Array] = []
         scales: list[tuple[float, float]] = []
-        flat: list[tuple[int, int, float, float, int, float]] = []
+        flat: list[tuple[int, int, float, float, int, float, float, Array, Array]] = []
         remainders = []
         for b, name in enumerate(rotor.blades):
             if name not in rows:
                 continue
             own = rows[name]
-            extra = own.extra + (own.relative * own.y) ** 2
             for r, (table, sigma) in enumerate(
                 zip(split(own.polynomials, outer, inner), own.sigma, strict=True)
             ):
@@ -103,11 +115,20 @@ class Target:
                     tables.append(table)
                     scales.append((ka, kb))
                 at, sd = _noise(space.names, sigma)
-                flat.append((b, index[key], float(own.y[r]), float(extra[r]), at, sd))
+                numbers = (float(v[r]) for v in (own.y, own.extra, own.relative))
+                y, extra, relative = numbers
+                wrong = own.discrepancy[r]
+                terms = (_linear(space.names, t) for t in (wrong.gain, wrong.offset))
+                flat.append((b, index[key], y, extra, at, sd, relative, *terms))
             for d in own.dense:
-                remainders.append((*_noise(space.names, d.sigma), d.rss, d.dof))
+                remainders.append((*_noise(space.names, d.sigma), d))
         boxes = [p.box for p in space.priors] + [p.prior.box for p in parameters]
-        blade, row, y, extra_, noise, sd_ = zip(*flat, strict=True)
+        blade, row, *rest = (np.array(column) for column in zip(*flat, strict=True))
+        normal = (
+            (j, p.mean, p.sd, float(np.log(cut_mass(p.mean, p.sd, *p.box))))
+            for j, p in enumerate(space.priors)
+            if p.kind == "normal"
+        )
         return Target(
             space.names,
             tuple(p.name for p in parameters),
@@ -120,41 +141,45 @@ class Target:
             multi_indices(len(inner), DEGREE),
             np.array([ka for ka, _ in scales]) ** 2,
             np.array([kb for _, kb in scales]) ** 2,
-            np.array(blade),
-            np.array(row),
-            np.array(y),
-            np.array(extra_),
-            np.array(noise),
-            np.array(sd_),
+            blade,
+            row,
+            *rest,
+            tuple(normal),
             tuple(remainders),
         )
 
     def log_blades(self, jnp: Any, shared: Any, local: Any) -> Any:
-        """log p(readings of a blade | shared, local) but for remainders: (S,), (B, L) → (B,).
+        """log p(rows of a blade | shared, local), which is without remainders: (S,), (B, L) → (B,).
 
         Both on the unit boxes. jnp   the array module: numpy, jax.numpy or pytensor.tensor
         """
         u = self._working(shared)
         mean, surrogate = (v[self.blade, self.row] for v in self.rows_at(jnp, shared, local))
         sigma = jnp.where(self.noise < 0, self.sd, jnp.exp(u[np.maximum(self.noise, 0)]))
-        var = sigma**2 + self.extra + surrogate
-        terms = -0.5 * ((self.y - mean) ** 2 / var + jnp.log(2 * math.pi * var))
+        gain, y = 1 + self.gain @ u, self.y - self.offset @ u
+        var = sigma**2 + self.extra + (self.relative * y) ** 2 + gain**2 * surrogate
+        terms = -0.5 * ((y - gain * mean) ** 2 / var + jnp.log(2 * math.pi * var))
         return (np.arange(len(self.blades))[:, None] == self.blade).astype(float) @ terms
 
-    def log_remainders(self, jnp: Any, shared: Any) -> Any:
-        """log p of what scans leave beside their rows, which is about their noise alone."""
+    def log_shared(self, jnp: Any, shared: Any) -> Any:
+        """log p of what no local parameter moves: priors that are not uniform on the unit box, and
+        what scans leave beside their rows, which is about their noise and their offset alone."""
         u, total = self._working(shared), 0.0
-        for at, sd, rss, dof in self.remainders:
-            log_sigma = math.log(sd) if at < 0 else u[at]
-            total += -0.5 * rss * jnp.exp(-2 * log_sigma) - dof * (
-                log_sigma + 0.5 * math.log(2 * math.pi)
-            )
+        for j, mean, sd, log_mass in self.normal:
+            size = math.log((self.high[j] - self.low[j]) / (sd * math.sqrt(2 * math.pi)))
+            total += size - log_mass - 0.5 * ((u[j] - mean) / sd) ** 2
+        for at, sd, d in self.remainders:
+            var = (sd**2 if at < 0 else jnp.exp(2 * u[at])) + d.extra
+            rss = d.rss
+            if d.offset:
+                miss = u[np.array([self.shared.index(n) for n in d.offset])] - d.centre
+                rss += miss @ d.bend @ miss
+            total += -0.5 * rss / var - 0.5 * d.dof * jnp.log(2 * math.pi * var)
         return total
 
     def log_joint(self, jnp: Any, shared: Any, local: Any) -> Any:
-        """log p of everything: the priors are uniform on the unit boxes."""
-        of_blades = jnp.sum(self.log_blades(jnp, shared, local))
-        return of_blades + self.log_remainders(jnp, shared)
+        """log p of everything; all other priors are uniform on the unit boxes."""
+        return jnp.sum(self.log_blades(jnp, shared, local)) + self.log_shared(jnp, shared)
 
     def _working(self, shared: Any) -> Any:
         s = len(self.shared)
@@ -184,43 +209,18 @@ def _covered(model: Model, rows: Sequence[BladeRows]) -> None:
     for p in model.network.parameters:
         if p.level in ("known", "dormant") or p.population or p.prior.kind == "normal":
             raise InputError("parameter", p.name, "has no reference", "give it a uniform prior")
-    if any(one.names or one.sigma or one.left for r in rows for one in r.discrepancy):
-        raise InputError("discrepancy", model.network.name, "has no reference", "leave it out")
+    terms = [t for r in rows for one in r.discrepancy for t in (*one.gain, *one.offset)]
+    if any(len(names) != 1 for _, names in terms):
+        raise InputError("discrepancy", "paper", "has no reference", "declare another kind")
 
 
 def _noise(names: Sequence[str], sigma: str | float) -> tuple[int, float]:
     return (names.index(sigma), 1.0) if isinstance(sigma, str) else (-1, float(sigma))
 
 
-def powers(jnp: Any, z: Any, n: int) -> Any:
-    """1, z, …, z^(n−1) along a new last axis."""
-    out = [jnp.ones_like(z)]
-    for _ in range(n - 1):
-        out.append(out[-1] * z)
-    return jnp.stack(out, axis=-1)
-
-
-def products(jnp: Any, z: Any, exponents: NDArray[np.int64]) -> Any:
-    """Products of powers: z (n, d), exponents (M, d) → (n, M), by matrices of 0 and 1."""
-    degree = int(exponents.max())
-    out = 1.0
-    for j in range(exponents.shape[1]):
-        choice = np.eye(degree + 1)[:, exponents[:, j]]
-        out = out * (powers(jnp, z[:, j], degree + 1) @ choice)
-    return out
-
-
-def split(response: Response, outer: Sequence[int], inner: Sequence[int]) -> Array:
-    """Rows as tables (R, 3, p + 1, …, M): powers of the inputs `outer`, monomials of `inner`.
-
-    Together these are all inputs. The three are a, b and log v.
-    """
-    exponents = multi_indices(len(response.names), response.degree)
-    local = multi_indices(len(inner), response.degree).tolist()
-    where = np.array([local.index(e) for e in exponents[:, list(inner)].tolist()])
-    out = np.zeros((len(response), 3, *[response.degree + 1] * len(outer), len(local)))
-    place = (*exponents[:, list(outer)].T, where)
-    for r in range(len(response)):
-        for k, c in enumerate((response.a[r], response.b[r], response.log_v[r])):
-            out[r, k][place] = c
+def _linear(names: Sequence[str], terms: Sequence[Term]) -> Array:
+    """Coefficients of a sum of shared parameters, (S,)."""
+    out = np.zeros(len(names))
+    for coefficient, (name,) in terms:
+        out[names.index(name)] += coefficient
     return out

@@ -51,6 +51,7 @@ ROTORS: dict[str, tuple[Variant, int]] = {
     "mixed": (plan("mixed", 8), 0),  # 0.888, 0.010
     "hot-fe": (plan("fe-six-outages", 10), 5),  # 0.978, 0.016
     "quiet": (plan("rotor-20", 8), 0),  # 0.924, 0.0025
+    "eight-shared": (plan("eight-shared", 8), 0),
 }
 ARRAYS = ("mean", "sd", "correlation")
 

@@ -28,7 +28,8 @@ from scipy.stats import norm
 from core.calibration.state import RotorState
 from core.response import multi_indices
 from core.smc.particles import normalised
-from core.validation.joint import Target, products
+from core.validation.joint import Target
+from core.validation.tables import products
 
 Array = NDArray[np.float64]
 BEND = 4

@@ -9,23 +9,29 @@ predictions too; log evidence within 0.1.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from core.calibration.layout import readings_at
 from core.calibration.message import BladeMessage
 from core.calibration.online import update
 from core.calibration.space import shared_space
 from core.calibration.state import Posterior, RotorSpec, RotorState
 from core.calibration.target import assemble
+from core.errors import InputError
 from core.model import Model, rotor_blade
+from core.network import Discrepancy
 from core.observation import Inspection
 from core.smc.particles import Particles
 from core.validation.compare import EVIDENCE, Comparison, Moments, posteriors
 from core.validation.joint import Target
 from core.validation.reference import ROTORS, Stored
+from core.validation.simulate import simulate
+from core.validation.variants import model_of, plan
 
 FOLDER = Path(__file__).with_name("results") / "reference"
 KNOWN = 0.05  # nat of error up to which an evidence is one
@@ -204,3 +210,47 @@ def test_a_message_is_the_sampled_target_integrated_over_a_blade(model: Model) -
             top = log_l.max()
             found = top + np.log(np.exp(log_l - top).sum())
             assert abs(message.column(shared[None])[0] - found) < 1e-3, (blade, shared)
+
+
+def test_the_sampled_target_holds_priors_offsets_and_scans() -> None:
+    """Against the readings as the compiled messages get them, with a normal offset of elongations
+    and one of each direction of a scan."""
+    variant = plan("eight-shared", 8)
+    model = model_of(variant)
+    made = simulate(model, variant, 0, 5)
+    rotor = RotorSpec("eight", tuple(made.local))
+    target = Target.of(model, rotor, made.readings)
+    by_blade = [[i for i in made.readings if i.blade == b] for b in rotor.blades]
+    rows = [assemble(model, own) for own in by_blade]
+    space = shared_space(model, [r for r in rows if r is not None])
+    assert space.names == target.shared
+    assert len(space.names) == 8
+    assert len(target.remainders) == 3
+    rng = np.random.default_rng(4)
+    shared = 0.5 + 0.1 * rng.standard_normal((4, 8))
+    local = rng.random((len(rotor.blades), 3))
+    total = space.log_prior(shared)
+    x, working = space.to_x(shared), target.low[:8] + shared * (target.high - target.low)[:8]
+    inner = target.low[8:] + local * (target.high - target.low)[8:]
+    for b, own in enumerate(rows):
+        if own is None:
+            continue
+        y, s2, rest = readings_at(own, space, x)
+        for k in range(len(x)):
+            at = dict(zip(target.shared + target.local, (*working[k], *inner[b]), strict=True))
+            point = np.array([[at[n] for n in model.input_names]])
+            mean, sd = (v[0] for v in own.response.evaluate(point))
+            var = s2[k] + sd**2
+            total[k] += rest[k] - 0.5 * np.sum((y[k] - mean) ** 2 / var + np.log(2 * np.pi * var))
+    found = np.array([target.log_joint(np, s, local) for s in shared])
+    assert np.allclose(found, total, rtol=1e-9, atol=1e-6)
+
+
+def test_an_offset_that_goes_with_a_parameter_has_no_second_writing(model: Model) -> None:
+    quantities = tuple(
+        replace(q, discrepancy=Discrepancy("paper", sd=0.05)) if q.name == "elongation" else q
+        for q in model.network.quantities
+    )
+    other = Model(replace(model.network, quantities=quantities), model.surrogate)
+    with pytest.raises(InputError, match="another kind"):
+        Target.of(other, RotorSpec("two", ("B1", "B2")), readings())
