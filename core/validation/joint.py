@@ -99,7 +99,7 @@ class Target:
         index: dict[bytes, int] = {}
         tables: list[Array] = []
         scales: list[tuple[float, float]] = []
-        flat: list[tuple[int, int, float, float, int, float, float, Array, Array]] = []
+        flat: list[tuple[int | float | Array, ...]] = []
         remainders = []
         for b, name in enumerate(rotor.blades):
             if name not in rows:
@@ -114,16 +114,24 @@ class Target:
                     index[key] = len(tables)
                     tables.append(table)
                     scales.append((ka, kb))
-                at, sd = _noise(space.names, sigma)
-                numbers = (float(v[r]) for v in (own.y, own.extra, own.relative))
-                y, extra, relative = numbers
-                wrong = own.discrepancy[r]
-                terms = (_linear(space.names, t) for t in (wrong.gain, wrong.offset))
-                flat.append((b, index[key], y, extra, at, sd, relative, *terms))
+                flat.append(
+                    (
+                        b,
+                        index[key],
+                        own.y[r],
+                        own.extra[r],
+                        *_noise(space.names, sigma),
+                        own.relative[r],
+                        _linear(space.names, own.discrepancy[r].gain),
+                        _linear(space.names, own.discrepancy[r].offset),
+                    )
+                )
             for d in own.dense:
                 remainders.append((*_noise(space.names, d.sigma), d))
         boxes = [p.box for p in space.priors] + [p.prior.box for p in parameters]
-        blade, row, *rest = (np.array(column) for column in zip(*flat, strict=True))
+        blade, row, y, extra, noise, sd, relative, gain, offset = map(
+            np.array, zip(*flat, strict=True)
+        )
         normal = (
             (j, p.mean, p.sd, float(np.log(cut_mass(p.mean, p.sd, *p.box))))
             for j, p in enumerate(space.priors)
@@ -143,7 +151,13 @@ class Target:
             np.array([kb for _, kb in scales]) ** 2,
             blade,
             row,
-            *rest,
+            y,
+            extra,
+            noise,
+            sd,
+            relative,
+            gain,
+            offset,
             tuple(normal),
             tuple(remainders),
         )

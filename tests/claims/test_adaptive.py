@@ -1,4 +1,4 @@
-"""The kept study of adaptive designs says what its curves say, and what the README says."""
+"""The kept study of adaptive designs says what its curves and the README beside it say."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_adaptive_designs_need_at_most_seventy_percent_of_the_runs_over_five_see
 
 
 def test_the_readme_has_the_kept_figures(kept: Any) -> None:
-    text = " ".join((ROOT / "README.md").read_text().split())
+    text = " ".join(Path(__file__).with_name("README.md").read_text().split())
     at = kept["summary"]["ratios"]["at_size"]
     assert f"needs {at['26']:.2f}, {at['40']:.2f} and {at['54']:.2f} of them" in text
     mean, sd = (kept["summary"]["ratios"][key] for key in ("mean", "sd"))

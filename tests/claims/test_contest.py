@@ -94,7 +94,7 @@ def test_the_kept_files_tell_no_folder_and_are_named_in_the_readme() -> None:
         assert "/work" not in text
         assert "/tmp" not in text
         assert "--archive rotor-blade-archive" in text
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    readme = Path(__file__).with_name("README.md").read_text()
     assert "tests/claims/results/contest" in readme
     assert {"tip.png", "errors.png"} <= {file.name for file in FOLDER.iterdir()}
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 KEPT = Path(__file__).parent / "results" / "full-scale"
-README = (Path(__file__).parents[2] / "README.md").read_text()
+README = Path(__file__).with_name("README.md").read_text()
 
 
 def kept(name: str) -> Any:

@@ -13,7 +13,7 @@ from core.course import Course
 from core.validation import histories as study
 
 KEPT = Path(__file__).parent / "results" / "histories"
-README = (Path(__file__).parents[2] / "README.md").read_text()
+README = Path(__file__).with_name("README.md").read_text()
 
 
 def kept(name: str) -> Any:
