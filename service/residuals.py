@@ -15,8 +15,10 @@ from scipy.special import ndtr
 from core.calibration.state import RotorSpec
 from core.diagnosis import Facts
 from core.diagnosis.clock import with_offsets
+from core.diagnosis.foretold import DRAWS
 from core.diagnosis.omnibus import FAMILY, omnibus
-from core.diagnosis.residuals import DRAWS, Residual, Visit, residuals
+from core.diagnosis.residuals import residuals
+from core.diagnosis.visits import Residual, Visit
 from core.model import Model
 from core.observation import Inspection
 from core.rng import stream

@@ -9,12 +9,13 @@ from core.calibration.state import RotorSpec, RotorState, shared_posterior
 from core.diagnosis.adopt import typical_noise
 from core.diagnosis.clock import readers
 from core.diagnosis.conclude import Rival
+from core.diagnosis.following import Physics
 from core.diagnosis.grammar import Cell, Facts, cells, families_for
 from core.diagnosis.halves import halves
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
 from core.diagnosis.scoring import scores
-from core.diagnosis.signature import Physics, signatures, unnamed
+from core.diagnosis.signature import signatures, unnamed
 from core.diagnosis.verdict import DEALT, Held
 from core.errors import InputError
 from core.family import Family

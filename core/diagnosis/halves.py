@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude, expected
 from core.diagnosis.grammar import Cell, Facts
+from core.diagnosis.masks import masks
 from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
-from core.diagnosis.signature import Signatures, masks
+from core.diagnosis.signature import Signatures
 from core.diagnosis.verdict import WIDE, Held
 from core.model import Model
 

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.diagnosis.grammar import Facts
-from core.diagnosis.residuals import Residual, Visit
+from core.diagnosis.visits import Residual, Visit
 from core.rng import stream
 
 Array = NDArray[np.float64]

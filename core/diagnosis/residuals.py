@@ -33,96 +33,19 @@ blades in each of `DRAWS` draws, e of unit variance.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from core.calibration.online import Workspace, update
-from core.calibration.space import nominal, shared_prior
-from core.calibration.state import RotorSpec, RotorState, blade_posterior
-from core.calibration.target import BladeRows, assemble
+from core.calibration.state import RotorSpec, RotorState
+from core.calibration.target import assemble
+from core.diagnosis.foretold import DRAWS, Fresh, foretold
 from core.diagnosis.grammar import Facts
-from core.discrepancy import total
+from core.diagnosis.visits import Residual, Visit, hour_of, visits_of
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
-from core.prediction import spread
 from core.rng import stream
-
-Array = NDArray[np.float64]
-SAME = 0.02  # share of the longest history within which hours are one visit
-MOST = 12  # visits; neighbours are joined beyond
-DRAWS = 2000
-
-
-@dataclass(frozen=True, slots=True)
-class Residual:
-    """A reading against its prediction [unit]; of a scan, one for each of its rows (`part`)."""
-
-    reading: Inspection
-    part: int
-    visit: int
-    hour: float
-    y: float
-    mean: float
-    sd: float
-    z: float
-    pit: float
-
-
-@dataclass(frozen=True)
-class Visit:
-    """Readings that were predicted together; n rows.
-
-    residuals   in the order of (blade, hour, id, part)
-    covariance  C of their z, (n, n)
-    signal, noise   draws of z: signal + noise · e, (DRAWS, n) each
-    health      of the state that predicted them
-    """
-
-    residuals: tuple[Residual, ...]
-    covariance: Array
-    signal: Array
-    noise: Array
-    health: Mapping[str, object]
-
-    @property
-    def z(self) -> Array:
-        return np.array([r.z for r in self.residuals])
-
-
-def visits_of(
-    readings: Sequence[Inspection], facts: Mapping[str, Facts], most: int = MOST
-) -> list[list[Inspection]]:
-    """The readings by visit, in the order of the rotor's hours.
-
-    >>> a, b, c = (Inspection(n, "B", "y", h, [0.0]) for n, h in (("a", 99.0), ("b", 1.0),
-    ...     ("c", 100.0)))
-    >>> [[r.id for r in visit] for visit in visits_of([a, b, c], {})]
-    [['b'], ['a', 'c']]
-    """
-    hours = np.array([_hour(r, facts) for r in readings])
-    apart = SAME * float(hours.max(initial=0.0))
-    found: list[list[Inspection]] = []
-    began = -np.inf
-    for i in np.lexsort((np.array([r.id for r in readings]), hours)):
-        if hours[i] - began > apart:
-            began = float(hours[i])
-            found.append([])
-        found[-1].append(readings[int(i)])
-    while len(found) > most:
-        sizes = [len(a) + len(b) for a, b in pairwise(found)]
-        k = int(np.argmin(sizes))
-        found[k : k + 2] = [found[k] + found[k + 1]]
-    return found
-
-
-def _hour(reading: Inspection, facts: Mapping[str, Facts]) -> float:
-    own = facts.get(reading.blade)
-    return reading.time_h + (0.0 if own is None else own.offset_h)
 
 
 def residuals(
@@ -168,20 +91,20 @@ def predicted(
     log_w = state.arrays["shared/log_w"]
     w = np.exp(log_w - log_w.max())
     node = rng.choice(len(w), DRAWS, p=w / w.sum())
-    fresh = _Fresh(model, spec.seed)
+    fresh = Fresh(model, spec.seed)
     parts = []
     for blade in sorted(by_blade):
         rows = assemble(model, by_blade[blade])
         assert rows is not None
         known = (spec.known or {}).get(blade)
-        parts.append(_blade(model, state, blade, rows, known, node, fresh, rng))
+        parts.append(foretold(model, state, blade, rows, known, node, fresh, rng))
     found = []
     for part in parts:
         seen: dict[int, int] = {}
         for i, place in enumerate(part.place):
             reading = part.rows.readings[place]
             seen[place] = seen.get(place, -1) + 1
-            hour = _hour(reading, facts)
+            hour = hour_of(reading, facts)
             values = (float(v[i]) for v in (part.y, part.mean, part.sd, part.z, part.pit))
             found.append(Residual(reading, seen[place], number, hour, *values))
     means = np.concatenate([p.by_node for p in parts], axis=1)  # (K, n)
@@ -199,115 +122,4 @@ def predicted(
         np.concatenate([p.signal for p in parts], axis=1),
         np.concatenate([p.noise for p in parts], axis=1),
         dict(state.meta["health"]),
-    )
-
-
-@dataclass(frozen=True)
-class _Fresh:
-    """Values of shared parameters that nobody has read yet: the same for all blades of a draw."""
-
-    model: Model
-    seed: int
-    drawn: dict[str, Array] = field(default_factory=dict)
-
-    def of_draws(self, name: str) -> Array:
-        """(DRAWS,)"""
-        if name not in self.drawn:
-            uniform = stream(self.seed, "fresh", name).random(DRAWS)
-            self.drawn[name] = np.asarray(shared_prior(self.model, name).quantile(uniform))
-        return self.drawn[name]
-
-
-@dataclass(frozen=True)
-class _Predicted:
-    """A blade's rows: y, mean, sd [unit], z, PIT (n,); by_node (K, n); signal, noise (DRAWS, n)."""
-
-    rows: BladeRows
-    place: tuple[int, ...]
-    y: Array
-    mean: Array
-    sd: Array
-    z: Array
-    pit: Array
-    covariance: Array
-    by_node: Array
-    signal: Array
-    noise: Array
-
-
-def _blade(
-    model: Model,
-    state: RotorState,
-    blade: str,
-    rows: BladeRows,
-    known: Mapping[str, float] | None,
-    node: NDArray[np.int64],
-    fresh: _Fresh,
-    rng: np.random.Generator,
-) -> _Predicted:
-    get = state.arrays.__getitem__
-    posterior = blade_posterior(state.meta, get, blade)
-    w, nodes = posterior.particles.w, len(get("shared/log_w"))
-    names, fixed = rows.response.names, nominal(model, rows.response.names, known)
-    x = np.stack(
-        [posterior.column(n) if n not in fixed else np.full(len(w), fixed[n]) for n in names],
-        axis=1,
-    )
-    place = tuple(p for p in rows.of if p >= 0)
-    n = len(place)
-    f, deviation = (a[:, :n] for a in rows.response.evaluate(x))
-    deviation = deviation / np.sqrt(rows.discount[:n])  # forgetting is of readings that are used
-    places: dict[str, int] = {}
-
-    def of_particles(name: str) -> Array:
-        if name in posterior.names:
-            return posterior.column(name)
-        at = places.setdefault(name, len(places)) % 7
-        return spread(shared_prior(model, name), len(w), at)
-
-    per = len(w) // nodes
-    within = np.exp(get(f"blade/{blade}/log_w") - get(f"blade/{blade}/log_w").max(1, keepdims=True))
-    reached = np.cumsum(within, axis=1)[node]
-    draw = (reached < (rng.random(DRAWS) * reached[:, -1])[:, None]).sum(axis=1)
-    chosen = node * per + np.minimum(draw, per - 1)
-
-    def of_draws(name: str) -> Array:
-        if name in posterior.names:
-            return np.asarray(posterior.column(name)[chosen])
-        return fresh.of_draws(name)
-
-    def seen(value: Callable[[str], Array], answer: Array, sd: Array) -> tuple[Array, Array, Array]:
-        """Mean, variance beside the noise, and variance of the noise, of each row."""
-        count = len(answer)
-        gain, offset, noise = (np.empty((count, n)) for _ in range(3))
-        for i, one in enumerate(rows.discrepancy[:n]):
-            gain[:, i] = 1.0 + total(one.gain, value)
-            offset[:, i] = total(one.offset, value)
-            sigma = rows.sigma[i]
-            noise[:, i] = np.square(value(sigma) if isinstance(sigma, str) else sigma)
-        beside = (gain * sd) ** 2 + (rows.relative[:n] * gain * answer) ** 2 + rows.extra[:n]
-        return gain * answer + offset, beside, noise
-
-    centre, beside, noise = seen(of_particles, f, deviation)
-    v, y = beside + noise, rows.y[:n]
-    mean = w @ centre
-    off = centre - mean
-    covariance = off.T @ (w[:, None] * off) + np.diag(w @ v)
-    sd = np.sqrt(np.diag(covariance))
-    drawn, drawn_beside, drawn_noise = seen(of_draws, f[chosen], deviation[chosen])
-    drawn = drawn + np.sqrt(drawn_beside) * rng.standard_normal(drawn.shape)
-    weight = w.reshape(nodes, per)
-    share = weight.sum(axis=1, keepdims=True) + 1e-300
-    return _Predicted(
-        rows,
-        place,
-        y,
-        mean,
-        sd,
-        (y - mean) / sd,
-        w @ ndtr((y - centre) / np.sqrt(v)),
-        covariance / np.outer(sd, sd),
-        np.einsum("kj,kjn->kn", weight / share, off.reshape(nodes, per, n)) / sd,
-        (drawn - mean) / sd,
-        np.sqrt(drawn_noise) / sd,
     )

@@ -121,7 +121,7 @@ def residuals_of(
     update  gives the posterior of the readings before a visit
     """
     from core.diagnosis.grammar import Facts
-    from core.diagnosis.residuals import visits_of
+    from core.diagnosis.visits import visits_of
     from service.residuals import exact_visit, told
 
     own = [r for r in readings if r.quantity == "elongation"]

@@ -11,8 +11,8 @@ from core.calibration.online import RotorSpec, update
 from core.calibration.state import blade_posterior
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.grammar import FAMILIES, Cell, Facts
+from core.diagnosis.masks import masks
 from core.diagnosis.scoring import scores
-from core.diagnosis.signature import masks
 from core.errors import InputError
 from core.model import Model, rotor_blade
 from core.network import Network, Parameter, Quantity

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from core.diagnosis.foretold import DRAWS
 from core.diagnosis.grammar import Facts
 from core.diagnosis.omnibus import FAMILY, LEAST_FREEDOM, MOST_FREEDOM, omnibus, tails
-from core.diagnosis.residuals import DRAWS, Residual, Visit
+from core.diagnosis.visits import Residual, Visit
 from core.observation import Inspection
 
 BLADES, VISITS = 20, 4

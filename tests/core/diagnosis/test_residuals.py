@@ -8,7 +8,8 @@ import pytest
 from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec
 from core.diagnosis.grammar import Facts
-from core.diagnosis.residuals import MOST, Residual, predicted, residuals, visits_of
+from core.diagnosis.residuals import predicted, residuals
+from core.diagnosis.visits import MOST, Residual, visits_of
 from core.errors import InputError
 from core.observation import Inspection
 from tests.core.calibration.test_exact import SLOPES, conjugate

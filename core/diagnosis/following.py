@@ -1,0 +1,194 @@
+"""Rows of the readings with an effect of physics less those without, at the points of every blade.
+
+An input that runs in time is followed through the creep's memory (`core.surrogate.history`), piece
+by piece between the hours at which something changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.course import Course
+from core.diagnosis.grammar import Facts
+from core.diagnosis.scores import Scores
+from core.errors import InputError
+from core.model import Answers
+from core.observation import Inspection
+from core.surrogate import Surrogate
+from core.surrogate.driven import Driven
+from core.surrogate.history import Followed, follow
+
+Array = NDArray[np.float64]
+PARTS = 6  # of a ramp
+Held = dict[tuple[object, ...], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """What answers for effects: a surrogate, and values of the inputs that the network lacks."""
+
+    answers: Answers
+    rest: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Moving:
+    """What an input does, for all blades: `how`, size with its sign, shape, and its clock."""
+
+    input: str
+    how: str
+    size: float
+    course: Course
+    rotor: bool
+
+    def moved(self, x: Array, s: Array) -> Array:
+        return x + self.size * s if self.how == "plus" else x * (1.0 + self.size * s)
+
+
+def change(
+    physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: Moving, held: Held
+) -> Array:
+    """(B, K, n): the rows with the effect less those without, at the points of every blade.
+
+    held  rows without, by the group of readings; filled
+    """
+    out = np.zeros(seen.answers.shape)
+    groups: dict[object, list[tuple[int, int]]] = {}
+    for b, i in np.argwhere(seen.real):
+        reading, rows = seen.reading(b, i), seen.rows[b]
+        if seen.place[b, i] in rows.mixings:
+            key: object = ("scan", int(b), int(seen.place[b, i]))
+        else:
+            key = (reading.quantity, None if reading.nodes is None else tuple(reading.nodes))
+        groups.setdefault(key, []).append((int(b), int(i)))
+    for members in groups.values():
+        b0, i0 = members[0]
+        reading, rows = seen.reading(b0, i0), seen.rows[b0]
+        place = int(seen.place[b0, i0])
+        if place in rows.mixings:
+            hours = np.array([reading.time_h])
+            mixing = rows.mixings[place]
+            moved = _follow(physics, seen, facts, effect, [b0], hours, mixing, None, held)
+            for b, i in members:
+                out[b, :, i] = moved[0, :, 0, i - i0]
+            continue
+        blades = sorted({b for b, _ in members})
+        hours = np.unique([seen.reading(b, i).time_h for b, i in members])
+        moved = _follow(physics, seen, facts, effect, blades, hours, None, reading, held)
+        for b, i in members:
+            at = int(np.searchsorted(hours, seen.reading(b, i).time_h))
+            out[b, :, i] = moved[blades.index(b), :, at, 0]
+    return out
+
+
+def _follow(
+    physics: Physics,
+    seen: Scores,
+    facts: Mapping[str, Facts],
+    effect: Moving,
+    blades: Sequence[int],
+    hours: Array,
+    mixing: Array | None,
+    reading: Inspection | None,
+    known: Held,
+) -> Array:
+    """Change of the rows (n, K, T, R) at the points of these blades at hours (T,).
+
+    What is without the effect is the same for all effects, and is computed once (`known`).
+    """
+    answers, points = physics.answers, seen.answers.shape[1]
+    base, drifts = (answers.base, answers.drifts) if isinstance(answers, Driven) else (answers, ())
+    names = [i.name for i in base.inputs]
+    x = _inputs(physics, seen, blades, names)
+    if not isinstance(base, Surrogate):
+        flat = _at_once(base, x, names.index(effect.input), effect, hours, reading)
+        return flat.reshape(len(blades), points, *flat.shape[1:])
+    clock = [facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades]
+    offset = np.repeat(clock, points)
+    steps = {h for d in drifts for h in d.shape.cuts(PARTS)}
+    cuts = steps | {h - o for h in effect.course.cuts(PARTS) for o in set(clock)}
+    marks = hours[hours > 0]
+    low, high = np.array([(i.low, i.high) for i in base.inputs]).T
+    what = (
+        Followed.mixed(base, mixing)
+        if mixing is not None
+        else Followed.of(base, *_asked(base, reading))
+    )
+
+    def held(middle: Array) -> Array:
+        """The inputs (n K, P, d) in the middle of pieces, without the effect."""
+        found = np.repeat(x[:, None], len(middle), axis=1)
+        for d in drifts:
+            j, a = names.index(d.input), np.concatenate([seen.points[b][d.name] for b in blades])
+            for p, hour in enumerate(middle):
+                found[:, p, j] = d.moved(found[:, p, j], a, float(d.shape.at(hour)))
+        return found
+
+    def changed(middle: Array) -> Array:
+        """The same with it."""
+        found, j = held(middle), names.index(effect.input)
+        for o in set(clock):
+            s, own = effect.course.at(middle + o), offset == o
+            found[own, :, j] = effect.moved(found[own, :, j], s)
+        return found
+
+    def along(hours_of: set[float], inputs: Callable[[Array], Array]) -> Array:
+        """Rows (n K, marks, R) where inputs run piece by piece."""
+        edges = np.array([0.0, *sorted(h for h in hours_of if 0 < h < hours.max())])
+        starts = edges[np.searchsorted(edges, marks) - 1]
+        ends = np.r_[edges[1:], marks]
+        middle = 0.5 * (np.r_[edges[:-1], starts] + ends)  # of the pieces, then those to the marks
+        inside = np.clip(inputs(middle), low, high)
+        pieces, last = inside[:, : len(edges) - 1], inside[:, len(edges) - 1 :]
+        mean, _, _ = follow(base, edges, pieces, marks, last, what, doubt=False)
+        return np.asarray(mean)
+
+    key = (tuple(blades), hours.tobytes(), None if mixing is None else mixing.tobytes())
+    asked = (*key, "" if reading is None else repr(_asked(base, reading)))
+    if asked not in known:
+        known[asked] = along(steps, held)
+    out = np.zeros((len(x), len(hours), what.curves.forms.shape[2]))
+    out[:, hours > 0] = along(cuts, changed) - known[asked]
+    return out.reshape(len(blades), points, *out.shape[1:])
+
+
+def _inputs(physics: Physics, seen: Scores, blades: Sequence[int], names: Sequence[str]) -> Array:
+    """Inputs (n K, d) at the points of these blades."""
+    points = seen.answers.shape[1]
+    columns = [
+        np.concatenate(
+            [seen.points[b].get(n, np.full(points, physics.rest.get(n, np.nan))) for b in blades]
+        )
+        for n in names
+    ]
+    x = np.stack(columns, axis=1)
+    if np.isnan(x).any():
+        unknown = [n for n, column in zip(names, x.T, strict=True) if np.isnan(column).any()]
+        raise InputError("inputs", unknown, "have no value", "give them as nominal ones")
+    return x
+
+
+def _asked(base: Answers, reading: Inspection | None) -> tuple[str, list[int] | None]:
+    assert reading is not None
+    if reading.nodes is not None:
+        return reading.quantity, [int(n) for n in reading.nodes]
+    field = reading.quantity == "ceeq"
+    return reading.quantity, [base.named["critical"]] if field else None
+
+
+def _at_once(
+    base: Answers, x: Array, j: int, effect: Moving, hours: Array, reading: Inspection | None
+) -> Array:
+    """The same for a model without a memory: constant effects only, as the others mean nothing."""
+    assert reading is not None
+    changed = x.copy()
+    s = np.ones(len(x)) if float(effect.course.at(0.0)) == 1.0 else np.zeros(len(x))
+    changed[:, j] = effect.moved(x[:, j], s)
+    quantity, nodes = _asked(base, reading)
+    after, _ = base.predict(changed, quantity, hours, nodes)
+    before, _ = base.predict(x, quantity, hours, nodes)
+    return np.asarray((after - before).reshape(len(x), len(hours), -1))
