@@ -20,13 +20,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from core.calibration.quick import provisional, reweighted
 from core.calibration.rotor import node_count
 from core.calibration.space import shared_space
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, RotorSpec, RotorState
-from core.calibration.step import Step, Workspace
+from core.calibration.step import Step
 from core.calibration.stored import StoredPosterior
 from core.calibration.target import prepare
+from core.calibration.workspace import Workspace
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection, digest_of
@@ -59,9 +61,9 @@ def update(
     if previous is not None and start is None and made.told_by(previous):
         return replace(previous, fresh=frozenset())
     if quick and previous is not None:
-        log_w = made.reweighted(previous)
-        if log_w is not None:
-            return made.provisional(previous, log_w)
+        found = reweighted(made, previous)
+        if found is not None:
+            return provisional(made, previous, found)
     return made.sealed(previous)
 
 

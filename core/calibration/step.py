@@ -1,13 +1,12 @@
-"""One update at work: messages of all blades at hand, and the ways from them to a state (`online`).
+"""One update at work: messages of all blades at hand, and the way from them to a state (`online`).
 
-A step knows what it rests on. It is sealed at nodes that follow from the readings alone, or is
-provisional at those of the state before; what it takes for both is kept in a `Workspace`.
+A step knows what it rests on, and is sealed at nodes that follow from the readings alone. The quick
+way, at the nodes of the state before, is `quick`; what both take is kept in a `Workspace`.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -17,94 +16,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.alike import family_key
-from core.calibration.collapsed import message_of
-from core.calibration.columns import Columns
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
 from core.calibration.message import BladeMessage
 from core.calibration.rotor import Weighed, weigh
-from core.calibration.sets import Nodes, ParticleSets
+from core.calibration.sets import Nodes
 from core.calibration.smooth import NEARLY
-from core.calibration.space import SharedSpace, locals_of, nominal
+from core.calibration.space import SharedSpace, locals_of
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.surface import evening
-from core.calibration.target import BladeRows, assemble
+from core.calibration.workspace import Workspace
 from core.model import Model
-from core.observation import Inspection, digest_of
 from core.rng import seed_of
-from core.smc.particles import log_sum_exp, tempering_exponent
+from core.smc.particles import log_sum_exp
 from core.smc.placement import Proposal
 
 Array = NDArray[np.float64]
-QUICK_ESS = 0.1  # share of the nodes that must carry the weight, tempered if need be
-LEAST_TEMPERING = 0.2  # below this exponent the nodes are placed anew at once
-MANY = 4  # touched blades above which nothing is tempered
-FIRST = 12  # touched blades that are looked at before all, where there are more
-MANY_ESS, FIRST_ESS = 0.2, 0.5  # shares of the nodes that they must leave, or all is placed anew
-KEPT = 2000  # blades' rows and messages
-PROVISIONAL = 4000  # draws of a touched blade until its rotor is sealed; bands rest on as many
-
-
-class Workspace:
-    """What is kept between updates of one process; dropping it changes no result.
-
-    places  where nodes were found to stand, as JSON by what that follows from: a calibration that
-            is asked for again, by another process perhaps, searches nothing. None: not kept
-    """
-
-    def __init__(self, places: MutableMapping[str, Any] | None = None) -> None:
-        self.places = places
-        self.columns = Columns()
-        self.rows: OrderedDict[tuple[str, str], BladeRows] = OrderedDict()
-        self.messages: OrderedDict[tuple[Any, ...], BladeMessage] = OrderedDict()
-        self.sets = ParticleSets()
-
-    def rows_of(self, model: Model, readings: Sequence[Inspection]) -> BladeRows:
-        key = (model.digest, digest_of(readings))
-        if key not in self.rows:
-            made = assemble(model, readings)
-            assert made is not None
-            self.rows[key] = made
-            while len(self.rows) > KEPT:
-                self.rows.popitem(last=False)
-        return self.rows[key]
-
-    def messages_of(
-        self,
-        model: Model,
-        rows: Mapping[str, BladeRows],
-        space: SharedSpace,
-        known: Mapping[str, Mapping[str, float]],
-    ) -> dict[str, BladeMessage]:
-        """The blades' messages; those of before, with what they have made of their rows."""
-        found = dict[str, BladeMessage]()
-        for blade, own in rows.items():
-            fixed = nominal(model, own.response.names, known.get(blade))
-            if space.joint is not None:  # a prior from elsewhere is no part of the key
-                found[blade] = message_of(model, own, space, fixed)
-                continue
-            told = (space.names, space.priors, space.tails, space.heavy)
-            key = (model.digest, own.digest, tuple(sorted(fixed.items())), told)
-            if key not in self.messages:
-                self.messages[key] = message_of(model, own, space, fixed)
-            self.messages.move_to_end(key)
-            found[blade] = self.messages[key]
-        while len(self.messages) > KEPT:
-            self.messages.popitem(last=False)
-        return found
-
-
-def tempering(log_w: Array, share: float = QUICK_ESS) -> float:
-    """The exponent in [0, 1] that leaves a share of the nodes effective; NaN stays NaN."""
-    if np.isnan(log_w).any():
-        return float("nan")
-    return tempering_exponent(log_w, share * len(log_w))
 
 
 @dataclass(frozen=True)
 class Step:
-    """One update at work: what it rests on, and the two ways to a state.
+    """One update at work: what it rests on, and its sealed state.
 
     start  where the posterior is expected, if it is (`start`)
     """
@@ -155,67 +88,6 @@ class Step:
         nodes = len(previous.arrays["shared/unit"])
         same |= {"particles": self.per_node(nodes, self.rotor.particles) * nodes}
         return self.fits(previous) and all(previous.meta.get(k) == v for k, v in same.items())
-
-    def reweighted(self, previous: RotorState) -> tuple[Array, dict[str, Array]] | None:
-        """log p at the nodes of the state before, and the touched blades' columns.
-
-        log p moves by the difference of these columns: no other blade is looked at. None where
-        the shared parameters are others now, or too few nodes would carry the weight; where many
-        blades are touched nothing is tempered, and a few of them are looked at before all.
-        """
-        if not self.fits(previous):
-            return None
-        old, unread = previous.arrays, self.unread(previous)
-        unit = old["shared/unit"]
-        touched = [b for b in sorted(self.messages) if b not in unread]
-        before = [b for b in sorted(previous.meta["readings"]) if b not in unread]
-        many = len(touched) > MANY
-        looks = [(MANY_ESS if many else QUICK_ESS, touched, before)]
-        if len(touched) > FIRST:
-            few = sorted(touched, key=lambda blade: seed_of(0, blade))[:FIRST]
-            looks.insert(0, (FIRST_ESS, few, [b for b in before if b in few]))
-        for share, blades, replaced in looks:
-            log_p = old["shared/log_p"].copy()
-            for blade in replaced:
-                log_p -= old[f"column/{blade}"]
-            columns = self.work.columns.all({b: self.messages[b] for b in blades}, unit, "near")
-            log_p += sum(columns.values(), np.zeros(len(unit)))
-            beta = tempering(log_p - old["shared/log_q"] + old["shared/tilt"], share)
-            if not beta >= (1.0 if many else LEAST_TEMPERING):  # or not a number
-                return None
-        return log_p, columns
-
-    def provisional(
-        self, previous: RotorState, found: tuple[Array, dict[str, Array]]
-    ) -> RotorState:
-        """The state on the nodes of the one before, which keep their tilt (`surface`).
-
-        Touched blades get fewer draws for now.
-        """
-        (log_p, columns), old, unread = found, previous.arrays, self.unread(previous)
-        log_w = log_p - old["shared/log_q"] + old["shared/tilt"]
-        beta = tempering(log_w)
-        log_w = beta * log_w
-        unit, key = old["shared/unit"], bytes.fromhex(previous.meta["placement"])
-        own = {"shared/log_p": log_p, "shared/log_w": log_w - log_sum_exp(log_w)}
-        kept = {"shared/unit", "shared/x", "shared/log_q", "shared/tilt"}
-        count = self.per_node(len(unit), min(self.rotor.particles, PROVISIONAL))
-        due = [b for b in self.rotor.blades if b not in unread]
-        thin = {b for b in previous.meta["provisional"] if b in unread} | set(due)
-        for blade in self.rotor.blades:
-            if blade in unread:
-                kept |= {f"blade/{blade}/local", f"blade/{blade}/log_w"}
-                if blade in self.messages:
-                    kept.add(f"column/{blade}")
-        own |= self.drawn(due, Nodes(unit, key, count), columns)
-        arrays = old.over(own, kept)
-        bad = contradictions(self.messages, columns, unit, log_p)
-        before = previous.meta["health"].get("contradicted", [])
-        bad += [one for one in before if one["blade"] in unread]
-        error = self.message_error(unit, previous)
-        return self.state(
-            own, arrays, key, log_w, error, bad, sealed=False, thin=thin, tempered=beta
-        )
 
     @cached_property
     def weighed(self) -> Weighed:

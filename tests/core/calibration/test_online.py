@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.calibration import sets, step
+from core.calibration import quick as quickly
+from core.calibration import sets
 from core.calibration.message import BladeMessage
 from core.calibration.online import RotorSpec, RotorState, Workspace, begun, update
 from core.calibration.smooth import NEARLY
@@ -147,7 +148,7 @@ def test_draws_that_a_workspace_keeps_from_a_quick_step_are_not_sealed_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The quick step has as many draws here, of a column that it knows only nearly."""
-    few = replace(SPEC, particles=step.PROVISIONAL // 2)
+    few = replace(SPEC, particles=quickly.PROVISIONAL // 2)
     readings = [*READINGS, replace(LATE, sigma=0.5)]
     first, alone = update(MODEL, few, READINGS), update(MODEL, few, readings)
 
@@ -178,7 +179,7 @@ def test_a_surprising_reading_tempers_the_shared_level_until_it_is_sealed(
     assert not state.sealed
     health = state.meta["health"]
     assert 0.2 <= health["tempered"] < 1.0
-    assert health["ess_ratio"] == pytest.approx(step.QUICK_ESS, abs=0.01)
+    assert health["ess_ratio"] == pytest.approx(quickly.QUICK_ESS, abs=0.01)
     exact = update(MODEL, SPEC, readings)
     assert exact.meta["health"]["tempered"] == 1.0
     assert update(MODEL, SPEC, readings, state).digest == exact.digest
@@ -213,7 +214,7 @@ def test_particles_are_at_least_as_many_as_asked_for(before: RotorState) -> None
     assert k * m == before.meta["particles"] >= SPEC.particles
     quick = update(MODEL, SPEC, [*READINGS, LATE], before, quick=True)
     k, m, _ = quick.arrays[f"blade/{LATE.blade}/local"].shape
-    assert step.PROVISIONAL <= k * m < SPEC.particles
+    assert quickly.PROVISIONAL <= k * m < SPEC.particles
 
 
 def test_a_reading_of_an_unknown_blade_is_refused() -> None:
@@ -240,18 +241,18 @@ def test_a_sealed_state_of_the_same_readings_is_the_answer(before: RotorState) -
 def test_where_a_few_blades_leave_too_few_nodes_no_other_is_looked_at(
     before: RotorState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(step, "FIRST", 2)
+    monkeypatch.setattr(quickly, "FIRST", 2)
     after = [replace(r, values=r.values * 1.3) for r in measured(BLADES, (24e3,), 0)]
 
     def looked_at(readings: list[Inspection]) -> int:
         work = Workspace()
-        begun(MODEL, SPEC, readings, workspace=work).reweighted(before)
+        quickly.reweighted(begun(MODEL, SPEC, readings, workspace=work), before)
         return len({name for name, _, _ in work.columns.kept})
 
     assert looked_at([*READINGS, *after]) == 2
     gentle = [replace(r, sigma=0.5) for r in measured(BLADES, (24e3,), 0)]
     assert looked_at([*READINGS, *gentle]) == BLADES
-    monkeypatch.setattr(step, "FIRST_ESS", 0.0)
+    monkeypatch.setattr(quickly, "FIRST_ESS", 0.0)
     assert looked_at([*READINGS, *after]) == BLADES, "control"
 
 
