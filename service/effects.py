@@ -31,11 +31,11 @@ from core.diagnosis import (
     to_json,
 )
 from core.diagnosis.clock import with_offsets
-from core.diagnosis.diagnose import STEPS
 from core.diagnosis.grammar import families_for
 from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
 from core.diagnosis.rivals import splitting
+from core.diagnosis.search import STEPS
 from core.diagnosis.separate import separation_json
 from core.diagnosis.tell import discrepancy_json
 from core.diagnosis.transfer import conditions, transferred

@@ -9,7 +9,7 @@ y and sd from `Surrogate.predict`, m(t) the root mean square of y over the regio
 passes through zero, a tenth of its usual size is what errors are held against. A vector's size at
 an instant is its root mean square over nodes and components. The goal is met where 95 % of the
 region's weight has e <= wanted. The sd is calibrated: it has the scale of the leave-one-out
-residuals and grows by what cross-validation finds missing (`core.surrogate.training`).
+residuals and grows by what cross-validation finds missing (`core.surrogate.held_out`).
 
 As sd^2 = v(x) k(t; x)^2 with one v for everything, a unit of v costs at x
 

@@ -1,6 +1,6 @@
 """A user's runs and network become a surrogate, with a word on how good it is.
 
-Held-out errors (ten-fold cross-validation, `core.surrogate.training`) are compared with the spread
+Held-out errors (ten-fold cross-validation, `core.surrogate.held_out`) are compared with the spread
 between runs and with the noise that a reading is expected to have, the middle of its prior:
 
     rms error > half the spread between runs    refused: it tells hardly more than the mean run

@@ -8,7 +8,7 @@ Its error has the relative variance v(x) of the process (`core.surrogate.kernel`
 with e_i, v_i the leave-one-out residuals of run i: an empirical covariance, so that errors of
 neighbouring nodes and instants are correlated as they are seen to be. ``cut`` is the rms that
 the truncated bases leave, f makes the 95 % intervals cover 95 % in cross-validation over the
-training runs (`core.surrogate.training`).
+training runs (`core.surrogate.held_out`).
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from core.errors import InputError
 from core.surrogate.contest.kept import Kept
+from core.surrogate.fitting import RANKS
 from core.surrogate.targets import DEFORMATION, MEAN_CEEQ, Form, Target, invert, targets_of
-from core.surrogate.training import RANKS
 from core.surrogate.tucker import Factors, factorise
 
 Array = NDArray[np.float64]

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from core.diagnosis import conclude as module
-from core.diagnosis.conclude import Turn, apart, conclude, reweighed
-from core.diagnosis.diagnose import Rival
+from core.diagnosis.conclude import Rival, Turn, apart, conclude, reweighed
 from core.diagnosis.grammar import FAMILIES, Cell
 from core.diagnosis.verdict import Held, Hypothesis, Verdict
 from core.family import Shape

@@ -18,9 +18,9 @@ from core.diagnosis import Case, Diagnosis, Facts, diagnose, to_json
 from core.diagnosis import diagnose as module_function
 from core.diagnosis.adopt import amplitude, frees, with_effects
 from core.diagnosis.conclude import Turn
-from core.diagnosis.diagnose import _Search
 from core.diagnosis.grammar import FAMILIES, Cell, families_for
 from core.diagnosis.pictures import pictures
+from core.diagnosis.search import Search
 from core.diagnosis.verdict import LEFT, Hypothesis
 from core.errors import InputError
 from core.family import Family
@@ -173,7 +173,7 @@ def test_what_could_not_be_told_apart_leaves_where_chance_explains_the_rest(
     )
     work = Workspace()
     case = Case(SPEC, data, {b: Facts() for b in SPEC.blades}, dealt=199)
-    search = _Search(MODEL, update(MODEL, SPEC, data, workspace=work), case, work, lambda *a: None)
+    search = Search(MODEL, update(MODEL, SPEC, data, workspace=work), case, work, lambda *a: None)
     bend = Cell(BEND, "constant", "all")
     offsets = [Cell(OFFSET, "constant", "instrument", f"gauge {k}") for k in (0, 1)]
     taken = search.calibrated((bend, offsets[0]))

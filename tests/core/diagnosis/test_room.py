@@ -13,8 +13,8 @@ from core.course import Course, Drift, How
 from core.diagnosis import Case, Facts
 from core.diagnosis.adopt import _room, with_effects
 from core.diagnosis.conclude import Rival
-from core.diagnosis.diagnose import _Search
 from core.diagnosis.grammar import FAMILIES, Cell
+from core.diagnosis.search import Search
 from core.diagnosis.verdict import Hypothesis
 from core.errors import InputError
 from core.model import Model, rotor_blade_wide
@@ -26,7 +26,7 @@ STEP = Cell(FAMILY["firing temperature step"], "step", "all", step_h=17_500.0)
 
 
 @pytest.fixture(scope="module")
-def search() -> _Search:
+def search() -> Search:
     """Two blades; one joined late, so that each has a course of its own: nothing is seen before."""
     names = ("B1", "B2")
     data = tuple(
@@ -38,11 +38,11 @@ def search() -> _Search:
     model, spec, work = rotor_blade_wide(), RotorSpec("r", names, 100, 1), Workspace()
     case = Case(spec, data, facts)
     state = update(model, spec, data, workspace=work)
-    return _Search(model, state, case, work, lambda *a: None)
+    return Search(model, state, case, work, lambda *a: None)
 
 
 def test_effects_that_leave_the_runs_together_are_refused_and_the_search_goes_on(
-    search: _Search,
+    search: Search,
 ) -> None:
     both = with_effects(search.model, (FOULING, STEP), search.case.facts, {"elongation": 0.02})
     assert len(both.network.drifts) == 2, "nothing is refused before a blade is asked for"
@@ -55,7 +55,7 @@ def test_effects_that_leave_the_runs_together_are_refused_and_the_search_goes_on
 
 
 def test_where_a_pair_has_no_room_each_of_the_two_is_tried(
-    search: _Search, monkeypatch: pytest.MonkeyPatch
+    search: Search, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However little the scan gives it alone."""
     scan = search.case.scan(search.model, search.state)
@@ -65,8 +65,8 @@ def test_where_a_pair_has_no_room_each_of_the_two_is_tried(
     )
     names = tuple(scan.cells[i].name for i in pair)
     only = [Hypothesis(pair, names, 20.0, 1.0)]
-    monkeypatch.setattr(sys.modules[_Search.__module__], "weighed_all", lambda *a, **k: only)
-    monkeypatch.setattr(sys.modules[_Search.__module__], "SIBLINGS", 0)
+    monkeypatch.setattr(sys.modules[Search.__module__], "weighed_all", lambda *a, **k: only)
+    monkeypatch.setattr(sys.modules[Search.__module__], "SIBLINGS", 0)
     nothing = Rival((), search.model, lambda: search.state, 0.0)
     turn = search.turn(scan, nothing)
     assert names in search.refused

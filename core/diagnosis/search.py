@@ -1,0 +1,174 @@
+"""What a diagnosis calibrates, and what it takes and gives up again (`diagnose`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from core.calibration.online import Workspace, begun
+from core.calibration.start import Start
+from core.calibration.state import RotorState
+from core.diagnosis.adopt import with_effects
+from core.diagnosis.case import Case
+from core.diagnosis.conclude import Rival, Turn, apart, reweighed
+from core.diagnosis.expected import joined, without
+from core.diagnosis.grammar import Cell
+from core.diagnosis.scan import Scan
+from core.diagnosis.verdict import LEFT, Verdict, judge
+from core.diagnosis.verdict import weighed as weighed_all
+from core.errors import InputError
+from core.model import Model
+
+Progress = Callable[[str, int, int], None]
+RIVALS = 6
+MOST = 3
+EARNED = 2.0
+SIBLINGS = 5
+STEPS = 3 + MOST * (RIVALS + SIBLINGS + 2)  # at most; few more where effects leave again
+LOST = 0.05  # share of effective nodes below which a posterior counts as not found
+NOTICEABLE = 0.01  # share of the evidence from which a rival is calibrated
+
+
+@dataclass
+class Search:
+    """What was calibrated so far, and what could not be."""
+
+    model: Model
+    state: RotorState
+    case: Case
+    work: Workspace
+    progress: Progress
+    known: dict[frozenset[Cell], Rival] = field(default_factory=dict)
+    refused: dict[tuple[str, ...], str] = field(default_factory=dict)
+    price: float = 0.0
+    done: int = 0
+
+    def say(self, what: str) -> None:
+        self.progress(what, min(self.done, STEPS), STEPS)
+        self.done += 1
+
+    def calibrated(
+        self, effects: tuple[Cell, ...], start: Callable[[], Start] | None = None
+    ) -> Rival | None:
+        """The rotor with these effects in its model; none where the runs have no room.
+
+        start  where its posterior is expected
+        """
+        names = tuple(c.name for c in effects)
+        if not effects:
+            return Rival((), self.model, lambda: self.state, 0.0)
+        if (key := frozenset(effects)) not in self.known:
+            self.say(" and ".join(names))
+            noise = self.case.noise(self.model, self.state)
+            try:
+                bigger = with_effects(self.model, effects, self.case.facts, noise)
+                made = begun(
+                    bigger,
+                    self.case.spec,
+                    self.case.readings,
+                    workspace=self.work,
+                    start=start() if start is not None else None,
+                )
+                gained = made.log_evidence - self.state.meta["log_evidence"]
+                share = made.weighed.ess_ratio
+                if share < LOST:
+                    raise InputError(
+                        "posterior",
+                        f"{share:.1%} of its nodes carry it",
+                        "is not found well enough to be compared",
+                        "the scan's word stands",
+                    )
+            except InputError as error:  # together they may leave the runs, in one blade alone
+                self.refused[names] = str(error)
+                return None
+            self.known[key] = Rival(effects, bigger, made.sealed, gained)
+        return self.known[key]
+
+    def turn(self, scan: Scan, taken: Rival) -> Turn:
+        """Calibrate the weightiest of what a scan finds, beside what is taken already.
+
+        Of the best of them the other courses of the same causes too: the scan, of second order,
+        tells causes from each other, and large effects' courses hardly. Scatter between blades
+        discounts what they say of an alarm, but not here: the filter knows no discount, and an
+        effect that few blades tell of would stand back behind one that is said of these alone.
+        """
+        weighed = weighed_all(scan.undiscounted, least=0.0)
+        noise = self.case.noise(self.model, self.state)
+        known: dict[tuple[int, ...], Rival] = {}
+
+        def ask(cells: tuple[int, ...]) -> None:
+            made = self.calibrated(
+                (*taken.effects, *(scan.cells[i] for i in cells)),
+                lambda: joined(taken.model, taken.state, scan, cells, self.model, noise),
+            )
+            if made is not None:
+                known[cells] = made
+            elif len(cells) > 1:  # what has no room together may have it alone
+                for i in cells:
+                    ask((i,))
+
+        for one in [h for h in apart(weighed) if h.weight >= NOTICEABLE][:RIVALS]:
+            ask(one.cells)
+        if known:
+            there = {h.cells: h.weight for h in weighed}
+            courses = [c for c in siblings(scan, self._best(known)) if c in there]
+            for cells_ in sorted(courses, key=lambda c: -there[c])[:SIBLINGS]:
+                ask(cells_)
+        names = {c: tuple(scan.cells[i].name for i in c) for c in known}
+        rivals = {names[c]: known[c] for c in sorted(known, key=lambda c: known[c].gained)}
+        found = reweighed(weighed, {c: r.gained for c, r in known.items()})
+        took: tuple[str, ...] = ()
+        if known:
+            best = self._best(known)
+            if known[best].gained >= taken.gained + self.price * len(best):
+                took = names[best]
+        return Turn(found, took, rivals, tuple(scan.cells), taken.effects)
+
+    def left(self, taken: Rival, turn: int) -> tuple[Scan, Verdict]:
+        """What is still there with effects in the model."""
+        self.say("scan")
+        case = self.case
+        scan = case.scan(taken.model, taken.state, taken.effects)
+        return scan, judge(scan, case.spec.seed + turn, alarm=LEFT, dealt=case.dealt)
+
+    def _best(self, known: Mapping[tuple[int, ...], Rival]) -> tuple[int, ...]:
+        """The most gained, less the price of each effect: two have to be worth two."""
+        return max(known, key=lambda c: known[c].gained - self.price * len(c))
+
+    def _only(self, taken: Rival, effects: tuple[Cell, ...]) -> Rival | None:
+        """Calibrated with some of the effects that are taken."""
+        gone = [c for c in taken.effects if c not in effects]
+        return self.calibrated(effects, lambda: without(taken.model, taken.state, gone, self.model))
+
+    def needed(self, taken: Rival) -> Rival:
+        """Without the effects that do not earn their place beside the others."""
+        for out in taken.effects if len(taken.effects) > 1 else ():
+            rest = self._only(taken, tuple(c for c in taken.effects if c != out))
+            if rest is not None and taken.gained < rest.gained + self.price:
+                return self.needed(rest)
+        return taken
+
+    def without_open(self, taken: Rival, turns: Sequence[Turn]) -> tuple[Rival, float] | None:
+        """Without the effects whose turn left their names open, and the p of what is then left.
+
+        None where no effect is open, none is settled, or more than chance is left without them.
+        """
+        claims = {n: turn.claim(n) for turn in turns for n in turn.took}
+        sure = tuple(c for c in taken.effects if claims.get(c.name) is not None)
+        if not 0 < len(sure) < len(taken.effects):
+            return None
+        rest = self._only(taken, sure)
+        if rest is None:
+            return None
+        _, found = self.left(rest, len(turns))
+        return (rest, found.p) if found.word == "adequate" else None
+
+
+def siblings(scan: Scan, which: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """The same cells but for one, which runs otherwise: other shapes and families of its cause."""
+    found = []
+    for place, i in enumerate(which):
+        for j, cell in enumerate(scan.cells):
+            if j != i and cell.cause == scan.cells[i].cause:
+                found.append((*which[:place], j, *which[place + 1 :]))
+    return [tuple(sorted(one)) for one in found]
