@@ -1,0 +1,166 @@
+"""How large an effect has to be until a diagnosis notices it: alarms over the effect's size.
+
+Only the first question of a diagnosis is asked, whether anything is missing at all, which takes a
+calibration and a scan; names are the business of `effects_study`. A size is what the effect adds to
+the concerned readings of the last visit, in noises (`effect_plans`); size 0 is the clean rotor, and
+its alarms are false ones. Beside it stands what an oracle would notice that knows what to look for
+and every parameter's place (`effect_oracle`): no search through a grammar can do better.
+
+Sizes that would need the effect, as it was run, scaled by more than `effect_plans.STRONGEST` are
+left out.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.calibration.online import Workspace, update
+from core.diagnosis.verdict import judge
+from core.errors import BladetwinError, InputError
+from core.model import Model, rotor_blade_wide
+from core.validation.effect_oracle import possible
+from core.validation.effect_plans import Plan
+from core.validation.effect_plans import plan as plan_of
+from core.validation.effect_sets import CLEAN, NAMED, OUTSIDE, effect_of, made
+from core.validation.effect_sets import conditions as conditions_of
+from core.validation.records import Record, code_digest, records
+
+SIZES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
+SOUND = CLEAN[0]
+
+
+@cache
+def _model() -> Model:
+    return rotor_blade_wide()
+
+
+def one(condition: str, size: float, number: int, seed: int, particles: int, plan: str) -> Record:
+    """Whether a set alarms; one that cannot be calibrated does not, and is kept with its error."""
+    start = time.process_time()
+    found: Record = {"condition": condition, "size": size, "number": number, "alarm": False}
+    given = made(plan_of(plan), condition, number, seed, particles, size)
+    model, work, case = _model(), Workspace(), given.case
+    try:
+        state = update(model, case.spec, case.readings, workspace=work)
+        first = judge(case.scan(model, state), case.spec.seed, dealt=case.dealt)
+    except BladetwinError as error:
+        return found | {"error": str(error)}
+    seconds = round(time.process_time() - start, 1)
+    return found | {"alarm": first.word != "adequate", "p": first.p, "cpu_s": seconds}
+
+
+def sizes_of(plan: Plan, condition: str, sizes: Sequence[float]) -> tuple[float, ...]:
+    """Those for which the condition has truths.
+
+    >>> sizes_of(plan_of("fleet-100"), "campaign", (0.5, 4.0))
+    (0.5, 4.0)
+    """
+    effect = effect_of(condition, plan)
+    found = []
+    for size in sizes:
+        try:
+            if effect is not None:
+                plan.with_effect(effect, size)
+        except InputError:
+            continue
+        found.append(size)
+    return tuple(found)
+
+
+def planned(
+    conditions: Sequence[str] | None, sizes: Sequence[float], sets: int, plan: str = "fleet-100"
+) -> list[tuple[str, float, int]]:
+    """(condition, size, number) of every set: `sets` for each condition at each of its sizes, and
+    as many clean ones for every size.
+
+    Raises InputError for a plan whose effects are as they were run, for conditions that it does not
+    have, and for sizes that are not above 0.
+    """
+    chosen = plan_of(plan)
+    if not chosen.scaled:
+        raise InputError("plan", plan, "has effects of one size", "use fleet-100")
+    there = [c for c in (*NAMED, *OUTSIDE) if c in conditions_of(chosen)]
+    asked = there if conditions is None else list(conditions)
+    if unknown := sorted(set(asked) - set(there)):
+        raise InputError("conditions", unknown, "are unknown", f"use {', '.join(there)}")
+    if not sizes or min(sizes) <= 0:
+        raise InputError("sizes", list(sizes), "are no sizes", "give multiples of the noise, > 0")
+    keys = [
+        (condition, size, n)
+        for n in range(sets)  # by number: a cut study holds some of each
+        for condition in asked
+        for size in sizes_of(chosen, condition, sizes)
+    ]
+    return keys + [(SOUND, 0.0, n) for n in range(sets * len(sizes))]
+
+
+def run(
+    keys: Sequence[tuple[str, float, int]],
+    *,
+    seed: int,
+    particles: int,
+    plan: str = "fleet-100",
+    processes: int = 1,
+    folder: str | Path | None = None,
+    commit: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Record]:
+    """The records of these sets; `folder` as in `coverage.run`."""
+    file = None
+    if folder is not None:
+        text = repr((seed, particles, plan, commit, code_digest(), _model().digest))
+        file = Path(folder) / f"power-{sha256(text.encode()).hexdigest()[:12]}.jsonl"
+    return records(
+        {key: (*key, seed, particles, plan) for key in keys},
+        one,
+        lambda r: (str(r["condition"]), float(r["size"]), int(r["number"])),
+        file=file,
+        processes=processes,
+        progress=progress,
+    )
+
+
+def curves(found: Sequence[Record]) -> dict[str, list[dict[str, float]]]:
+    """By condition and in the order of sizes: size, sets, share that alarmed, its standard error.
+
+    The error is that of a share with one alarm and one silence more (Agresti & Coull 1998), so that
+    a curve that always alarms is not told for certain.
+
+    >>> sets = [{"condition": "gain", "size": 1.0, "alarm": a} for a in (True, True, False)]
+    >>> curves(sets)["gain"][0]["alarms"].__round__(3)
+    0.667
+    """
+    out: dict[str, list[dict[str, float]]] = {}
+    for condition in dict.fromkeys(str(r["condition"]) for r in found):
+        own = [r for r in found if r["condition"] == condition]
+        for size in sorted({float(r["size"]) for r in own}):
+            alarms = [bool(r["alarm"]) for r in own if r["size"] == size]
+            n, share = len(alarms), sum(alarms) / len(alarms)
+            nearly = (sum(alarms) + 1) / (n + 2)
+            error = float(np.sqrt(nearly * (1 - nearly) / (n + 2)))
+            row = {"size": size, "sets": n, "alarms": share, "error": error}
+            out.setdefault(condition, []).append(row)
+    return out
+
+
+def bounds(
+    found: Mapping[str, Sequence[Mapping[str, float]]], seed: int, particles: int, plan: str
+) -> dict[str, list[dict[str, Any]]]:
+    """Of each point of the curves but the clean one, the chance of an alarm that an oracle has."""
+    work, chosen = Workspace(), plan_of(plan)
+    out: dict[str, list[dict[str, Any]]] = {}
+    for condition, rows in found.items():
+        for row in rows:
+            if row["size"] == 0:
+                continue
+            given = made(chosen, condition, 0, seed, particles, row["size"])
+            alarm = possible(_model(), given, seed, work).alarm
+            out.setdefault(condition, []).append({"size": row["size"], "alarm": round(alarm, 3)})
+    return out

@@ -1,0 +1,73 @@
+"""The study of power: what is planned, how alarms are counted, and a large effect against none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from core.errors import InputError
+from core.validation import effect_plans
+from core.validation import effect_power as study
+from service.studies.power import power_plot
+
+
+def test_every_size_has_its_sets_and_as_many_clean_ones() -> None:
+    keys = study.planned(["campaign", "wear"], (0.5, 2.0), 3)
+    assert len(keys) == len(set(keys)) == 3 * 2 * 2 + 3 * 2
+    assert {k[:2] for k in keys} == {
+        ("campaign", 0.5), ("campaign", 2.0), ("wear", 0.5), ("wear", 2.0), ("clean", 0.0)
+    }  # fmt: skip
+
+
+def test_an_effect_is_not_scaled_beyond_what_finite_elements_were_run_for() -> None:
+    plan = effect_plans.plan("fleet-100")
+    most = max(s / min(plan.strength(r, "step", s) for r in range(plan.rotors)) for s in (1.0,))
+    far = 2.01 * effect_plans.STRONGEST * most
+    assert study.sizes_of(plan, "step", (0.5, far)) == (0.5,)
+    assert study.sizes_of(plan, "campaign", (0.5, far)) == (0.5, far), "readings alone are changed"
+
+
+@pytest.mark.parametrize(
+    ("conditions", "sizes", "plan", "what"),
+    [
+        (["fouling", "rust"], (1.0,), "fleet-100", "rust"),
+        (None, (0.0, 1.0), "fleet-100", "sizes"),
+        (None, (), "fleet-100", "sizes"),
+        (None, (1.0,), "rotor-20", "fleet-100"),
+    ],
+)
+def test_what_cannot_be_studied_is_told(
+    conditions: list[str] | None, sizes: tuple[float, ...], plan: str, what: str
+) -> None:
+    with pytest.raises(InputError, match=what):
+        study.planned(conditions, sizes, 2, plan)
+
+
+def test_a_large_offset_alarms_and_no_offset_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Control: the same readings without it. A study that was cut goes on."""
+    keys = [("campaign", 4.0, 0), ("clean", 0.0, 0)]
+    asked = {"seed": 3, "particles": 200, "folder": tmp_path}
+    found = study.run(keys, **asked)
+    assert [one["alarm"] for one in found] == [True, False]
+    assert "error" not in found[0]
+    monkeypatch.setattr(study, "update", None)
+    assert study.run(keys, **asked) == found
+    rows = study.curves(found)
+    assert rows["campaign"][0]["alarms"] == 1.0
+    assert 0.2 < rows["campaign"][0]["error"] < 0.3, "one set tells little"
+    power_plot(rows, {"campaign": [{"size": 4.0, "alarm": 0.99}]}, tmp_path / "power.png")
+    assert (tmp_path / "power.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_set_that_cannot_be_calibrated_counts_as_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object, **__: object) -> None:
+        raise InputError("readings", 0, "are none", "give some")
+
+    monkeypatch.setattr(study, "update", never)
+    (found,) = study.run([("campaign", 4.0, 0)], seed=3, particles=200)
+    assert found["alarm"] is False
+    assert "are none" in found["error"]
+    assert study.curves([found, found | {"alarm": True}])["campaign"][0]["alarms"] == 0.5
