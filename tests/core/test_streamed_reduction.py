@@ -267,10 +267,10 @@ def _peak_mb(archive: Archive, runs: int, whole: bool) -> float:
 
 def test_memory_does_not_grow_with_the_runs(tmp_path: Path) -> None:
     """The negative control, which loads all of them, grows by half and more."""
-    archive = made(tmp_path / "a", 48, nodes=1500)
-    few, many = (peak_mb(archive, runs, whole=False) for runs in (12, 48))
+    archive = made(tmp_path / "a", 32, nodes=800)
+    few, many = (peak_mb(archive, runs, whole=False) for runs in (8, 32))
     assert many < 1.1 * few
-    few, many = (peak_mb(archive, runs, whole=True) for runs in (12, 48))
+    few, many = (peak_mb(archive, runs, whole=True) for runs in (8, 32))
     assert many > 1.5 * few
 
 
