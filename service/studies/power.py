@@ -85,7 +85,7 @@ def power_plot(curves: Curves, best: Curves, file: Path) -> None:
     figure, axes = plt.subplots(
         rows,
         columns,
-        figsize=(2.7 * columns + 0.6, 2.3 * rows + 0.8),
+        figsize=(max(2.7 * columns + 0.6, 4.0), 2.3 * rows + 1.2),
         squeeze=False,
         sharex=True,
         sharey=True,
@@ -124,6 +124,9 @@ def power_plot(curves: Curves, best: Curves, file: Path) -> None:
     for axis in axes.ravel()[max(len(names) - columns, 0) : len(names)]:
         axis.set_xlabel("size of the effect [noises]", fontsize=9)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    across = 3 if columns == COLUMNS else 1  # three words beside one another want the whole width
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=across, frameon=False, fontsize=9
+    )
     figure.savefig(file, dpi=110)
     plt.close(figure)
