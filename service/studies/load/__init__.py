@@ -8,5 +8,6 @@ a server that stands still for a second delays all that were due in it, and all 
     crowd    threads that ask it
     watch    memory of each process, backlog, size of the database, while it runs
     trend    windows, percentiles, and whether something grows (Theil-Sen)
+    aims     what it is held against
     run      all of it together; scaling: a backlog worked off by one worker and by two
 """

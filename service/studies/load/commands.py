@@ -59,13 +59,21 @@ def load(
     particles: Annotated[int, typer.Option(min=16, help="Particles per blade.")] = 64,
     database: Databases = "sqlite",
     window_s: Annotated[float, typer.Option(min=1, help="Length of a window, s.")] = 10.0,
+    posts_ms: Annotated[
+        float, typer.Option(min=0, help="Largest p99 of an acknowledgement, ms; 0: not judged.")
+    ] = 250.0,
+    reads_ms: Annotated[
+        float, typer.Option(min=0, help="Largest p99 of a read, ms; 0: not judged.")
+    ] = 100.0,
     scaling: Annotated[
         int, typer.Option(min=0, help="Entries of a backlog for one worker and two; 0: none.")
     ] = 4000,
+    pairs: Annotated[int, typer.Option(min=1, help="Backlogs worked off by each of them.")] = 1,
     seed: Annotated[int, typer.Option(help="Seed of what is asked, and when.")] = 7,
     out: Annotated[Path | None, typer.Option(help="Folder of the result.")] = None,
 ) -> None:
     """A real server under load: latencies, memory and backlog over time, and what grows."""
+    from service.studies.load import aims
     from service.studies.load import run as study
     from service.studies.load.plots import course_plot
     from service.studies.load.table import table
@@ -77,26 +85,34 @@ def load(
     plan = study.Plan(
         minutes, rate, reads, rotors, blades, workers, science, particles, window_s, seed
     )
+    asked = {name: ms for name, ms in (("posts", posts_ms), ("reads", reads_ms)) if ms > 0}
     results: dict[str, Any] = {}
     with places(database) as chosen, tempfile.TemporaryDirectory(prefix="bladetwin-log-") as logs:
         for name, url, folder in chosen:
             begun, log = time.monotonic(), Path(logs) / name
             with bar(f"seconds, {name}", round(60 * minutes)) as step:
                 told = study.loaded(plan, url("loaded"), folder, log, step)
+            told["faults"] = aims.faults(told, asked)
+            told["passed"] = not told["faults"]
             if scaling:
-                told["scaling"] = [
-                    study.worked_off(plan, url(f"backlog_{n}"), n, scaling, log) for n in (1, 2)
-                ]
+                rows = []
+                with bar(f"backlogs, {name}", 2 * pairs) as step:
+                    for number, n in enumerate(aims.order(pairs)):
+                        rows.append(
+                            study.worked_off(plan, url(f"backlog_{number}"), n, scaling, log)
+                        )
+                        step(number + 1)
+                told |= {"scaling": rows, "gain": aims.gain(rows)}
             results[name] = told | {"seconds": round(time.monotonic() - begun, 1)}
     passed = all(one["passed"] for one in results.values())
-    head = {"machine": began_on, **asdict(plan), "passed": passed}
+    head = {"machine": began_on, **asdict(plan), "aims_ms": asked, "passed": passed}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         for name, one in results.items():
             title = (
                 f"{rotors} rotors × {blades} blades on {name}: {rate:g} posts/s, {reads:g} reads/s"
             )
-            course_plot(one["samples"], title, out / f"{name}.png")
+            course_plot(one["samples"], title, out / f"{name}.png", asked)
         (out / "table.md").write_text(table(head, results))
     write(head | {"databases": results}, made_by, out)
     if not passed:

@@ -11,11 +11,21 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from service.studies.load.aims import NO_AIMS
+
 COLOURS = {"posts": "#1f3b63", "reads": "#d68910"}
 
 
-def course_plot(samples: Sequence[Mapping[str, Any]], title: str, path: Path) -> None:
-    """Latencies, backlog, memory of each process and processors in use, over the minutes."""
+def course_plot(
+    samples: Sequence[Mapping[str, Any]],
+    title: str,
+    path: Path,
+    aims_ms: Mapping[str, float] = NO_AIMS,
+) -> None:
+    """Latencies, backlog, memory of each process and processors in use, over the minutes.
+
+    aims_ms  largest 99th percentile over the whole of ``posts`` and ``reads``, ms: a line each
+    """
     samples = samples[:-1] or samples  # the last window is cut
     minutes = [one["at_s"] / 60 for one in samples]
     figure, axes = plt.subplots(4, 1, figsize=(10, 10), sharex=True, layout="constrained")
@@ -23,6 +33,10 @@ def course_plot(samples: Sequence[Mapping[str, Any]], title: str, path: Path) ->
         for key, style in (("p50", ":"), ("p99", "-")):
             values = [one[name][key] for one in samples]
             axes[0].plot(minutes, values, style, color=colour, lw=1.3, label=f"{name}, {key}")
+        if name in aims_ms:
+            axes[0].axhline(
+                aims_ms[name], ls="--", color=colour, lw=0.9, label=f"{name}, asked of p99"
+            )
     axes[0].set_yscale("log")
     axes[0].set_ylabel("latency [ms]")
     axes[1].plot(minutes, [one["gauges"].get("backlog_entries") for one in samples], lw=1.3)

@@ -146,14 +146,7 @@ def loaded(
         "trends": trends(samples[:-1]),
         "samples": samples,
     }
-    return told | {"passed": passed(told)}
-
-
-def passed(told: Json) -> bool:
-    """Whether everything was answered as it should be, applied, and nothing grew."""
-    grew = [name for name, one in told["trends"].items() if one["verdict"] == "grows"]
-    whole = told["posted"] == told["applied"]
-    return whole and not (told["not_good"] or told["locked"] or grew)
+    return told
 
 
 def _sample(

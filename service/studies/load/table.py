@@ -43,12 +43,7 @@ def table(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> 
             shown = "" if interval is None else f"{interval[0]:g} … {interval[1]:g}"
             cells = [course, _shown(found.get("median")), _shown(found.get("per_hour")), shown]
             lines.append(f"| {' | '.join([*cells, found['verdict']])} |")
-        if one["not_good"]:
-            lines += [
-                "",
-                "Not as it should be: "
-                + "; ".join(f"{count} × {what}" for what, count in one["not_good"].items()),
-            ]
+        lines += ["", f"Not as it was asked for: {'; '.join(one['faults']) or 'nothing'}."]
         if one.get("scaling"):
             lines += [
                 "",
@@ -60,6 +55,12 @@ def table(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> 
                     f"| {row['workers']} | {row['entries']} | {row['seconds']:g} | "
                     f"{row['rotors_per_s']:g} | {row['entries_per_s']:g} |"
                 )
+            shown = ", ".join(f"{ratio:.2f}" for ratio in one["gain"]["ratios"])
+            lines += [
+                "",
+                f"Rotors a second of two workers over those of one: {one['gain']['median']:.2f} in "
+                f"the middle of {len(one['gain']['ratios'])} pair(s) ({shown}).",
+            ]
     return "\n".join(lines) + "\n"
 
 
