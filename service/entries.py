@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from hashlib import sha256
+from sys import intern
+from typing import Any
 
 from core.errors import CalibrationError
 from core.observation import Entry, Inspection
@@ -16,7 +18,7 @@ def entry_of(event: Event) -> Entry:
     """The log's row as the science knows it; CalibrationError: it is not what was written."""
     if event.kind == "inspection":
         try:
-            reading = Inspection.from_json(json.loads(event.body))
+            reading = Inspection.from_json(_shared(json.loads(event.body)))
             found = reading.digest()
         except (ValueError, TypeError, KeyError) as error:
             found = f"unreadable: {error}"
@@ -28,6 +30,14 @@ def entry_of(event: Event) -> Entry:
             )
         return Entry(event.seq, "inspection", event.event_id, reading)
     return Entry(event.seq, "retraction", event.replaces or "")
+
+
+def _shared(body: dict[str, Any]) -> dict[str, Any]:
+    """The same, with words that many readings have in common held once in memory."""
+    for name in ("blade", "quantity", "unit", "instrument", "campaign"):
+        if name in body:
+            body[name] = intern(body[name])
+    return body
 
 
 def entries_of(events: Sequence[Event]) -> list[Entry]:

@@ -147,6 +147,9 @@ class Settings(BaseModel):
         64.0, ge=0, description="answers kept as bytes in each API process, MiB; 0 = none"
     )
     rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
+    readings_mb: float = Field(
+        32.0, ge=0, description="readings of further rotors that a worker keeps in memory, MiB"
+    )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="least level that is logged"
     )

@@ -10,10 +10,14 @@ from service.ports import Array
 
 Key = tuple[str, int, str]
 MOST_CHECKED = 512
+OVERHEAD = 656  # bytes of an array's objects, head and key beside its numbers, measured
 
 
 class ArrayCache:
-    """Decoded arrays, least recently used ones dropped above `limit_mb`; safe between threads."""
+    """Decoded arrays, least recently used ones dropped above `limit_mb`; safe between threads.
+
+    Each counts with what Python needs to hold it: of small arrays that is nearly all.
+    """
 
     def __init__(self, limit_mb: float) -> None:
         self._limit = int(limit_mb * 2**20)
@@ -29,13 +33,13 @@ class ArrayCache:
 
     def put(self, key: Key, array: Array) -> None:
         with self._lock:
-            if key in self._arrays or array.nbytes > self._limit:
+            if key in self._arrays or array.nbytes + OVERHEAD > self._limit:
                 return
             self._arrays[key] = array
-            self._size += array.nbytes
+            self._size += array.nbytes + OVERHEAD
             while self._size > self._limit:
                 _, dropped = self._arrays.popitem(last=False)
-                self._size -= dropped.nbytes
+                self._size -= dropped.nbytes + OVERHEAD
 
 
 class Checked:

@@ -1,8 +1,8 @@
 """What one update rests on: the rotor, its entries, and the state before them.
 
-The worker remembers the last state that it wrote. It is used only while its version is the one that
-the claim read, so that another worker's commit in between makes this one read the database. The log
-only grows: entries that are known already are not read again.
+The worker remembers the last states that it wrote (`memory`). One is used only while its version
+is the one that the claim read, so that another worker's commit in between makes this one read the
+database. The log only grows: entries that are known already are not read again.
 
 A state that turns out damaged when it is loaded is left alone: the next version is computed from
 the log without it, and every array is written anew.
@@ -17,28 +17,14 @@ from core.observation import Entry, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError
-from service.ports import ModelCard, RotorRecord, RotorSpec, RotorState, Science
+from service.ports import ModelCard, RotorRecord, RotorSpec, Science
 from service.store.log import read_entries
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.lease import Lease
+from service.worker.memory import Memory
 
 log = logging.getLogger("bladetwin.worker")
-
-
-@dataclass(slots=True)
-class Memory:
-    """What a worker remembers of a rotor: valid for one version only.
-
-    anew   the stored state is not used, and all that replaces it is written
-    """
-
-    version: int
-    through: int
-    state: RotorState | None
-    sha256: dict[str, str]
-    entries: list[Entry]
-    anew: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ An array of the state before that turns out damaged is dealt with as a damaged s
 from __future__ import annotations
 
 import logging
-from collections import OrderedDict
 from contextlib import AbstractContextManager, suppress
 from time import perf_counter
 
@@ -36,7 +35,8 @@ from service.worker import task as tasks
 from service.worker.alarm import alarm
 from service.worker.heartbeat import heartbeats
 from service.worker.lease import Lease
-from service.worker.task import Memory, Task
+from service.worker.memory import Memories, Memory
+from service.worker.task import Task
 from service.worker.traced import Told, told
 
 log = logging.getLogger("bladetwin.worker")
@@ -61,7 +61,7 @@ class Updater:
         self.settings = settings
         self.owner = owner
         self.role = role
-        self._memory: OrderedDict[str, Memory] = OrderedDict()
+        self._memory = Memories(settings.rotors_in_memory, settings.readings_mb)
         self._thinned: dict[str, int] = {}
 
     @property
@@ -115,7 +115,7 @@ class Updater:
                 version = self.commit(lease, task, state, change)
         except LostLeaseError as error:
             trace.failed(error)
-            self._memory.pop(lease.rotor_id, None)
+            self._memory.forget(lease.rotor_id)
             log.warning("%s", error)
             return
         except StoreAwayError as error:
@@ -198,16 +198,13 @@ class Updater:
             alarm(connection, record)
             write_state(connection, record, changed)
         memory = Memory(version, task.through, state, sha256, task.entries)
-        self._memory[lease.rotor_id] = memory
-        self._memory.move_to_end(lease.rotor_id)
-        while len(self._memory) > self.settings.rotors_in_memory:
-            self._memory.popitem(last=False)
+        self._memory.put(lease.rotor_id, memory)
         return version
 
     def return_unused(self, lease: Lease) -> None:
         """A database that is away or full, or code still to be loaded, is not the rotor's fault:
         it must not be blocked for it. Where even that cannot be written the lease runs out."""
-        self._memory.pop(lease.rotor_id, None)
+        self._memory.forget(lease.rotor_id)
         with suppress(StoreAwayError):
             leases.return_unused(self.engine, lease)
 
@@ -224,7 +221,7 @@ class Updater:
         leases.fail(self.engine, lease, text, event, pause, block=block)
         if block:
             trim(self.engine, lease.rotor_id, self.settings.keep_events)
-        self._memory.pop(lease.rotor_id, None)
+        self._memory.forget(lease.rotor_id)
         log.error("rotor %s: attempt %d failed: %s", lease.rotor_id, lease.attempts, text)
 
     def heartbeats(self, lease: Lease) -> AbstractContextManager[None]:

@@ -25,7 +25,7 @@ from service.errors import (
 from service.handlers.inspections import list_inspections, retract
 from service.ports import StateRecord
 from service.store import tables as t
-from service.store.cache import ArrayCache
+from service.store.cache import OVERHEAD, ArrayCache
 from service.store.encoding import DamagedArrayError, decode, encode
 from service.store.engine import open_engine, transaction
 from service.store.states import digests, thin, write_state
@@ -177,7 +177,7 @@ def test_a_damaged_row_is_named_and_not_used(store: SqlStore, rotor: str) -> Non
 
 
 def test_the_cache_holds_no_more_than_its_limit_and_drops_the_oldest() -> None:
-    cache = ArrayCache(limit_mb=2 * 80 / 2**20)
+    cache = ArrayCache(limit_mb=2 * (80 + OVERHEAD) / 2**20)
     arrays = [np.full(10, float(i)) for i in range(3)]
     for i, array in enumerate(arrays):
         cache.put(("r", 1, str(i)), array)
