@@ -1,7 +1,7 @@
 """When a quantity passes a limit: the distribution of the time to it.
 
 Elongation, strain and damage of creep only grow. Then the blade has passed a limit L by the hour t
-exactly where y(t) >= L, and with the curves m_i(t) ± s_i(t) of the particles (`prediction.curves`:
+exactly where y(t) >= L, and with the curves m_i(t) ± s_i(t) of the particles (`core.curves`:
 parameters, surrogate and discrepancy, without a reading's noise)
 
     P(T <= t) = P(y(t) >= L) = Σ w_i Φ((m_i(t) − L) / s_i(t))
@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from core.calibration.state import Posterior
+from core.curves import checked_times, curves, thinned
 from core.errors import InputError
 from core.model import Model
-from core.prediction import QUANTILES, checked_times, curves, thinned
+from core.prediction import QUANTILES
 
 Array = NDArray[np.float64]
 TURNS = 30  # between two of the hours; three or four where the share is smooth

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from core.blade.element import NODES
 from core.blade.geometry import MESHES, build_mesh
 from core.calibration.state import Posterior
+from core.curves import corrected, inputs_of
 from core.model import Model
-from core.prediction import corrected, inputs_of
 from service.ports import Field, Mesh, Surface
 
 Array = NDArray[np.float64]

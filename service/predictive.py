@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.state import Posterior
+from core.curves import corrected, inputs_of, noise_of
 from core.model import Model
 from core.network import Network
 from core.observation import Inspection
-from core.prediction import corrected, inputs_of, noise_of
 from core.prior import Prior, cut_quantile
 from core.rng import stream
 from core.smc.particles import Particles

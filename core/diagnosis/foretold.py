@@ -12,9 +12,9 @@ from scipy.special import ndtr
 from core.calibration.space import nominal, shared_prior
 from core.calibration.state import RotorState, blade_posterior
 from core.calibration.target import BladeRows
+from core.curves import spread
 from core.discrepancy import total
 from core.model import Model
-from core.prediction import spread
 from core.rng import stream
 
 Array = NDArray[np.float64]

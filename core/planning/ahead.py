@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.state import Posterior, RotorState, blade_posterior
+from core.curves import corrected, inputs_of, noise_of
 from core.errors import InputError
 from core.model import Model
 from core.network import Quantity
 from core.observation import Inspection
-from core.prediction import corrected, inputs_of, noise_of
 from core.smc.particles import Particles, normalised
 
 Array = NDArray[np.float64]

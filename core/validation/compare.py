@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from core.calibration.state import Posterior, RotorSpec, RotorState, blade_posterior
 from core.calibration.target import DEGREE
+from core.curves import inputs_of
 from core.errors import InputError
 from core.model import Model
-from core.prediction import inputs_of
 
 Array = NDArray[np.float64]
 MEAN, SPREAD, CORRELATION, EVIDENCE = 0.1, 0.05, 0.05, 0.1

@@ -18,9 +18,10 @@ from scipy.special import ndtr
 
 from core.calibration.online import update
 from core.calibration.state import Posterior, RotorSpec, blade_posterior, shared_posterior
+from core.curves import corrected, inputs_of, noise_of
 from core.errors import BladetwinError, InputError
 from core.model import Model
-from core.prediction import corrected, inputs_of, noise_of, predict
+from core.prediction import predict
 from core.prior import Prior
 from core.rng import stream
 from core.validation.records import Record, code_digest, records

@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-import io
-import json
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from service.client import answers
-from service.client.errors import MissingError
-from service.client.steps import Call, Json, Steps, ask, fetch, path, told
-
-
-def _of(rotor: str, blade: str | None, what: str) -> str:
-    parts = ("rotors", rotor) + (() if blade is None else ("blades", blade))
-    return path(*parts, what)
+from service.client.asking import below, listed, of_prediction
+from service.client.steps import Call, Json, Steps, ask, path, told
 
 
 def posterior(
     rotor: str, blade: str | None = None, *, version: int | None = None, at: str | None = None
 ) -> Steps[answers.RotorPosterior]:
     """The shared parameters' posterior, or one blade's; of a version, or as of a moment."""
-    return ask("GET", _of(rotor, blade, "posterior"), params=told(version=version, at=at))
+    return ask("GET", below(rotor, blade, "posterior"), params=told(version=version, at=at))
 
 
 def prediction(
@@ -46,8 +34,8 @@ def prediction(
 
     ``answer["health"]["trusted"]`` is False where the state behind it says why it is not.
     """
-    params = _asked(quantity, times, node, probability, instrument, version, at)
-    return ask("GET", _of(rotor, blade, "prediction"), params=params)
+    params = of_prediction(quantity, times, node, probability, instrument, version, at)
+    return ask("GET", below(rotor, blade, "prediction"), params=params)
 
 
 def life(
@@ -73,13 +61,13 @@ def life(
     params = told(
         limit=limit,
         quantity=quantity,
-        times=_listed(times),
+        times=listed(times),
         node=node,
         component=component,
         version=version,
         at=at,
     )
-    return ask("GET", _of(rotor, blade, "life"), params=params)
+    return ask("GET", below(rotor, blade, "life"), params=params)
 
 
 def series(
@@ -101,7 +89,7 @@ def series(
     params = told(
         quantity=quantity,
         blade=blade,
-        times=_listed(times),
+        times=listed(times),
         node=node,
         component=component,
         probability=probability,
@@ -109,64 +97,6 @@ def series(
         at=at,
     )
     return Call("GET", path("rotors", rotor, "series"), params)
-
-
-def prediction_csv(
-    rotor: str,
-    blade: str,
-    quantity: str | None = None,
-    *,
-    times: Sequence[float] | None = None,
-    node: int | str | None = None,
-    probability: float = 0.95,
-    instrument: str | None = None,
-    version: int | None = None,
-    at: str | None = None,
-) -> Steps[bytes]:
-    """The same bands as CSV in UTF-8, a row for each hour (and x, y, z)."""
-    params = _asked(quantity, times, node, probability, instrument, version, at)
-    return fetch(_of(rotor, blade, "prediction"), params | {"format": "csv"})
-
-
-def prediction_sensorthings(
-    rotor: str,
-    blade: str,
-    quantity: str | None = None,
-    *,
-    times: Sequence[float] | None = None,
-    node: int | str | None = None,
-    probability: float = 0.95,
-    instrument: str | None = None,
-    version: int | None = None,
-    at: str | None = None,
-) -> Steps[bytes]:
-    """The same bands as a SensorThings Datastream, an Observation for each hour (JSON)."""
-    params = _asked(quantity, times, node, probability, instrument, version, at)
-    return fetch(_of(rotor, blade, "prediction"), params | {"format": "sensorthings"})
-
-
-def _listed(times: Sequence[float] | None) -> str | None:
-    return None if times is None else ",".join(repr(float(t)) for t in times)
-
-
-def _asked(
-    quantity: str | None,
-    times: Sequence[float] | None,
-    node: int | str | None,
-    probability: float,
-    instrument: str | None,
-    version: int | None,
-    at: str | None,
-) -> dict[str, str]:
-    return told(
-        quantity=quantity,
-        times=_listed(times),
-        node=node,
-        probability=probability,
-        instrument=instrument,
-        version=version,
-        at=at,
-    )
 
 
 def draws(
@@ -179,55 +109,7 @@ def draws(
 ) -> Steps[Json]:
     """Equally weighted draws: of a blade's parameters, or jointly of all blades'."""
     params = told(count=count, version=version, at=at)
-    return ask("GET", _of(rotor, blade, "draws"), params=params)
-
-
-def draws_netcdf(
-    rotor: str,
-    blade: str | None = None,
-    *,
-    count: int | None = None,
-    version: int | None = None,
-    at: str | None = None,
-    groups: Sequence[str] | None = None,
-) -> Steps[bytes]:
-    """Joint draws as netCDF in ArviZ's schema: dimensions chain, draw and blade, with units.
-
-    groups   beside the posterior: of `prior` and `posterior_predictive` (None: both), and
-             `particles`, the weighted ones
-    """
-    some = None if groups is None else ",".join(("posterior", *groups))
-    params = told(count=count, version=version, at=at, groups=some, format="netcdf")
-    return fetch(_of(rotor, blade, "draws"), params)
-
-
-def draws_arviz(
-    rotor: str,
-    blade: str | None = None,
-    *,
-    count: int | None = None,
-    version: int | None = None,
-    at: str | None = None,
-    groups: Sequence[str] | None = None,
-) -> Steps[Any]:
-    """Joint draws as ArviZ has them in memory (InferenceData; from ArviZ 1.0 on a DataTree).
-
-    groups   as of `draws_netcdf`
-
-    Raises MissingError where ArviZ is not installed (extra `notebook`).
-    """
-    try:
-        import arviz
-    except ModuleNotFoundError:
-        raise MissingError("arviz", "notebook") from None
-    body = yield from draws_netcdf(rotor, blade, count=count, version=version, at=at, groups=groups)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "draws.nc")
-        file.write_bytes(body)
-        opened = arviz.from_netcdf(str(file))
-        found = opened.load()
-        opened.close()
-    return found
+    return ask("GET", below(rotor, blade, "draws"), params=params)
 
 
 def field(
@@ -241,87 +123,7 @@ def field(
 ) -> Steps[answers.Field]:
     """Mean and sd of a field at every node at one hour, without a reading's noise."""
     params = told(quantity=quantity, time_h=time_h, version=version, at=at)
-    return ask("GET", _of(rotor, blade, "field"), params=params)
-
-
-def field_vtu(
-    rotor: str,
-    blade: str,
-    quantity: str | None = None,
-    *,
-    time_h: float | None = None,
-    version: int | None = None,
-    at: str | None = None,
-) -> Steps[bytes]:
-    """The same field on the model's mesh, as a VTU file (ParaView, PyVista, meshio)."""
-    params = told(quantity=quantity, time_h=time_h, version=version, at=at, format="vtu")
-    return fetch(_of(rotor, blade, "field"), params)
-
-
-def field_pvd(
-    rotor: str,
-    blade: str | None = None,
-    quantity: str | None = None,
-    *,
-    times: Sequence[float] | None = None,
-    blades: Sequence[str] | None = None,
-    version: int | None = None,
-    at: str | None = None,
-) -> Steps[bytes]:
-    """A field over hours as a zip of a PVD and its VTU files (ParaView, PyVista).
-
-    blade    None: those of the rotor, around its axis; `blades`: of these alone
-    times    [h], rising; None: the model's instants
-    """
-    hours, some = _listed(times), None if blades is None else ",".join(blades)
-    params = told(quantity=quantity, times=hours, blades=some, version=version, at=at, format="pvd")
-    return fetch(_of(rotor, blade, "field"), params)
-
-
-def field_npz(
-    rotor: str,
-    blade: str,
-    quantity: str | None = None,
-    *,
-    times: Sequence[float] | None = None,
-    version: int | None = None,
-    at: str | None = None,
-) -> Steps[bytes]:
-    """A field over hours as a numpy file: `time_h`, `mean`, `sd`, `unit`, `facts`."""
-    hours = _listed(times)
-    params = told(quantity=quantity, times=hours, version=version, at=at, format="npz")
-    return fetch(_of(rotor, blade, "field"), params)
-
-
-def field_arrow(
-    rotor: str,
-    blade: str,
-    quantity: str | None = None,
-    *,
-    times: Sequence[float] | None = None,
-    version: int | None = None,
-    at: str | None = None,
-) -> Steps[bytes]:
-    """The same as an Arrow IPC stream: a batch for each hour, a row for each node."""
-    hours = _listed(times)
-    params = told(quantity=quantity, times=hours, version=version, at=at, format="arrow")
-    return fetch(_of(rotor, blade, "field"), params)
-
-
-def field_series(
-    rotor: str,
-    blade: str,
-    quantity: str | None = None,
-    *,
-    times: Sequence[float] | None = None,
-    version: int | None = None,
-    at: str | None = None,
-) -> Steps[Json]:
-    """The same in memory: `time_h` (T,), `mean` and `sd` (T, N) or (T, N, 3), `unit`, `facts`."""
-    body = yield from field_npz(rotor, blade, quantity, times=times, version=version, at=at)
-    with np.load(io.BytesIO(body)) as found:
-        arrays = {name: found[name] for name in found.files}
-    return arrays | {"unit": str(arrays["unit"]), "facts": json.loads(str(arrays["facts"]))}
+    return ask("GET", below(rotor, blade, "field"), params=params)
 
 
 def plan(

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from core.errors import BladetwinError
-from service.client import beliefs, framed
+from service.client import beliefs, files, framed
 from service.client import readings as of_readings
 from service.client import rotors as of_rotors
 from service.client.steps import Call, Json, Steps, checked, path, told
@@ -146,7 +146,7 @@ def draws_frame(
     Of a blade: rows by draw. Jointly of all blades: rows by (draw, blade), where the blades of a
     draw share what is shared. `attrs`: units and level (shared, local) of the parameters, health.
     """
-    body = yield from beliefs.draws_netcdf(
+    body = yield from files.draws_netcdf(
         rotor, blade, count=count, version=version, at=at, groups=()
     )
     return framed.draws(body, joint=blade is None)
@@ -165,7 +165,7 @@ def field_xarray(
 
     times    [h], rising; None: the model's instants
     """
-    answer: Any = yield from beliefs.field_series(
+    answer: Any = yield from files.field_series(
         rotor, blade, quantity, times=times, version=version, at=at
     )
     return framed.field(answer)

@@ -7,6 +7,7 @@ from typing import Any
 from service.client import answers as _answers
 from service.client import beliefs as _beliefs
 from service.client import diagnoses as _diagnoses
+from service.client import files as _files
 from service.client import frames as _frames
 from service.client import models as _models
 from service.client import readings as _readings
@@ -47,19 +48,19 @@ class Calls:
     residuals = call(_readings.residuals)
     posterior = call(_beliefs.posterior)
     prediction = call(_beliefs.prediction)
-    prediction_csv = call(_beliefs.prediction_csv)
-    prediction_sensorthings = call(_beliefs.prediction_sensorthings)
+    prediction_csv = call(_files.prediction_csv)
+    prediction_sensorthings = call(_files.prediction_sensorthings)
     life = call(_beliefs.life)
     series = pages(_beliefs.series, _answers.SeriesRow)
     draws = call(_beliefs.draws)
-    draws_netcdf = call(_beliefs.draws_netcdf)
-    draws_arviz = call(_beliefs.draws_arviz)
+    draws_netcdf = call(_files.draws_netcdf)
+    draws_arviz = call(_files.draws_arviz)
     field = call(_beliefs.field)
-    field_vtu = call(_beliefs.field_vtu)
-    field_pvd = call(_beliefs.field_pvd)
-    field_npz = call(_beliefs.field_npz)
-    field_arrow = call(_beliefs.field_arrow)
-    field_series = call(_beliefs.field_series)
+    field_vtu = call(_files.field_vtu)
+    field_pvd = call(_files.field_pvd)
+    field_npz = call(_files.field_npz)
+    field_arrow = call(_files.field_arrow)
+    field_series = call(_files.field_series)
     plan = call(_beliefs.plan)
     readings_frame = call(_frames.readings_frame)
     prediction_frame = call(_frames.prediction_frame)

@@ -26,7 +26,8 @@ from service.store import intact
 from service.store import tables as t
 from service.store.encoding import DamagedArrayError, Encoded, decode
 from service.store.log import read_entries
-from service.store.states import ENDED, digests, stored
+from service.store.states import digests, stored
+from service.store.versions import ENDED
 
 Part = Literal["log", "state", "array", "model"]
 

@@ -36,13 +36,14 @@ def adaptive(
     from dataclasses import asdict
 
     from core.validation import adaptive as study
+    from core.validation.adaptive_counts import summary
 
     start, made_by = time.monotonic(), commit()
     chosen = study.Study(seeds=seeds, designs=designs, pool=pool, seed=seed)
     with steps(quiet=False) as progress:
         rows = study.run(chosen, work, processes=processes, progress=progress)
     facts: dict[str, Any] = {"study": asdict(chosen), "runs_by": "finite elements, mesh coarse"}
-    facts |= {"seconds": round(time.monotonic() - start, 1), "summary": study.summary(rows)}
+    facts |= {"seconds": round(time.monotonic() - start, 1), "summary": summary(rows)}
     write(facts | {"seeds": rows}, made_by, out)
     if out is not None:
         curves_plot(rows, out / "error.png")

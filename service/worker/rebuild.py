@@ -32,8 +32,9 @@ from service.store.audit import Finding, array_problem, array_row
 from service.store.encoding import Encoded, decode, encode
 from service.store.engine import snapshot, transaction
 from service.store.log import read_entries
-from service.store.states import ENDED, digests, stored, thin
+from service.store.states import digests, stored
 from service.store.unit_of_work import SqlStore
+from service.store.versions import ENDED, thin
 from service.worker import claiming
 from service.worker import lease as leases
 from service.worker.lease import Lease

@@ -26,8 +26,8 @@ from service.settings import Settings
 from service.store.encoding import Encoded, encode
 from service.store.engine import transaction
 from service.store.outbox import trim
-from service.store.states import thin, write_state
 from service.store.unit_of_work import SqlStore
+from service.store.versions import thin, write_state
 from service.tracing import span
 from service.worker import claiming
 from service.worker import lease as leases

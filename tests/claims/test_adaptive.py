@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from core.validation.adaptive import Point, Study, ratios, summary
+from core.validation.adaptive import Study
+from core.validation.adaptive_counts import Point, ratios, summary
 
 ROOT = Path(__file__).parent.parent.parent
 

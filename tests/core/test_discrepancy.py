@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from core.calibration.state import Posterior
+from core.curves import instrument_of, noise_of
 from core.discrepancy import HELD, affine, modes, parameters
 from core.errors import InputError
 from core.model import Model
 from core.network import Discrepancy, Network, Parameter, Quantity, rotor_blade_network
-from core.prediction import instrument_of, noise_of, predict
+from core.prediction import predict
 from core.prior import Prior
 from core.smc.particles import Particles
 from tests.core.calibration.drifting import HORIZON, KINDS, LOCAL_SD, drifting

@@ -11,11 +11,12 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from core.calibration.state import Posterior
+from core.curves import curves
 from core.errors import InputError, RangeError
 from core.life import Life, life
 from core.model import Model, rotor_blade
 from core.network import Network, Parameter, Quantity
-from core.prediction import QUANTILES, curves
+from core.prediction import QUANTILES
 from core.prior import Prior
 from core.smc.particles import Particles
 from core.surrogate.formula import FormulaInput, FormulaModel

@@ -16,8 +16,8 @@ from service.moments import moment
 from service.ports import BladeRecord
 from service.settings import Settings
 from service.store.engine import transaction
-from service.store.states import thin
 from service.store.unit_of_work import SqlStore
+from service.store.versions import thin
 from service.worker.loop import Worker
 
 Make = Callable[..., Inspection]

@@ -28,8 +28,9 @@ from service.store import tables as t
 from service.store.cache import OVERHEAD, ArrayCache
 from service.store.encoding import DamagedArrayError, decode, encode
 from service.store.engine import open_engine, transaction
-from service.store.states import digests, thin, write_state
+from service.store.states import digests
 from service.store.unit_of_work import SqlStore
+from service.store.versions import thin, write_state
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]

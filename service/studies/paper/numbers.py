@@ -23,9 +23,10 @@ from core.builtin.inspection_plan import (
     blades,
 )  # fmt: skip
 from core.calibration.state import Posterior
+from core.curves import noise_of
 from core.diagnosis.pictures import quantiles
 from core.model import Model
-from core.prediction import noise_of, predict
+from core.prediction import predict
 from core.validation.paper import SHOWN, THETA_SD, Stage, model_with, readings_of
 from core.validation.paper_above import LEVELS
 from core.validation.paper_scan import Scan

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from core.validation import adaptive_truth as truth
-from core.validation.adaptive import Point, Study, ratios, run_formula, runs_needed, summary
+from core.validation.adaptive import Study, run_formula
+from core.validation.adaptive_counts import Point, ratios, runs_needed, summary
 
 
 def curve(*pairs: tuple[int, float]) -> list[Point]:
