@@ -29,6 +29,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.model",),
     ("core.discrepancy",),
     ("core.calibration",),
+    ("core.curves",),
     ("core.prediction",),
     ("core.life", "core.planning", "core.diagnosis", "core.posterior_region"),
     ("core.validation",),
