@@ -150,17 +150,29 @@ def curves(found: Sequence[Record]) -> dict[str, list[dict[str, float]]]:
     return out
 
 
+def points(found: Mapping[str, Sequence[Mapping[str, float]]]) -> list[tuple[str, float]]:
+    """(condition, size) of every point of the curves but the clean one.
+
+    >>> points({"sound": [{"size": 0.0}], "gain": [{"size": 1.0}, {"size": 2.0}]})
+    [('gain', 1.0), ('gain', 2.0)]
+    """
+    return [(name, row["size"]) for name, rows in found.items() for row in rows if row["size"] > 0]
+
+
 def bounds(
-    found: Mapping[str, Sequence[Mapping[str, float]]], seed: int, particles: int, plan: str
+    asked: Sequence[tuple[str, float]],
+    seed: int,
+    particles: int,
+    plan: str,
+    progress: Callable[[int], None] | None = None,
 ) -> dict[str, list[dict[str, Any]]]:
-    """Of each point of the curves but the clean one, the chance of an alarm that an oracle has."""
+    """Of each of these points the chance of an alarm that an oracle has."""
     work, chosen = Workspace(), plan_of(plan)
     out: dict[str, list[dict[str, Any]]] = {}
-    for condition, rows in found.items():
-        for row in rows:
-            if row["size"] == 0:
-                continue
-            given = made(chosen, condition, 0, seed, particles, row["size"])
-            alarm = possible(_model(), given, seed, work).alarm
-            out.setdefault(condition, []).append({"size": row["size"], "alarm": round(alarm, 3)})
+    for done, (condition, size) in enumerate(asked):
+        given = made(chosen, condition, 0, seed, particles, size)
+        alarm = possible(_model(), given, seed, work).alarm
+        out.setdefault(condition, []).append({"size": size, "alarm": round(alarm, 3)})
+        if progress is not None:
+            progress(done + 1)
     return out

@@ -54,7 +54,9 @@ def power(
             progress=lambda done, total: step(done),
         )
     curves = study.curves(found)
-    best = study.bounds(curves, seed, particles, plan)
+    asked_of = study.points(curves)
+    with bar("what is possible", len(asked_of)) as step:
+        best = study.bounds(asked_of, seed, particles, plan, step)
     facts: dict[str, Any] = {
         "plan": plan,
         "seed": seed,
