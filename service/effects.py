@@ -31,7 +31,7 @@ from core.diagnosis import (
     to_json,
 )
 from core.diagnosis.clock import with_offsets
-from core.diagnosis.grammar import families_for
+from core.diagnosis.families import families_for
 from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
 from core.diagnosis.rivals import splitting

@@ -2,10 +2,12 @@
 
 scores      what the calibrated particles say of a shift in the readings; scoring: from a state
 case        a rotor to be diagnosed
-grammar     what a model may lack: families of effects, and the cells that readings can tell of
+families    what a model may lack: the built-in effects, by name
+grammar     the cells of such families that readings can tell of
 clock       the rotor's hours of a reading
 signature   how a cell would move the readings
 scan        every cell and pair against the residuals, with a null of their own
+hypotheses  cells and pairs with their evidence
 verdict     adequate | effect | not separable | unattributed
 adopt       an effect in the model, as a calibrated amplitude
 diagnose    all of it in turn
@@ -15,14 +17,15 @@ transfer    whether an effect holds in another condition
 report      before and after, on readings that neither model used
 residuals   every reading predicted from the visits before it; omnibus: tests of what they should be
 left_out    each reading as predicted without itself
-pictures    what a report draws
+pictures    what a report draws; densities: of amplitudes and parameters
 separate    which inspections would tell rivals apart; rivals: for a set that is not separable
 tell        as JSON
 """
 
 from core.diagnosis.case import Case
 from core.diagnosis.diagnose import Diagnosis, diagnose
-from core.diagnosis.grammar import FAMILIES, Facts
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Facts
 from core.diagnosis.report import BeforeAfter, before_after
 from core.diagnosis.tell import to_json
 from core.family import Family

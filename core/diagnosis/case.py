@@ -9,8 +9,9 @@ from core.calibration.state import RotorSpec, RotorState, shared_posterior
 from core.diagnosis.adopt import typical_noise
 from core.diagnosis.clock import readers
 from core.diagnosis.conclude import Rival
+from core.diagnosis.families import families_for
 from core.diagnosis.following import Physics
-from core.diagnosis.grammar import Cell, Facts, cells, families_for
+from core.diagnosis.grammar import Cell, Facts, cells
 from core.diagnosis.halves import halves
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores

@@ -20,18 +20,8 @@ import numpy as np
 
 from core.calibration.state import RotorState
 from core.diagnosis.grammar import Cell
-from core.diagnosis.verdict import (
-    DISAGREE,
-    LEAST,
-    LEFT,
-    MOST_NAMES,
-    NAMED,
-    Held,
-    Hypothesis,
-    Verdict,
-    credible,
-    evidence_of,
-)
+from core.diagnosis.hypotheses import LEAST, Hypothesis, credible, evidence_of
+from core.diagnosis.verdict import DISAGREE, LEFT, MOST_NAMES, NAMED, Held, Verdict
 from core.model import Model
 
 SHOWN = 20

@@ -13,9 +13,9 @@ from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, apart, reweighed
 from core.diagnosis.expected import joined, without
 from core.diagnosis.grammar import Cell
+from core.diagnosis.hypotheses import weighed as weighed_all
 from core.diagnosis.scan import Scan
 from core.diagnosis.verdict import LEFT, Verdict, judge
-from core.diagnosis.verdict import weighed as weighed_all
 from core.errors import InputError
 from core.model import Model
 

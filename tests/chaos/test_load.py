@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from service.studies.load import aims, demand, run, trend
+from service.studies.load import aims, backlog, demand, run, trend
 from service.studies.load.crowd import Answered, Crowd
 from service.studies.load.table import table
 
@@ -190,6 +190,6 @@ def test_a_latency_without_an_aim_or_without_an_answer_is_not_judged() -> None:
 
 
 def test_a_backlog_is_worked_off_by_two_workers(database_url: str, tmp_path: Path) -> None:
-    told = run.worked_off(plan(rotors=6), database_url, 2, 60, tmp_path / "log")
+    told = backlog.worked_off(plan(rotors=6), database_url, 2, 60, tmp_path / "log")
     assert (told["workers"], told["entries"]) == (2, 60)
     assert told["entries_per_s"] > 0

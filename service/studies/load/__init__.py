@@ -9,5 +9,6 @@ a server that stands still for a second delays all that were due in it, and all 
     watch    memory of each process, backlog, size of the database, while it runs
     trend    windows, percentiles, and whether something grows (Theil-Sen)
     aims     what it is held against
-    run      all of it together; scaling: a backlog worked off by one worker and by two
+    run      all of it together
+    backlog  one that is worked off by one worker, and one by two
 """

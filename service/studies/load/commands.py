@@ -73,7 +73,7 @@ def load(
     out: Annotated[Path | None, typer.Option(help="Folder of the result.")] = None,
 ) -> None:
     """A real server under load: latencies, memory and backlog over time, and what grows."""
-    from service.studies.load import aims
+    from service.studies.load import aims, backlog
     from service.studies.load import run as study
     from service.studies.load.plots import course_plot
     from service.studies.load.table import table
@@ -99,7 +99,7 @@ def load(
                 with bar(f"backlogs, {name}", 2 * pairs) as step:
                     for number, n in enumerate(aims.order(pairs)):
                         rows.append(
-                            study.worked_off(plan, url(f"backlog_{number}"), n, scaling, log)
+                            backlog.worked_off(plan, url(f"backlog_{number}"), n, scaling, log)
                         )
                         step(number + 1)
                 told |= {"scaling": rows, "gain": aims.gain(rows)}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from core.builtin.inspection_plan import Plan
 from core.calibration.space import shared_prior
 from core.calibration.state import Posterior
-from core.diagnosis.pictures import density, quantiles
+from core.diagnosis.densities import density, quantiles
 from core.model import Model
 from core.prior import Prior
 from core.validation.paper import Case, Strategy, model_with

@@ -24,7 +24,7 @@ from core.builtin.inspection_plan import (
 )  # fmt: skip
 from core.calibration.state import Posterior
 from core.curves import noise_of
-from core.diagnosis.pictures import quantiles
+from core.diagnosis.densities import quantiles
 from core.model import Model
 from core.prediction import predict
 from core.validation.paper import SHOWN, THETA_SD, Stage, model_with, readings_of

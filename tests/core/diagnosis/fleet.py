@@ -8,7 +8,8 @@ import numpy as np
 
 from core.calibration.target import assemble
 from core.diagnosis.clock import readers
-from core.diagnosis.grammar import FAMILIES, Cell, Facts, cells
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell, Facts, cells
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import signatures, unnamed

@@ -8,8 +8,10 @@ import pytest
 
 from core.diagnosis import conclude as module
 from core.diagnosis.conclude import Rival, Turn, apart, conclude, reweighed
-from core.diagnosis.grammar import FAMILIES, Cell
-from core.diagnosis.verdict import Held, Hypothesis, Verdict
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell
+from core.diagnosis.hypotheses import Hypothesis
+from core.diagnosis.verdict import Held, Verdict
 from core.family import Shape
 
 NOTHING: Any = None

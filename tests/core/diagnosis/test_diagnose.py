@@ -18,10 +18,12 @@ from core.diagnosis import Case, Diagnosis, Facts, diagnose, to_json
 from core.diagnosis import diagnose as module_function
 from core.diagnosis.adopt import amplitude, frees, with_effects
 from core.diagnosis.conclude import Turn
-from core.diagnosis.grammar import FAMILIES, Cell, families_for
+from core.diagnosis.families import FAMILIES, families_for
+from core.diagnosis.grammar import Cell
+from core.diagnosis.hypotheses import Hypothesis
 from core.diagnosis.pictures import pictures
 from core.diagnosis.search import Search
-from core.diagnosis.verdict import LEFT, Hypothesis
+from core.diagnosis.verdict import LEFT
 from core.errors import InputError
 from core.family import Family
 from core.model import Model

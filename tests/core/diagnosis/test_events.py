@@ -10,7 +10,8 @@ import pytest
 from core.calibration.online import RotorSpec, update
 from core.calibration.state import blade_posterior
 from core.diagnosis.adopt import with_effects
-from core.diagnosis.grammar import FAMILIES, Cell, Facts
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.masks import masks
 from core.diagnosis.scoring import scores
 from core.errors import InputError

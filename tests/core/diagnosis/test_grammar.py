@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from core.diagnosis.clock import readers, with_offsets
-from core.diagnosis.grammar import FAMILIES, Cell, Facts, Readers, cells
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell, Facts, Readers, cells
 from core.errors import InputError
 from core.family import Family
 from core.observation import Inspection

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
-from core.diagnosis.pictures import density, leans, quantiles
+from core.diagnosis.densities import density, leans, quantiles
 from core.diagnosis.report import score
 from core.observation import Inspection
 from core.prediction import predict

@@ -13,9 +13,10 @@ from core.course import Course, Drift, How
 from core.diagnosis import Case, Facts
 from core.diagnosis.adopt import _room, with_effects
 from core.diagnosis.conclude import Rival
-from core.diagnosis.grammar import FAMILIES, Cell
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell
+from core.diagnosis.hypotheses import Hypothesis
 from core.diagnosis.search import Search
-from core.diagnosis.verdict import Hypothesis
 from core.errors import InputError
 from core.model import Model, rotor_blade_wide
 from core.observation import Inspection

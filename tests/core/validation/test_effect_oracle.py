@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.diagnosis.grammar import FAMILIES, Cell
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell
 from core.errors import InputError
 from core.model import rotor_blade_wide
 from core.validation import effect_oracle as oracle
