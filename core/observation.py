@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Any, Literal, Protocol
@@ -219,8 +219,9 @@ def effective(entries: Iterable[Entry]) -> tuple[Inspection, ...]:
     """The readings that count, ordered by (time, id).
 
     A reading counts unless it was retracted or replaced. Retracting a correction brings what it
-    replaced back; a chain of corrections counts by its last link. The result depends on the set
-    of entries only, not on their order.
+    replaced back; a chain of corrections counts by its last link. Of two corrections of one reading
+    both count: which came later would be a matter of arrival. The result depends on the set of
+    entries only, not on their order.
 
     >>> a = Inspection("a", "B1", "elongation", 8000.0, np.array([0.10]))
     >>> b = Inspection("b", "B1", "elongation", 8000.0, np.array([0.11]), replaces="a")
@@ -237,9 +238,42 @@ def effective(entries: Iterable[Entry]) -> tuple[Inspection, ...]:
         for e in entries
         if e.inspection is not None and e.inspection.id not in gone
     }
-    replaced = {i.replaces for i in standing.values() if i.replaces is not None}
-    counts = [i for i in standing.values() if i.id not in replaced]
+    over = replaced(
+        {
+            e.inspection.id: e.inspection.replaces
+            for e in entries
+            if e.inspection is not None and e.inspection.replaces is not None
+        },
+        gone,
+    )
+    counts = [i for i in standing.values() if i.id not in over]
     return tuple(sorted(counts, key=lambda i: (i.time_h, i.id)))
+
+
+def replaced(corrections: Mapping[str, str], gone: Collection[str]) -> set[str]:
+    """Of the readings that are not retracted, the ids of those that are replaced.
+
+    A correction that stands replaces the next one up its chain that is not retracted: through one
+    that is, a reading stays replaced. None replaces itself.
+
+    corrections   by the id of each, the id that it names
+    gone          ids of what was retracted
+
+    >>> replaced({"b": "a", "c": "b"}, {"b"})
+    {'a'}
+    """
+    found = set[str]()
+    for own, named in corrections.items():
+        if own in gone:
+            continue
+        above: str | None = named
+        passed = {own}
+        while above is not None and above in gone and above not in passed:
+            passed.add(above)
+            above = corrections.get(above)
+        if above is not None and above not in passed:
+            found.add(above)
+    return found
 
 
 def digest_of(readings: Iterable[Inspection]) -> str:

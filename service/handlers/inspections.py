@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from core.errors import InputError
 from core.network import Network
-from core.observation import Covers, Inspection, faults
+from core.observation import Covers, Inspection, faults, replaced
 from service.errors import FaultsError, NotFoundError
 from service.handlers.rotors import digest_of_json
 from service.ports import Appended, Event, Json, NewEvent, Store
@@ -194,11 +194,12 @@ def pages_of(store: Store, log: Log, blade: str | None) -> Pages:
 
 
 def _listed(events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed]:
-    gone = {e.replaces for e in overruling if e.kind == "retraction"}
-    replaced = {e.replaces for e in overruling if e.kind == "inspection" and e.event_id not in gone}
+    named = [(e.kind, e.event_id, e.replaces) for e in overruling if e.replaces is not None]
+    gone = {target for kind, _, target in named if kind == "retraction"}
+    over = replaced({own: target for kind, own, target in named if kind == "inspection"}, gone)
 
     def status(event_id: str) -> str:
-        return "retracted" if event_id in gone else "replaced" if event_id in replaced else "counts"
+        return "retracted" if event_id in gone else "replaced" if event_id in over else "counts"
 
     return [
         Listed(e.seq, e.received_at, status(e.event_id), json.loads(e.body), e.posted_by)

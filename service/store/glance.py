@@ -25,15 +25,20 @@ def _gone(rotor_id: str) -> Select[Any]:
     return select(e.replaces).where(e.rotor_id == rotor_id, e.kind == "retraction")
 
 
+def _replaced(rotor_id: str) -> Select[Any]:
+    """Ids of what is replaced, `core.observation.replaced` in SQL: up the chain of each correction
+    that stands, through those that are retracted."""
+    own = (e.rotor_id == rotor_id, e.kind == "inspection", e.replaces.is_not(None))
+    first = select(e.event_id.label("tip"), e.replaces.label("above"))
+    chain = first.where(*own, e.event_id.not_in(_gone(rotor_id))).cte("chain", recursive=True)
+    further = select(chain.c.tip, e.replaces).join(t.entry, e.event_id == chain.c.above)
+    chain = chain.union(further.where(*own, e.event_id.in_(_gone(rotor_id))))
+    return select(chain.c.above).where(chain.c.above != chain.c.tip)
+
+
 def read_blade_readings(connection: Connection, rotor_id: str) -> dict[str, BladeReadings]:
     """By blade: how many readings count, how many do not, and the one that counts and came last."""
-    corrected = select(e.replaces).where(
-        e.rotor_id == rotor_id,
-        e.kind == "inspection",
-        e.replaces.is_not(None),
-        e.event_id.not_in(_gone(rotor_id)),
-    )
-    overruled = or_(e.event_id.in_(_gone(rotor_id)), e.event_id.in_(corrected))
+    overruled = or_(e.event_id.in_(_gone(rotor_id)), e.event_id.in_(_replaced(rotor_id)))
     per_blade = (
         select(
             e.blade,

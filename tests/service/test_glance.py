@@ -59,6 +59,22 @@ def test_readings_of_each_blade_are_counted_by_what_counts(api: httpx.Client, to
     assert (again["B1"]["counting"], again["B1"]["overruled"]) == (1, 1)
 
 
+def test_status_and_count_follow_a_chain_through_a_retracted_correction(
+    api: httpx.Client, rotor: str, post: Post, reading: Reading, worker: Worker
+) -> None:
+    post(rotor, reading("a"), reading("b", replaces="a"), reading("c", replaces="b"))
+    post(rotor, reading("x", replaces="y"), reading("y", replaces="x"))
+    for retracted, counting in (("b", "c"), ("c", "a"), ("y", "ax")):
+        api.post(f"{ROTOR}/inspections/{retracted}/retraction")
+        worker.drain()
+        items = api.get(f"{ROTOR}/inspections").json()["items"]
+        assert "".join(i["id"] for i in items if i["status"] == "counts") == counting
+        alone = [api.get(f"{ROTOR}/inspections/{i['id']}").json()["status"] for i in items]
+        assert alone == [i["status"] for i in items]
+        found = api.get(f"{ROTOR}/blades").json()["items"][0]["readings"]
+        assert (found["counting"], found["last"]["id"]) == (len(counting), counting[-1])
+
+
 def test_blades_come_in_pages(api: httpx.Client, told: str) -> None:
     first = api.get(f"{ROTOR}/blades?limit=2").json()
     second = api.get(f"{ROTOR}/blades?limit=2&cursor={first['next']}").json()

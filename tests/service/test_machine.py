@@ -98,7 +98,14 @@ class Modelled:
         """(number, id, status) of every reading."""
         gone = {n.partition("/")[2] for n, _ in self.entries if n.startswith("retraction/")}
         own = [(i, n, c) for i, (n, c) in enumerate(self.entries, 1) if "/" not in n]
-        over = {c["replaces"] for _, n, c in own if "replaces" in c and n not in gone}
+        names = {n: c.get("replaces") for _, n, c in own}
+        over = set()
+        for tip in names.keys() - gone:
+            above, passed = names[tip], {tip}
+            while above is not None and above not in passed:
+                passed.add(above)
+                above = names.get(above)
+            over |= passed - {tip}
         return [
             (i, n, "retracted" if n in gone else "replaced" if n in over else "counts")
             for i, n, _ in own
