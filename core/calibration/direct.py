@@ -24,7 +24,7 @@ from core.calibration import draws as drawing
 from core.calibration import kernel
 from core.calibration.boxes import Boxes, boxes, laid_out
 from core.calibration.layout import cut_offset
-from core.calibration.message import PARTS, BladeMessage, side_by_side, split
+from core.calibration.message import PARTS, BladeMessage, prior_draws, side_by_side, split
 from core.calibration.space import locals_of
 from core.calibration.vector import LANES
 from core.calibration.windows import Readings
@@ -122,7 +122,7 @@ class DirectMessage(BladeMessage):
         shift = self._constant + (found.rest - column) - math.log(per_node)
         if dim == 0:
             log_w = np.repeat((shift + found.sums)[:, None], per_node, axis=1)
-            return np.empty((n, per_node, 0)), log_w
+            return prior_draws(self.model, self.space, unit, per_node, rng)[0], log_w
         share = drawing.SHARE if dim == 3 else 1
         u = drawing.even_points(rng, n, per_node, share, dim)
         box, inside, log_share = _picked(found, u[:, :, 3 - dim])
@@ -141,6 +141,11 @@ class DirectMessage(BladeMessage):
                 f"{int(np.sum(~(log_w < np.inf)))} draws of a blade have no weight; its readings: "
                 f"{self.rows.y.tolist()[:12]}"
             )
+        every = locals_of(self.model)
+        if dim == len(every):
+            return values, log_w
+        touched, (values, _) = values, prior_draws(self.model, self.space, unit, per_node, rng)
+        values[:, :, [every.index(p) for p in locals_of(self.model, self._rows.names)]] = touched
         return values, log_w
 
     def _answered(self, unit: Array) -> tuple[Readings, Array]:

@@ -142,11 +142,17 @@ def shared_posterior(meta: Mapping[str, Any], get: Get) -> Posterior:
 def blade_posterior(meta: Mapping[str, Any], get: Get, blade: str) -> Posterior:
     """Joint posterior of one blade's local parameters and the shared ones, K·m particles.
 
-    Reads four arrays, whatever the size of the rotor.
+    Reads four arrays, whatever the size of the rotor. Raises ModelError where the draws do not
+    have a value of each local parameter.
     """
     local, log_w = get(f"blade/{blade}/local"), get(f"blade/{blade}/log_w")
     x, shared_log_w = get("shared/x"), get("shared/log_w")
     k, m, dim = local.shape
+    if dim != len(meta["local"]):
+        raise ModelError(
+            f"blade {blade}: draws of {dim} local parameters, the state names "
+            f"{len(meta['local'])}: {', '.join(meta['local'])}; rebuild it from the log"
+        )
     psi = np.concatenate([local.reshape(k * m, dim), np.repeat(x, m, axis=0)], axis=1)
     weights = (shared_log_w[:, None] + log_w).reshape(k * m)
     return Posterior((*meta["local"], *meta["shared"]), Particles(psi, weights))

@@ -108,19 +108,24 @@ def _box(model: Model, inputs: Iterable[Input]) -> tuple[Array, Array]:
     return low, high
 
 
+def _linear(parameter: Parameter, remedy: str) -> None:
+    """Refuse an input with a prior in log x: it is integrated over in x."""
+    if parameter.prior.log_scale:
+        raise InputError(
+            f"prior of {parameter.name}",
+            "log_uniform",
+            "cannot be calibrated as an input",
+            f"{remedy} and declare that, uniform",
+        )
+
+
 def _boxed(model: Model, response: Response) -> Response:
     """Rows on the boxes of the priors (known and dormant inputs keep the surrogate's)."""
     low, high = response.low.copy(), response.high.copy()
     for j, name in enumerate(response.names):
         parameter = model.network.parameter(name)
         if parameter.level in ("local", "shared"):
-            if parameter.prior.log_scale:
-                raise InputError(
-                    f"prior of {name}",
-                    "log_uniform",
-                    "cannot be calibrated as an input",
-                    "train the surrogate on its logarithm and declare that, uniform",
-                )
+            _linear(parameter, "train the surrogate on its logarithm")
             low[j], high[j] = parameter.prior.low, parameter.prior.high
     return response.reboxed(low, high)
 
@@ -198,6 +203,10 @@ def _answer(model: Model, reading: Inspection) -> Rows:
                 "has nodes, a closed form has none",
                 "declare a scalar",
             )
+        for i in part.inputs:
+            parameter = model.network.parameter(i.name)
+            if parameter.level == "local":  # a shared one enters exactly
+                _linear(parameter, "write the formula in its logarithm")
         own = part.rows(reading.quantity, times)
         return own.over(own.names, *_box(model, part.inputs))
     nodes = _node_of(model, reading)

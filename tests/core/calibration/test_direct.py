@@ -18,11 +18,13 @@ from core.builtin.creep_specimens import QUANTITY, strain
 from core.calibration import boxes, windows
 from core.calibration.collapsed import message_of
 from core.calibration.direct import DirectMessage
+from core.calibration.online import update
 from core.calibration.space import nominal, shared_space
+from core.calibration.state import RotorSpec, blade_posterior
 from core.calibration.target import assemble
 from core.calibration.windows import Readings, narrowed
 from core.errors import CalibrationError, InputError, ModelError
-from core.model import Model
+from core.model import Model, Stacked
 from core.network import Level, Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior
@@ -265,6 +267,57 @@ def test_a_local_parameter_of_unknown_direction_is_refused_and_a_shared_one_is_n
     rate = 0.4 + np.floor(80.0) / 200
     exact = -0.5 * ((0.8 - rate) / sigma) ** 2 - np.log(sigma * np.sqrt(2 * np.pi))
     assert value == pytest.approx(np.full(2, exact), abs=1e-9)
+
+
+@pytest.mark.parametrize("own", ["local", "shared"])
+def test_a_parameter_that_a_closed_form_does_not_see_keeps_its_prior(own: Level) -> None:
+    """y = l and z = m: a reading of y says nothing of m."""
+    box = Prior("uniform", 0.0, 1.0)
+    noise = Prior("log_uniform", 0.01, 1.0)
+    network = Network(
+        "two forms",
+        (Parameter("s", "shared", box), Parameter("l", own, box), Parameter("m", "local", box)),
+        tuple(Quantity(name, "1", "scalar", noise, -10.0, 10.0) for name in "yz"),
+    )
+    of_s, of_l, of_m = (FormulaInput(name, 0.0, 1.0) for name in "slm")
+    y = ClosedForm((of_s, of_l), {"y": lambda x, t: x[..., 1] + 0 * t}, "y", rising=("l",))
+    z = ClosedForm((of_m,), {"z": lambda x, t: x[..., 0] + 0 * t}, "z", rising=("m",))
+    model = Model(network, Stacked(((y, ("y",)), (z, ("z",)))))
+    read = Inspection("i", "a", "y", 1.0, np.array([0.3]), sigma=0.05)
+    state = update(model, RotorSpec("r", ("a",), 4000), [read])
+    found = blade_posterior(state.meta, state.arrays.__getitem__, "a")
+    w = found.particles.w
+    for name, mean, sd in (("l", 0.3, 0.05), ("m", 0.5, 12**-0.5)):
+        values = found.column(name)
+        assert w @ values == pytest.approx(mean, abs=0.05 * sd)
+        assert np.sqrt(w @ (values - mean) ** 2) == pytest.approx(sd, rel=0.05)
+
+
+def test_draws_that_lack_a_local_parameter_are_refused() -> None:
+    arrays = {"blade/a/local": np.zeros((2, 3, 1)), "blade/a/log_w": np.zeros((2, 3))}
+    arrays |= {"shared/x": np.zeros((2, 1)), "shared/log_w": np.zeros(2)}
+    meta = {"local": ["l", "m"], "shared": ["s"]}
+    with pytest.raises(ModelError, match=r"blade a: draws of 1 local .* 2: l, m"):
+        blade_posterior(meta, arrays.__getitem__, "a")
+
+
+def test_a_local_prior_in_log_x_is_refused_and_a_shared_one_enters_exactly() -> None:
+    """y = t x, x log-uniform: its message would be that of a uniform prior."""
+    form = ClosedForm(
+        (FormulaInput("x", 0.01, 1.0),), {"y": lambda x, t: t * x[..., 0]}, "line", rising=("x",)
+    )
+    readings = [Inspection("i", "a", "y", 1.0, np.array([0.3]), sigma=0.1)]
+
+    def model(level: Level) -> Model:
+        noise = Prior("log_uniform", 0.1, 1.0)
+        own = Parameter("x", level, Prior("log_uniform", 0.01, 1.0))
+        quantity = Quantity("y", "1", "scalar", noise, -10.0, 10.0)
+        return Model(Network("line", (own,), (quantity,)), form)
+
+    with pytest.raises(InputError, match=r"prior of x.*formula in its logarithm"):
+        assemble(model("local"), readings)
+    exact = -0.5 * ((0.3 - 0.01 * 100**0.4) / 0.1) ** 2 - np.log(0.1 * np.sqrt(2 * np.pi))
+    assert column_of(model("shared"), readings) == pytest.approx(np.full(2, exact), abs=1e-9)
 
 
 def test_what_needs_polynomials_says_so() -> None:
