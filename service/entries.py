@@ -28,7 +28,8 @@ def entry_of(event: Event) -> Entry:
                 "mend it: restore the database, or import the rotor from an exported file.",
                 event=event.event_id,
             )
-        return Entry(event.seq, "inspection", event.event_id, reading)
+        target = reading.id if reading.id == event.event_id else event.event_id  # one string
+        return Entry(event.seq, "inspection", target, reading)
     return Entry(event.seq, "retraction", event.replaces or "")
 
 

@@ -20,7 +20,7 @@ from service.outbound import networks
 
 PREFIX = "BLADETWIN_"
 # Names under the prefix that belong to the tests and not to the service.
-FOREIGN = frozenset({"BLADETWIN_TEST_DATABASE_URL"})
+FOREIGN = frozenset({"BLADETWIN_CHROMIUM", "BLADETWIN_TEST_DATABASE_URL"})  # of the tests
 ORIGIN = re.compile(r"https?://[a-z0-9.\-]+(:\d{1,5})?|https?://\[[0-9a-f:]+\](:\d{1,5})?")
 RATE_PER_S = 50.0  # of one caller, where keys are needed and nothing is set
 
@@ -148,7 +148,7 @@ class Settings(BaseModel):
     )
     rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
     readings_mb: float = Field(
-        32.0, ge=0, description="readings of further rotors that a worker keeps in memory, MiB"
+        64.0, ge=0, description="readings of further rotors that a worker keeps in memory, MiB"
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="least level that is logged"
