@@ -240,15 +240,28 @@ class Driven:
 
     def _compiled(self, times: Array, what: Rows, degree: int) -> Response:
         """Rows in the order of (time, row)."""
+        self.base.check_times(times)
         low, high = np.array([(i.low, i.high) for i in self.inputs]).T
         z, factor = fitting(len(low), degree)
-        mean, sd, ceeq = self._along(low + 0.5 * (z + 1.0) * (high - low), times, what)
+        # at the start nothing has grown
+        parts = [self._nothing(what[0].curves.forms.shape[2], factor, degree)] * len(times)
+        later = np.flatnonzero(times > 0)
+        if later.size:
+            x = low + 0.5 * (z + 1.0) * (high - low)
+            mean, sd, ceeq = self._along(x, times[later], what)
         # time by time: rows are the same to the last bit whatever else is asked for with them
-        parts = [
-            self._fitted(mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq, factor, degree)
-            for t in range(len(times))
-        ]
+        for t, at in enumerate(later):
+            parts[at] = self._fitted(
+                mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq, factor, degree
+            )
         return Response.stack(parts)
+
+    def _nothing(self, rows: int, factor: Array, degree: int) -> Response:
+        """So many rows that are 0, without an error."""
+        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
+        names, zero = tuple(i.name for i in self.inputs), np.zeros((rows, len(factor)))
+        none = np.zeros(rows)
+        return Response(names, low, high, degree, zero, zero, none, none, zero)
 
     def _fitted(
         self, y: Array, sd: Array, ceeq: Array, per_ceeq: bool, factor: Array, degree: int

@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 from core.builtin import rotor_blade
+from core.calibration.online import update
+from core.calibration.state import RotorSpec, shared_posterior
 from core.course import Course, Drift
-from core.errors import InputError, ModelError
+from core.errors import InputError, ModelError, RangeError
 from core.model import Model
 from core.network import Network, Parameter, rotor_blade_network
+from core.observation import Inspection
 from core.prior import Prior
 from core.surrogate.driven import Driven
 from core.surrogate.formula import FormulaInput, FormulaModel
@@ -94,6 +97,38 @@ def test_mixtures_of_the_deformation_s_modes_are_its_fields() -> None:
     got, _ = WORN.mode_response(24e3, modes).evaluate(x)
     whole, _ = WORN.predict(x, "deformation", np.array([24e3]), [TIP])
     assert got == pytest.approx(whole[:, 0, 0], abs=0.01 * np.abs(whole).max())
+
+
+def test_at_the_start_nothing_has_grown_and_the_other_rows_are_what_they_were() -> None:
+    hours = np.array([0.0, 24e3])
+    got = WORN.response("ceeq", hours, [TIP, CRITICAL])
+    x = points(WORN, 20)
+    mean, sd = got.evaluate(x)
+    assert not mean[:, :2].any()
+    assert not sd[:, :2].any()
+    assert np.array_equal(got.a[2:], WORN.response("ceeq", [24e3], [TIP, CRITICAL]).a)
+    modes = WORN.deformation_modes([TIP])[0]
+    assert not WORN.mode_response(0.0, modes).evaluate(x)[0].any()
+    with pytest.raises(RangeError, match="outside"):
+        WORN.response("elongation", [-1.0])
+
+
+def test_readings_at_the_start_are_calibrated_like_those_of_the_surrogate() -> None:
+    """They say nothing of what creeps; of an unknown noise they would say how large it is."""
+    model = Model.of(with_erosion(), BLADE)
+    late = Inspection("late", "B1", "elongation", 24e3, np.array([0.2]), sigma=0.02)
+    zero = Inspection("zero", "B1", "elongation", 0.0, np.array([0.01]), sigma=0.02)
+    nodes = np.array([TIP, CRITICAL])
+    scan = Inspection("scan", "B1", "deformation", 0.0, np.zeros((2, 3)), nodes, sigma=0.03)
+    found = []
+    for readings in ([late], [late, zero, scan]):
+        state = update(model, RotorSpec("r", ("B1",), 2000), readings)
+        posterior = shared_posterior(state.meta, state.arrays.__getitem__)
+        values, w = posterior.column("t1t_rate"), posterior.particles.w
+        found.append((w @ values, np.sqrt(w @ (values - w @ values) ** 2)))
+    (mean, sd), (again, spread) = found
+    assert abs(again - mean) < 0.1 * sd
+    assert spread == pytest.approx(sd, rel=0.1)
 
 
 def test_amplitudes_are_finite_elements_with_that_history() -> None:
