@@ -123,6 +123,11 @@ class Ecdf:
     def inside(self) -> bool:
         return bool(np.all((self.share >= self.lower) & (self.share <= self.upper)))
 
+    @property
+    def claims(self) -> bool:
+        """Whether any distribution would be outside."""
+        return bool(np.any((self.lower > 0) | (self.upper < 1)))
+
 
 def ecdf(pit: Array, cluster: Clusters, probability: float = 0.95) -> Ecdf:
     """PITs (N,) and the number of the cluster each belongs to (N,)."""

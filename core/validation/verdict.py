@@ -64,7 +64,9 @@ def curves(records: Sequence[Record]) -> dict[str, dict[str, Ecdf]]:
 def summary(
     records: Sequence[Record], found: Mapping[str, Mapping[str, Ecdf]], *, parameters: bool = True
 ) -> dict[str, Any]:
-    """Tables and verdict of a study.
+    """Tables and verdict of a study, which passes only if it claims something.
+
+    band_inside and covers of a row are None where nothing is claimed: truths are too few.
 
     parameters   False where truths do not come from the prior: nothing is claimed of parameters
     """
@@ -83,7 +85,7 @@ def summary(
             wide = WITHIN[kind]
             near = all(abs(row[f"inside_{c}"] - c / 100) <= w for c, w in wide.items())
             row["covers"] = near if one.truths >= JUDGED else None
-            row["band_inside"] = one.inside
+            row["band_inside"] = one.inside if one.claims else None
             if np.isfinite(one.design):
                 row["design_effect"] = round(one.design, 2)
             if kind == "held":
@@ -102,14 +104,16 @@ def summary(
     }
     verdict = {
         "failed": failed,
-        "outside_band": [n for n in claimed if not table[n]["band_inside"]],
+        "outside_band": [n for n in claimed if table[n]["band_inside"] is False],
         "not_covering": [n for n in claimed if table[n]["covers"] is False],
     }
+    claims = any(table[n][key] is not None for n in claimed for key in ("band_inside", "covers"))
+    passed = claims and not any(verdict.values()) and (not parameters or all(caught.values()))
     return {
         "rotors": len(records),
         "least_ess_ratio": min((r["ess_ratio"] for r in records if "error" not in r), default=0.0),
         "rotor_seconds": round(sum(r["seconds"] for r in records), 1),
-        "passed": not any(verdict.values()) and (not parameters or all(caught.values())),
+        "passed": passed,
         **verdict,
         "controls_caught": caught if parameters else None,
         "table": table,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.special import ndtr
@@ -10,6 +12,7 @@ from scipy.stats import chi2
 from core.smc.particles import weighted_quantile
 from core.validation.sbc import (
     CONTROLS,
+    PROBABILITIES,
     coverage,
     ecdf,
     mean_and_error,
@@ -17,6 +20,7 @@ from core.validation.sbc import (
     randomised_pit,
     wrong_pits,
 )
+from core.validation.verdict import PARTS, curves, summary
 
 PRIOR_MEAN, PRIOR_SD, NOISE = 1.0, 2.0, 1.5
 GAIN = PRIOR_SD**2 / (PRIOR_SD**2 + NOISE**2)
@@ -115,6 +119,27 @@ def test_too_few_clusters_claim_nothing() -> None:
     one = ecdf(np.linspace(0, 0.1, 50), np.repeat(np.arange(5), 10))
     assert one.inside
     assert np.isinf(one.design)
+
+
+def test_a_study_that_claims_nothing_does_not_pass() -> None:
+    """Held-out readings of five rotors have no band, of eight rotors they have one."""
+
+    def told(clusters: int) -> dict[str, Any]:
+        records = []
+        for number in range(clusters):
+            pit = ((np.arange(4) + (number + 0.5) / clusters) / 4).tolist()
+            held: dict[str, Any] = {"pit": pit, **dict.fromkeys(PARTS, [1.0] * 4)}
+            held |= {f"in {c}": [abs(p - 0.5) < c / 2 for p in pit] for c in PROBABILITIES}
+            facts = {"rotor": number, "cluster": number, "seconds": 1.0, "ess_ratio": 0.9}
+            records.append(facts | {"truths": {}, "held": {"held-out y": held}})
+        return summary(records, curves(records), parameters=False)
+
+    some, few = told(8), told(5)
+    assert some["passed"]
+    assert some["table"]["held-out y"]["band_inside"]
+    assert not few["passed"]
+    assert few["table"]["held-out y"]["band_inside"] is None
+    assert few["outside_band"] == few["not_covering"] == []
 
 
 @pytest.mark.parametrize("control", CONTROLS)
