@@ -104,16 +104,16 @@ class Comparison:
         )
 
     def beyond(self) -> dict[str, list[str]]:
-        """What lies outside the acceptance."""
+        """What lies outside the acceptance, or is no number."""
         found: dict[str, list[str]] = {"mean": [], "ratio": [], "correlation": []}
         for b, blade in enumerate(self.blades):
             for j, name in enumerate(self.names):
-                if abs(self.mean[b, j]) > MEAN:
+                if not abs(self.mean[b, j]) <= MEAN:
                     found["mean"].append(f"{blade} {name} {self.mean[b, j]:+.3f}")
-                if abs(self.ratio[b, j] - 1) > SPREAD:
+                if not abs(self.ratio[b, j] - 1) <= SPREAD:
                     found["ratio"].append(f"{blade} {name} {self.ratio[b, j]:.3f}")
             for i, j in combinations(range(len(self.names)), 2):
-                if abs(self.correlation[b, i, j]) > CORRELATION:
+                if not abs(self.correlation[b, i, j]) <= CORRELATION:
                     names = f"{self.names[i]}~{self.names[j]}"
                     found["correlation"].append(f"{blade} {names} {self.correlation[b, i, j]:+.3f}")
         return found
