@@ -58,11 +58,19 @@ class StoredPosterior:
     def of(model: Model, state: RotorState, names: Sequence[str] | None = None) -> StoredPosterior:
         """The posterior of `names` (default: all shared parameters) in a state of `model`.
 
-        Raises InputError for a state that is not sealed or of another model, or an unknown name.
+        Raises InputError for a state that is not sealed, that too few nodes carry or that is of
+        another model, and for an unknown name.
         """
         meta, arrays = state.meta, state.arrays
         if not state.sealed:
             raise InputError("state", "provisional", "is not sealed", "wait for the sealed one")
+        if not meta["health"]["met_floor"]:
+            raise InputError(
+                "state",
+                "; ".join(meta["health"]["reasons"]),
+                "is no posterior to go on from",
+                "declare narrower priors, or give it more readings",
+            )
         if meta["model"] != model.digest:
             raise InputError("model", model.version, "did not make this state", "give its own")
         below = tuple(meta["shared"])

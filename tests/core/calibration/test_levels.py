@@ -452,6 +452,9 @@ def test_bad_levels_and_pairs_are_named() -> None:
         StoredPosterior.of(first, state, ["alpha"])
     with pytest.raises(InputError, match="did not make"):
         StoredPosterior.of(second, state)
+    missed = {**state.meta["health"], "met_floor": False, "reasons": ["3 of 64 nodes carry it"]}
+    with pytest.raises(InputError, match="3 of 64 nodes"):
+        StoredPosterior.of(first, RotorState({**state.meta, "health": missed}, state.arrays))
     narrow = replace(
         first.network.parameters[0], prior=replace(PRIORS["theta"], high=PRIORS["theta"].high - 1)
     )
