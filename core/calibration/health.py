@@ -39,7 +39,7 @@ def contradictions(
     """Blades whose readings no noise explains at the best of the nodes `unit` (K, d).
 
     Each with misfit_nat, chi²/2 at that node; own_nat, the same with the shared parameters free;
-    and the number of rows.
+    and the number of rows. Of a blade whose rows fit, the worst remainder of a scan.
     """
     at = unit[[int(np.argmax(log_p))]]
     found = []
@@ -48,13 +48,37 @@ def contradictions(
         y, s2, rest = message.readings(at)
         density = columns[blade][np.argmax(log_p)] - rest[0] - message.offset
         bound = -(density + 0.5 * float(np.sum(np.log(2 * np.pi * s2))))
-        if not _improbable(bound, y.shape[1]):
-            continue
-        misfit = best_fit(message, at, "local")
-        if _improbable(misfit, y.shape[1]):
-            own = min(best_fit(message, at, "local", "shared"), misfit)
-            nats = {"misfit_nat": round(misfit, 1), "own_nat": round(own, 1)}
-            found.append({"blade": blade, **nats, "rows": y.shape[1]})
+        if _improbable(bound, y.shape[1]):
+            misfit = best_fit(message, at, "local")
+            if _improbable(misfit, y.shape[1]):
+                own = min(best_fit(message, at, "local", "shared"), misfit)
+                found.append(_told(blade, misfit, own, y.shape[1]))
+                continue
+        beyond = [one for one in _remainders(message, at) if _improbable(one[0], one[2])]
+        if beyond:
+            found.append(_told(blade, *max(beyond)))
+    return found
+
+
+def _told(blade: str, misfit: float, own: float, rows: int) -> dict[str, Any]:
+    nats = {"misfit_nat": round(misfit, 1), "own_nat": round(own, 1)}
+    return {"blade": blade, **nats, "rows": rows}
+
+
+def _remainders(message: BladeMessage, at: Array) -> list[tuple[float, float, int]]:
+    """Of each scan's remainder: chi²/2 at the node, the same with the offset free, and its rows."""
+    x, space = message.space.to_x(at), message.space
+
+    def value(name: str | float) -> Array:
+        return x[:, space.names.index(name)] if isinstance(name, str) else np.full(1, name)
+
+    found = []
+    for one in message.rows.dense:
+        if one.dof > 0:
+            offset = [value(name) for name in one.offset]
+            c = np.stack(offset, axis=1) if offset else x[:, :0]
+            misfit, own = one.misfit(value(one.sigma), c)
+            found.append((float(misfit[0]), float(own[0]), one.dof))
     return found
 
 

@@ -68,9 +68,18 @@ class Dense:
 
     def log_density(self, s: Array, c: Array) -> Array:
         """Log density of the remainder at noises s (n,) and offsets c (n, 0 or 3)."""
-        s2, miss = s**2 + self.extra, c - self.centre
-        rss = self.rss + np.einsum("ni,ij,nj->n", miss, self.bend, miss)
+        s2, rss = s**2 + self.extra, self._square(c)
         return np.asarray(-0.5 * rss / s2 - 0.5 * self.dof * np.log(2 * np.pi * s2))
+
+    def misfit(self, s: Array, c: Array) -> tuple[Array, Array]:
+        """chi²/2 of the remainder at noises s (n,) and offsets c (n, 0 or 3), and its least over
+        the offsets, (n,) each."""
+        s2 = s**2 + self.extra
+        return np.asarray(0.5 * self._square(c) / s2), np.asarray(0.5 * self.rss / s2)
+
+    def _square(self, c: Array) -> Array:
+        miss = c - self.centre
+        return np.asarray(self.rss + np.einsum("ni,ij,nj->n", miss, self.bend, miss))
 
 
 @dataclass(frozen=True, slots=True)
