@@ -34,7 +34,7 @@ _MODEL = (
 )
 _VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
 _OF_ROTOR = t.blade.c.rotor_id == bindparam("rotor")
-_BLADES = select(*BLADE).where(_OF_ROTOR).order_by(t.blade.c.id)
+_BLADES = select(*BLADE).where(_OF_ROTOR)
 _BLADE_IDS = select(t.blade.c.id).where(_OF_ROTOR)
 _ONE_BLADE = select(*BLADE).where(_OF_ROTOR, t.blade.c.id == bindparam("blade"))
 
@@ -193,7 +193,9 @@ class SqlRecords:
         return [_rotor(row) for row in self._connection.execute(query.limit(limit))]
 
     def blades(self, rotor_id: str) -> list[BladeRecord]:
-        return [_blade(row) for row in self._connection.execute(_BLADES, {"rotor": rotor_id})]
+        """Blades by id in byte order: digests rest on it, and databases sort text differently."""
+        rows = self._connection.execute(_BLADES, {"rotor": rotor_id})
+        return sorted((_blade(row) for row in rows), key=lambda blade: blade.id)
 
     def blade_ids(self, rotor_id: str) -> set[str]:
         return set(self._connection.execute(_BLADE_IDS, {"rotor": rotor_id}).scalars())

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import select, text
+from sqlalchemy import func, select, text
 from typer.testing import CliRunner
 
 from core.errors import BladetwinError, InputError
@@ -29,6 +29,7 @@ from service.handlers.transfer import export_rotor, import_rotor
 from service.ports import BladeRecord, Science
 from service.science import CoreScience
 from service.settings import Settings
+from service.store import records
 from service.store import tables as t
 from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.states import digests
@@ -149,6 +150,33 @@ def test_the_same_rotor_gives_the_same_bytes(store: SqlStore, file: Path, tmp_pa
     export_rotor(store, "r1", again, "test")
     assert again.read_bytes() == file.read_bytes()
     assert sorted(p.name for p in tmp_path.glob("*.zip*")) == ["again.zip", "r1.zip"]
+
+
+def test_the_order_of_blades_is_that_of_their_bytes_however_the_database_sorts_text(
+    store: SqlStore,
+    elsewhere: SqlStore,
+    science: FakeScience,
+    settings: Settings,
+    reading: Make,
+    post: Post,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    names = ("B1", "B_1", "a-spare")
+    create_rotor(store, "r1", "rotor-blade", [BladeRecord(name) for name in names], 64, 7)
+    post("r1", reading("i", blade="a-spare"))
+    monkeypatch.setattr(
+        records, "_BLADES", records._BLADES.order_by(None).order_by(func.lower(t.blade.c.id))
+    )
+    work(store, science, settings)
+    view = view_rotor(store, "r1")
+    assert view.state is not None
+    assert view.state.meta["blades"] == [blade.id for blade in view.blades] == list(names)
+    export_rotor(store, "r1", tmp_path / "r1.zip", "test")
+    monkeypatch.undo()
+    import_rotor(elsewhere, science, tmp_path / "r1.zip")
+    work(elsewhere, science, settings)
+    assert sealed(elsewhere, "r1") == sealed(store, "r1")
 
 
 def test_importing_twice_gives_the_same_answer_and_one_rotor(
