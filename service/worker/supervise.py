@@ -90,7 +90,11 @@ class Supervisor:
             for i, child in enumerate(self._children):
                 code = child.process.poll()
                 if code is not None and not self._stop.is_set():
-                    self._replace(i, child, code)
+                    try:
+                        self._replace(i, child, code)
+                    except Exception:
+                        log.exception("no worker could be started; another attempt in 1 s")
+                        self._stop.wait(1.0)
 
     def _replace(self, i: int, child: Child, code: int) -> None:
         log.warning("worker %d ended with %d; starting another", child.process.pid, code)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -115,6 +116,31 @@ def test_no_entry_is_lost_or_applied_twice_while_workers_are_killed(
 def settled(store: SqlStore, rotor: str, head: int) -> bool:
     view = view_rotor(store, rotor)
     return view.has_applied(head) and view.state is not None and view.state.sealed
+
+
+def test_a_worker_that_cannot_be_started_now_is_started_later(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No more processes, or files, or memory: that passes."""
+    real, refused = subprocess.Popen, [OSError(24, "Too many open files")]
+
+    def popen(*given: Any, **more: Any) -> Any:
+        if supervisor.pids() or not started or not refused:
+            return real(*given, **more)
+        raise refused.pop()
+
+    started: list[int] = []
+    command = [sys.executable, "-c", "import sys; sys.stdin.read()"]
+    supervisor = Supervisor(store.engine, ["apply"], lambda owner, role: command, {})
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    supervisor.start()
+    try:
+        started += supervisor.pids()
+        os.kill(started[0], signal.SIGKILL)
+        until("another worker", lambda: supervisor.pids() not in ([], started))
+        assert not refused
+    finally:
+        supervisor.stop()
 
 
 def check_undisturbed(store: SqlStore, rotor: str) -> None:
