@@ -65,6 +65,6 @@ def trim(engine: Engine, rotor_id: str, keep: int) -> None:
     if last is None:
         return
     with transaction(engine, write=True) as connection:
-        note = update(t.cursor).where(t.cursor.c.rotor_id == rotor_id)
-        connection.execute(note.values(outbox_dropped=last))
+        behind = (t.cursor.c.rotor_id == rotor_id) & (t.cursor.c.outbox_dropped < last)
+        connection.execute(update(t.cursor).where(behind).values(outbox_dropped=last))
         connection.execute(delete(t.outbox).where(o.rotor_id == rotor_id, o.id <= last))

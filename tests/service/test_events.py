@@ -31,6 +31,7 @@ from service.handlers.rotors import create_rotor, retry, view_rotor
 from service.ports import BladeRecord
 from service.settings import Settings
 from service.sse import events
+from service.store import outbox
 from service.store import tables as t
 from service.store.outbox import SqlOutbox, trim
 from service.store.unit_of_work import SqlStore
@@ -234,6 +235,33 @@ def test_the_outbox_stays_bounded_by_updates_and_by_blockings_and_numbers_never_
         assert tx.outbox.newest([rotor])[rotor] == newest + 2 * KEPT
     trim(store.engine, rotor, 0)
     assert count_notes(store) == 1, "the newest stays, or SQLite would give its number again"
+
+
+def test_what_was_dropped_is_never_said_to_be_less(
+    store: SqlStore,
+    worker: Worker,
+    rotor: str,
+    post: Post,
+    reading: Make,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two workers trim at once: the one that looked first writes last."""
+    four_readings(worker, rotor, reading, post)
+    with store.read() as tx:
+        numbers = [note.id for note in tx.outbox.after(rotor, 0, 100)]
+    real, waiting = outbox.transaction, [True]
+
+    def late(engine: Any, *, write: bool) -> Any:
+        if write and waiting and waiting.pop():
+            trim(engine, rotor, 1)
+        return real(engine, write=write)
+
+    monkeypatch.setattr(outbox, "transaction", late)
+    trim(store.engine, rotor, 3)
+    with store.read() as tx:
+        assert [note.id for note in tx.outbox.after(rotor, 0, 100)] == numbers[-1:]
+        assert tx.outbox.missing(rotor, numbers[-3])
+        assert not tx.outbox.missing(rotor, numbers[-2])
 
 
 def test_a_silent_stream_gives_signs_of_life(api: httpx.Client, worker: Worker, rotor: str) -> None:
