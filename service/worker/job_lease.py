@@ -50,6 +50,11 @@ def holds(lease: JobLease) -> ColumnElement[bool]:
     return c.fence == lease.fence
 
 
+def runs() -> ColumnElement[bool]:
+    """The job has not ended."""
+    return c.status == "running"
+
+
 @lru_cache(maxsize=32)
 def _oldest(lease_s: float, role: Role, conditions: tuple[object, ...]) -> Select[str]:
     """The job that waits longest, built once (as `service.worker.claiming` does)."""
@@ -115,8 +120,11 @@ def tell_progress(engine: Engine, lease: JobLease, progress: Json) -> None:
 
 
 def close(connection: Connection, lease: JobLease, **values: object) -> None:
-    """End the claim in the caller's transaction. LostLeaseError: roll everything back."""
-    own = (c.id == lease.id) & holds(lease)
+    """End the claim in the caller's transaction. LostLeaseError: roll everything back.
+
+    A job that has ended keeps its end, though its worker was never told that it was committed.
+    """
+    own = (c.id == lease.id) & runs() & holds(lease)
     close = update(t.job).where(own).values(owner=None, lease_until=None, **values)
     if connection.execute(close).rowcount != 1:
         raise LostLeaseError(f"job {lease.id}", lease.fence)

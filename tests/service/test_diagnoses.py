@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, MutableMapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from copy import copy
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import select, update
+from sqlalchemy import select, true, update
 from typer.testing import CliRunner
 
 from core.observation import Inspection
 from service.bootstrap import make_worker, worker_roles
 from service.cli import app as commands
 from service.client import Client, ProblemError
+from service.errors import StoreAwayError
 from service.fake import FakeScience
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.rotors import create_rotor
@@ -25,7 +27,7 @@ from service.ports import BladeRecord, Json, ModelCard, Progress, RotorSpec
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import transaction
-from service.store.unit_of_work import SqlStore
+from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker import job_lease
 from service.worker.job_lease import beat_job, claim_job
 from service.worker.jobs import Jobs
@@ -244,6 +246,31 @@ def test_a_lost_diagnosis_is_taken_over_and_the_first_workers_result_is_refused(
     assert [str(ended.finished_at)] == finished, "written once, by the second worker"
 
 
+@pytest.mark.parametrize(("fenced", "status"), [(True, "running"), (False, "done")])
+def test_the_fence_alone_keeps_the_first_worker_from_ending_what_the_second_one_does(
+    store: SqlStore,
+    settings: Settings,
+    straight: str,
+    science: FakeScience,
+    monkeypatch: pytest.MonkeyPatch,
+    fenced: bool,
+    status: str,
+) -> None:
+    """Without the fence, the mutant, it does."""
+    if not fenced:
+        monkeypatch.setattr(job_lease, "holds", lambda lease: t.job.c.id == lease.id)
+    job, _ = request_diagnosis(store, science, "r1", (), compare=True, horizon_h=None)
+
+    def at(done: int) -> None:
+        if done == 2:
+            with transaction(store.engine, write=True) as connection:
+                connection.execute(update(t.job).values(lease_until=0.0))
+            assert claim_job(store.engine, "second", 30.0, "diagnose") is not None
+
+    assert make_worker(store, stepped(at), settings, "first", "diagnose").run_once()
+    assert find_diagnosis(store, "r1", job.id).status == status
+
+
 def test_without_the_fence_the_first_worker_would_write_over_it(
     store: SqlStore,
     settings: Settings,
@@ -251,8 +278,9 @@ def test_without_the_fence_the_first_worker_would_write_over_it(
     science: FakeScience,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The mutant: who holds a job is not asked."""
+    """The mutant: neither who holds a job is asked nor whether it has ended."""
     monkeypatch.setattr(job_lease, "holds", lambda lease: t.job.c.id == lease.id)
+    monkeypatch.setattr(job_lease, "runs", true)
     name, finished = taken_over(store, settings, science)
     assert [str(find_diagnosis(store, "r1", name).finished_at)] != finished
 
@@ -299,6 +327,27 @@ def test_a_diagnosis_that_kills_its_workers_fails_in_the_end(
     ended = find_diagnosis(store, "r1", job.id)
     assert ended.status == "failed"
     assert "survives" in str(ended.error)
+
+
+def test_a_diagnosis_whose_end_was_committed_unheard_stays_done(
+    store: SqlStore, settings: Settings, straight: str, science: FakeScience
+) -> None:
+    """The connection breaks between the commit and its answer."""
+    job, _ = request_diagnosis(store, science, "r1", (), compare=True, horizon_h=None)
+    own = copy(store)
+
+    @contextmanager
+    def unheard() -> Iterator[SqlTransaction]:
+        with store.write() as tx:
+            yield tx
+        raise StoreAwayError("ConnectionReset")
+
+    own.write = unheard  # type: ignore[method-assign]
+    with pytest.raises(StoreAwayError):
+        make_worker(own, science, settings, "d", "diagnose").run_once()
+    ended = find_diagnosis(store, "r1", job.id)
+    assert (ended.status, ended.attempts) == ("done", 1)
+    assert ended.result is not None
 
 
 def test_a_worker_that_is_stopped_gives_its_diagnosis_back_uncounted(
