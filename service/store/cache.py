@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from service.ports import Array
 
 Key = tuple[str, int, str]
+Kept = tuple[str, int, str, str | None]  # and the SHA-256 that it has in this version
 MOST_CHECKED = 512
-OVERHEAD = 656  # bytes of an array's objects, head and key beside its numbers, measured
+OVERHEAD = 664  # bytes of an array's objects, head and key beside its numbers, measured
 
 
 class ArrayCache:
@@ -22,16 +23,16 @@ class ArrayCache:
     def __init__(self, limit_mb: float) -> None:
         self._limit = int(limit_mb * 2**20)
         self._size = 0
-        self._arrays: OrderedDict[Key, Array] = OrderedDict()
+        self._arrays: OrderedDict[Kept, Array] = OrderedDict()
         self._lock = threading.Lock()
 
-    def get(self, key: Key) -> Array | None:
+    def get(self, key: Kept) -> Array | None:
         with self._lock:
             if key in self._arrays:
                 self._arrays.move_to_end(key)
             return self._arrays.get(key)
 
-    def put(self, key: Key, array: Array) -> None:
+    def put(self, key: Kept, array: Array) -> None:
         with self._lock:
             if key in self._arrays or array.nbytes + OVERHEAD > self._limit:
                 return
@@ -56,6 +57,8 @@ class Checked:
         """SHA-256 of each array, where the version was compared (with this very row)."""
         with self._lock:
             known = self._found.get((rotor_id, version))
+            if known is not None:
+                self._found.move_to_end((rotor_id, version))
         return known[1] if known is not None and told in (None, known[0]) else None
 
     def put(self, rotor_id: str, version: int, told: str, names: Mapping[str, str]) -> None:

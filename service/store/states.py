@@ -2,7 +2,7 @@
 
 Only an array whose SHA-256 changed is written, under the version that changed it. Reading name n
 at version v takes the row with the greatest version <= v. Decoded arrays are cached by (rotor,
-version, name), so that a read of one blade loads what that blade needs and no more.
+version, name, SHA-256), so that a read of one blade loads what that blade needs and no more.
 
 A version is compared with its digest when a process first loads it (`service.store.intact`), and
 each array with the SHA-256 that the digest was made from: what was damaged is never used.
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy import (
@@ -167,33 +168,45 @@ class SqlStates:
         """The arrays of a version by name, inside this transaction."""
         return lambda name: self.array((state.rotor_id, state.version, name))
 
-    def array(self, key: Key) -> Array:
-        """One array of one version, from the cache or the database."""
-        array = self._cache.get(key)
+    def array(self, key: Key, names: Mapping[str, str] | None = None) -> Array:
+        """One array of one version, from the cache or the database.
+
+        names   SHA-256 of each array that the version has, where the caller knows them
+        """
+        rotor_id, version, name = key
+        names = self._names(rotor_id, version) if names is None else names
+        array = self._cache.get((*key, names.get(name)))
         if array is None:
-            array = self._decoded(key, self._row(key))
+            array = self._decoded(key, self._row(key), names)
         return array
 
     def prefetch(self, rotor_id: str, version: int) -> None:
         """Take what every update looks at, the shared nodes and the blades' columns, at once."""
-        asked = {"rotor": rotor_id, "version": version}
+        asked, names = {"rotor": rotor_id, "version": version}, self._names(rotor_id, version)
         for name, *row in self._connection.execute(_SMALL, asked):
-            key = (rotor_id, version, name)
-            if row[1] and self._cache.get(key) is None:
-                self._decoded(key, Encoded(*row))
+            key, one = (rotor_id, version, name), Encoded(*row)
+            if one.dtype and self._cache.get((*key, one.sha256)) is None:
+                self._decoded(key, one, names)
 
-    def _decoded(self, key: Key, row: Encoded) -> Array:
+    def _decoded(self, key: Key, row: Encoded, names: Mapping[str, str]) -> Array:
         rotor_id, version, name = key
-        names = self._checked.get(rotor_id, version)
-        if names is not None and names.get(name) != row.sha256:
+        sha256 = names.get(name)
+        if sha256 != row.sha256:
+            self.get(rotor_id, version)  # GoneError: it was thinned out, and an older row is left
             problem = f"its sha256 {row.sha256[:12]}… is not the one that the version has"
             raise DamagedError(rotor_id, version, f"array {name}", problem)
         try:
             array = decode(name, row)
         except DamagedArrayError as error:
             raise DamagedError(rotor_id, version, f"array {name}", str(error)) from None
-        self._cache.put(key, array)
+        self._cache.put((*key, sha256), array)
         return array
+
+    def _names(self, rotor_id: str, version: int) -> Mapping[str, str]:
+        """SHA-256 of each array that a version has; one that was not compared is compared now."""
+        while (names := self._checked.get(rotor_id, version)) is None:
+            self.get(rotor_id, version)
+        return names
 
     def _row(self, key: Key) -> Encoded:
         rotor_id, version, name = key

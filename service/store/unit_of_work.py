@@ -98,13 +98,14 @@ class SqlStore:
 
     def arrays(self, rotor_id: str, version: int) -> Get:
         """A lazy reader of one version's arrays: what is not cached takes a short transaction."""
+        names = self.checked.get(rotor_id, version)
 
         def get(name: str) -> Array:
             key = (rotor_id, version, name)
-            array = self.cache.get(key)
+            array = None if names is None else self.cache.get((*key, names.get(name)))
             if array is None:
                 with self.read() as tx:
-                    array = tx.states.array(key)
+                    array = tx.states.array(key, names)
             return array
 
         return get

@@ -6,19 +6,25 @@ To read and check the readings of a rotor anew costs some 25 µs for each (SQL, 
 without memory an update takes the longer the longer its rotor is in service, and a worker that
 cares for many rotors would do little else. States are large, so few of them are kept; readings are
 small and kept up to a number of bytes.
+
+A database that was restored, or whose place a replica took that had not heard of the last commits,
+goes on from an earlier moment and may come to the same numbers by another way. So what a memory
+ends with is compared with the database before it is used (`service.worker.task`).
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from core.observation import Entry
-from service.ports import RotorState
+from service.ports import Event, RotorState
 
 ENTRY_BYTES = 520  # an entry with its reading, measured; values beyond one and nodes are added
+ROTOR_BYTES = 800  # a rotor without entries, measured
 NO_VERSION = -1
+Mark = tuple[str, str, float]
 
 
 @dataclass(slots=True)
@@ -27,6 +33,8 @@ class Memory:
 
     version  `NO_VERSION` where only the readings are remembered
     anew     the stored state is not used, and all that replaces it is written
+    last     what entry `through` is called by; None: no entry
+    digest   what the version is called by; None: none yet
     """
 
     version: int
@@ -35,6 +43,15 @@ class Memory:
     sha256: dict[str, str]
     entries: list[Entry]
     anew: bool = False
+    last: Mark | None = None
+    digest: str | None = None
+
+
+def mark(events: Sequence[Event], before: Mark | None) -> Mark | None:
+    """What the last of the entries is called by; without any, what the one before them is."""
+    if not events:
+        return before
+    return events[-1].event_id, events[-1].digest, events[-1].received_at
 
 
 def size(entries: Iterable[Entry]) -> int:
@@ -77,8 +94,9 @@ class Memories:
         self._states[rotor_id] = memory
         while len(self._states) > self._most:
             name, old = self._states.popitem(last=False)
-            taken = size(old.entries)
-            self._readings[name] = (Memory(NO_VERSION, old.through, None, {}, old.entries), taken)
+            taken = ROTOR_BYTES + size(old.entries)
+            rest = Memory(NO_VERSION, old.through, None, {}, old.entries, last=old.last)
+            self._readings[name] = (rest, taken)
             self._bytes += taken
         while self._bytes > self._limit:
             _, (_, freed) = self._readings.popitem(last=False)

@@ -25,7 +25,7 @@ from core.errors import ModelError
 from core.observation import effective
 from service.adopted import adopted_at
 from service.entries import entries_of
-from service.errors import DamagedError, HeldError, NotFoundError
+from service.errors import DamagedError, GoneError, HeldError, NotFoundError
 from service.ports import Json, RotorState, Science
 from service.store import tables as t
 from service.store.audit import Finding, array_problem, array_row
@@ -122,7 +122,7 @@ def _difference(store: SqlStore, row: Row[Any], name: str, made: Replayed) -> Js
                 again = decode(name, made.arrays[name])
                 if found.shape == again.shape:
                     largest = float(np.max(np.abs(found - again), initial=0.0))
-            except (DamagedError, ModelError):
+            except (DamagedError, GoneError, ModelError):
                 pass
     return {"array": name, "largest_difference": largest}
 

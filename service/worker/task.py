@@ -2,7 +2,8 @@
 
 The worker remembers the last states that it wrote (`memory`). One is used only while its version
 is the one that the claim read, so that another worker's commit in between makes this one read the
-database. The log only grows: entries that are known already are not read again.
+database. The log only grows: entries that are known already are not read again, once it was seen
+that the last of them is still the same one.
 
 A state that turns out damaged when it is loaded is left alone: the next version is computed from
 the log without it, and every array is written anew.
@@ -13,18 +14,30 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
+from sqlalchemy import and_, bindparam, select
+
 from core.observation import Entry, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError
 from service.ports import ModelCard, RotorRecord, RotorSpec, Science
+from service.store import tables as t
 from service.store.log import read_entries
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.lease import Lease
-from service.worker.memory import Memory
+from service.worker.memory import NO_VERSION, Mark, Memory, mark
 
 log = logging.getLogger("bladetwin.worker")
+c, e, s = t.cursor.c, t.entry.c, t.state.c
+# What a memory ends with, as the database has it: three rows by their keys, in one question.
+_ENDS = (
+    select(e.event_id, e.digest, e.received_at, s.digest)
+    .select_from(t.cursor)
+    .outerjoin(t.entry, and_(e.rotor_id == c.rotor_id, e.seq == bindparam("seq")))
+    .outerjoin(t.state, and_(s.rotor_id == c.rotor_id, s.version == bindparam("version")))
+    .where(c.rotor_id == bindparam("rotor"))
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +50,7 @@ class Task:
     entries: list[Entry]
     pending: int
     memory: Memory
+    last: Mark | None
 
 
 def spec_of(tx: SqlTransaction, rotor: RotorRecord, through: int) -> RotorSpec:
@@ -52,6 +66,9 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
     with store.read() as tx:
         rotor = tx.records.rotor(lease.rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
+        if memory is not None and not _holds(tx, lease, memory):
+            log.warning("rotor %s: the log went another way than this worker saw", rotor.id)
+            memory = None
         if memory is None or (memory.version, memory.through) != (
             lease.version,
             lease.applied_seq,
@@ -69,22 +86,31 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
         entries=memory.entries + readings,
         pending=len(readings),
         memory=memory,
+        last=mark(fresh, memory.last),
     )
+
+
+def _holds(tx: SqlTransaction, lease: Lease, memory: Memory) -> bool:
+    """The database has the entry with which the memory ends; the version, too, if it is used."""
+    asked = {"rotor": lease.rotor_id, "seq": memory.through, "version": memory.version}
+    *last, digest = tx.connection.execute(_ENDS, asked).one()
+    if memory.through and tuple(last) != memory.last:
+        return False
+    return memory.version != lease.version or digest == memory.digest
 
 
 def _restored(
     store: SqlStore, science: Science, tx: SqlTransaction, lease: Lease, stale: Memory | None
 ) -> Memory:
     """The state that the claim read, and the entries before it."""
-    known, entries = (0, []) if stale is None else (stale.through, stale.entries)
-    if known > lease.applied_seq:
-        known, entries = 0, []
-    events = read_entries(tx.connection, lease.rotor_id, known, lease.applied_seq)
-    entries = entries + entries_of(events)
+    if stale is None or stale.through > lease.applied_seq:
+        stale = Memory(NO_VERSION, 0, None, {}, [])
+    events = read_entries(tx.connection, lease.rotor_id, stale.through, lease.applied_seq)
+    entries, last = stale.entries + entries_of(events), mark(events, stale.last)
     if lease.version == 0:
         return Memory(0, 0, None, {}, entries)
     sha256 = digests(tx.connection, lease.rotor_id)
-    memory = Memory(lease.version, lease.applied_seq, None, sha256, entries, anew=True)
+    memory = Memory(lease.version, lease.applied_seq, None, sha256, entries, anew=True, last=last)
     try:
         record = tx.states.get(lease.rotor_id, lease.version)
         tx.states.prefetch(lease.rotor_id, lease.version)
@@ -101,12 +127,13 @@ def anew(store: SqlStore, science: Science, lease: Lease) -> Task:
         rotor = tx.records.rotor(lease.rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         through = lease.applied_seq
-        entries = entries_of(read_entries(tx.connection, rotor.id, 0, through))
+        events = read_entries(tx.connection, rotor.id, 0, through)
         spec = spec_of(tx, rotor, through)
         names = digests(tx.connection, rotor.id)
         network = adopted_at(tx, rotor, through).network
+    entries = entries_of(events)
     memory = Memory(lease.version, through, None, names, entries, anew=True)
-    return Task(science.vary(card, network), spec, through, entries, 0, memory)
+    return Task(science.vary(card, network), spec, through, entries, 0, memory, mark(events, None))
 
 
 def culprit(science: Science, task: Task) -> str | None:

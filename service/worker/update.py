@@ -197,7 +197,15 @@ class Updater:
             )
             alarm(connection, record)
             write_state(connection, record, changed)
-        memory = Memory(version, task.through, state, sha256, task.entries)
+        memory = Memory(
+            version,
+            task.through,
+            state,
+            sha256,
+            task.entries,
+            last=task.last,
+            digest=record.digest,
+        )
         self._memory.put(lease.rotor_id, memory)
         return version
 

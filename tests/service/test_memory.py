@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from sqlalchemy import delete, update
 
 from core.observation import Entry, Inspection
 from service.bootstrap import make_worker
@@ -14,12 +16,15 @@ from service.fake import FakeScience, FakeState
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord
 from service.settings import Settings
+from service.store import tables as t
+from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import task
-from service.worker.memory import ENTRY_BYTES, NO_VERSION, Memories, Memory, size
+from service.worker.memory import ENTRY_BYTES, NO_VERSION, ROTOR_BYTES, Memories, Memory, size
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
+HUNDRED = ROTOR_BYTES + 100 * ENTRY_BYTES
 
 
 def entries(count: int) -> list[Entry]:
@@ -51,7 +56,7 @@ def test_states_beyond_the_limit_go_and_their_readings_stay() -> None:
 
 
 def test_readings_beyond_the_limit_go_the_oldest_first() -> None:
-    kept = Memories(states=1, readings_mb=2 * 100 * ENTRY_BYTES / 2**20)
+    kept = Memories(states=1, readings_mb=2 * HUNDRED / 2**20)
     for name in "abcd":  # d with its state; of a, b, c two have room
         kept.put(name, memory(100))
     assert [kept.get(name) is not None for name in "abcd"] == [False, True, True, True]
@@ -64,7 +69,7 @@ def test_readings_beyond_the_limit_go_the_oldest_first() -> None:
 
 
 def test_what_is_forgotten_frees_its_room() -> None:
-    kept = Memories(states=1, readings_mb=100 * ENTRY_BYTES / 2**20)
+    kept = Memories(states=1, readings_mb=HUNDRED / 2**20)
     kept.put("a", memory(100))
     kept.put("b", memory(100))
     for name in "ab":
@@ -74,6 +79,13 @@ def test_what_is_forgotten_frees_its_room() -> None:
     kept.put("d", memory(100))
     assert kept.get("c") is not None
     kept.forget("nobody")
+
+
+def test_rotors_without_readings_have_their_room_too() -> None:
+    kept = Memories(states=1, readings_mb=3 * ROTOR_BYTES / 2**20)
+    for name in "abcdef":
+        kept.put(name, memory(0))
+    assert [kept.get(name) is not None for name in "abcdef"] == [False] * 2 + [True] * 4
 
 
 @pytest.mark.parametrize(("readings_mb", "most"), [(1.0, 1), (0.0, 4)])
@@ -120,3 +132,82 @@ def test_a_rotor_whose_state_was_dropped_is_read_from_what_came_since(
         for name in ("r1", "r2", "plain")
     ]
     assert len(set(moments)) == 1
+
+
+def gone_back(store: SqlStore, rotor: str) -> None:
+    """The database as it was before entry 2, as after a restore or an asynchronous failover."""
+    with transaction(store.engine, write=True) as connection:
+        for table, column in (
+            (t.state, t.state.c.version),
+            (t.state_array, t.state_array.c.version),
+            (t.entry, t.entry.c.seq),
+        ):
+            own = (table.c.rotor_id == rotor) & (column > 1)
+            connection.execute(delete(table).where(own))
+        connection.execute(update(t.rotor).where(t.rotor.c.id == rotor).values(head_seq=1))
+        connection.execute(
+            update(t.cursor).where(t.cursor.c.rotor_id == rotor).values(applied_seq=1, version=1)
+        )
+
+
+class Wider(FakeScience):
+    """Another release: its states have one more array."""
+
+    def update(self, *given: Any, **more: Any) -> FakeState:
+        state = super().update(*given, **more)
+        arrays = {**state.arrays, "shared/more": np.array([1.0])}
+        return replace(state, arrays=arrays)
+
+
+@pytest.mark.parametrize("rotors_in_memory", [8, 1])
+@pytest.mark.parametrize("same_log", [False, True])
+def test_a_worker_does_not_trust_its_memory_of_a_database_that_went_back(
+    store: SqlStore,
+    science: FakeScience,
+    settings: Settings,
+    reading: Make,
+    post: Post,
+    rotors_in_memory: int,
+    same_log: bool,
+) -> None:
+    """It comes to the same numbers by another way: another reading, or the same one, to the
+    microsecond, and a version that another worker made."""
+    few = Settings(**settings.model_dump() | {"rotors_in_memory": rotors_in_memory})
+    for name in ("r1", "other"):
+        create_rotor(store, name, "rotor-blade", [BladeRecord("B1")], 64, 7)
+    worker = make_worker(store, science, few, "remembers")
+    for name in ("a", "b"):
+        post("r1", reading(name, value=0.1))
+        worker.drain()
+    with store.read() as tx:
+        there = tx.log.entries("r1", 1, 2, 1)
+    post("other", reading("a"))
+    worker.drain()  # with room for one state it has only the readings of r1 now
+    gone_back(store, "r1")
+    if same_log:
+        with store.write() as tx:
+            tx.log.restore("r1", there)
+            tx.connection.execute(update(t.rotor).values(head_seq=2).where(t.rotor.c.id == "r1"))
+            tx.connection.execute(update(t.cursor).values(dirty=True, dirty_since=1.0))
+    else:
+        post("r1", reading("c", value=0.3))
+    make_worker(store, Wider(), settings, "another").drain()
+    post("r1", reading("d", value=0.2))
+    worker.drain()
+    state = view_rotor(store, "r1").state
+    assert state is not None
+    assert (state.version, state.through_seq) == (3, 3)
+    create_rotor(store, "plain", "rotor-blade", [BladeRecord("B1")], 64, 7)
+    post("plain", reading("a", value=0.1))
+    post("plain", reading("b", value=0.1) if same_log else reading("c", value=0.3))
+    post("plain", reading("d", value=0.2))
+    make_worker(SqlStore(store.engine), science, settings, "fresh").drain()
+    plain = view_rotor(store, "plain").state
+    assert plain is not None
+    assert state.events_digest == plain.events_digest
+    fresh = SqlStore(store.engine)
+    moments = [
+        fresh.arrays(name, version)("shared/moments").tobytes()
+        for name, version in (("r1", 3), ("plain", plain.version))
+    ]
+    assert moments[0] == moments[1]

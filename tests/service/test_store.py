@@ -24,8 +24,9 @@ from service.errors import (
 )
 from service.handlers.inspections import list_inspections, retract
 from service.ports import StateRecord
+from service.store import cache
 from service.store import tables as t
-from service.store.cache import OVERHEAD, ArrayCache
+from service.store.cache import OVERHEAD, ArrayCache, Checked
 from service.store.encoding import DamagedArrayError, decode, encode
 from service.store.engine import open_engine, transaction
 from service.store.states import digests
@@ -171,6 +172,8 @@ def test_a_rotor_without_posterior_says_what_to_wait_for(store: SqlStore, rotor:
 
 def test_a_damaged_row_is_named_and_not_used(store: SqlStore, rotor: str) -> None:
     _write(store, 1, a=1.5)
+    with store.read() as tx:
+        tx.states.get(rotor, 1)
     with transaction(store.engine, write=True) as connection:
         connection.execute(text("UPDATE state_array SET sha256 = 'other'"))
     with pytest.raises(DamagedError, match="array a"):
@@ -178,16 +181,64 @@ def test_a_damaged_row_is_named_and_not_used(store: SqlStore, rotor: str) -> Non
 
 
 def test_the_cache_holds_no_more_than_its_limit_and_drops_the_oldest() -> None:
-    cache = ArrayCache(limit_mb=2 * (80 + OVERHEAD) / 2**20)
+    kept = ArrayCache(limit_mb=2 * (80 + OVERHEAD) / 2**20)
     arrays = [np.full(10, float(i)) for i in range(3)]
     for i, array in enumerate(arrays):
-        cache.put(("r", 1, str(i)), array)
-        cache.get(("r", 1, "0"))
-    assert cache.get(("r", 1, "0")) is arrays[0]
-    assert cache.get(("r", 1, "1")) is None
-    assert cache.get(("r", 1, "2")) is arrays[2]
-    cache.put(("r", 1, "big"), np.zeros(1000))
-    assert cache.get(("r", 1, "big")) is None
+        kept.put(("r", 1, str(i), "sha"), array)
+        kept.get(("r", 1, "0", "sha"))
+    assert kept.get(("r", 1, "0", "sha")) is arrays[0]
+    assert kept.get(("r", 1, "1", "sha")) is None
+    assert kept.get(("r", 1, "2", "sha")) is arrays[2]
+    kept.put(("r", 1, "big", "sha"), np.zeros(1000))
+    assert kept.get(("r", 1, "big", "sha")) is None
+
+
+def test_versions_that_are_read_stay_compared_longest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "MOST_CHECKED", 2)
+    checked = Checked()
+    for version in (1, 2):
+        checked.put("r", version, "told", {"a": "sha"})
+    assert checked.get("r", 1) == {"a": "sha"}
+    checked.put("r", 3, "told", {})
+    assert [checked.get("r", version) is not None for version in (1, 2, 3)] == [True, False, True]
+
+
+def _array(store: SqlStore, version: int) -> float:
+    with store.read() as tx:
+        return float(tx.states.reader(tx.states.get("r1", version))("a")[0])
+
+
+def test_an_array_of_a_version_that_was_written_anew_is_not_served_from_before(
+    store: SqlStore, rotor: str
+) -> None:
+    """As after a restore: the same numbers by another way."""
+    _write(store, 1, a=1.5)
+    assert _array(store, 1) == 1.5
+    with transaction(store.engine, write=True) as connection:
+        for table in (t.state, t.state_array):
+            connection.execute(table.delete())
+    _write(store, 1, a=2.5)
+    assert _array(store, 1) == 2.5
+    assert float(store.arrays(rotor, 1)("a")[0]) == 2.5
+
+
+@pytest.mark.parametrize("most", [1, 512])
+def test_an_array_of_a_version_that_is_gone_is_not_replaced_by_an_older_one(
+    store: SqlStore, rotor: str, monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    monkeypatch.setattr(cache, "MOST_CHECKED", most)
+    _write(store, 4, a=4.5)
+    _write(store, 5, a=5.5)
+    with store.read() as tx:
+        state = tx.states.get(rotor, 5)
+    arrays = store.arrays(rotor, 5)
+    _write(store, 6, a=6.5)
+    assert _array(store, 6) == 6.5
+    assert thin(store.engine, rotor, keep=1, every=4) == 1
+    with store.read() as tx, pytest.raises(GoneError):
+        tx.states.reader(state)("a")
+    with pytest.raises(GoneError):
+        arrays("a")
 
 
 def test_a_database_that_is_away_is_told_as_such(tmp_path: Path) -> None:
