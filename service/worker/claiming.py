@@ -6,8 +6,9 @@ may claim again with a higher fence (`service.worker.lease`: what a lease allows
 A rotor is claimed to apply what is pending, or, when nothing is, to seal a provisional posterior.
 Sealing takes long and may wait: an entry that comes meanwhile is claimed over it at once, and the
 sealing worker's commit is one that came too late. But a stream without a pause must not put it off
-for ever: a rotor that has been provisional for `overdue_s` is sealed before anything more is
-applied, as far as it was applied, and what comes meanwhile waits for that one sealing.
+for ever: a rotor that has been provisional for `overdue_s` goes before all else that a sealer does,
+is sealed as far as it was applied, and what comes meanwhile waits for that one sealing. Until a
+sealer takes it entries are applied as ever: where none lives they do not wait for it.
 
 A rotor whose model changes (an entry that adopts effects or backs them out, `service.adopted`) is
 computed anew from its whole log, which takes as long as a sealing: that is the sealer's work, and

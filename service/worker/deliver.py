@@ -33,6 +33,7 @@ from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.store.webhooks import delivery_of, prune, webhook_of
+from service.worker.claiming import over
 from service.worker.heartbeat import heartbeats
 from service.worker.wake import open_wake
 
@@ -74,7 +75,7 @@ def holds(lease: HookLease) -> ColumnElement[bool]:
 
 def claim_webhook(engine: Engine, owner: str, lease_s: float) -> HookLease | None:
     """Take the webhook that was served longest ago and has something to be sent; None: nothing."""
-    free = or_(w.lease_until.is_(None), w.lease_until <= now_s())
+    free = or_(w.lease_until.is_(None), over(w.lease_until, lease_s))
     work = exists().where(d.webhook_id == w.id, due())
     first = select(w.id).where(free, work).order_by(w.served_at.nulls_first(), w.id).limit(1)
     with transaction(engine, write=False) as connection:

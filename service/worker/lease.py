@@ -133,22 +133,29 @@ def advance(
 def fail(
     engine: Engine, lease: Lease, error: str, event: str | None, pause_s: float, *, block: bool
 ) -> None:
-    """Note the error and give the rotor back, to pause or to stay blocked until freed."""
+    """Note the error and give the rotor back, to pause or to stay blocked until freed.
+
+    One that was freed during the attempt, so that its attempts are counted anew, is neither: it is
+    tried again at once.
+    """
     own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)
+    freed = c.attempts < lease.attempts
     with transaction(engine, write=True) as connection:
+        lock_rotor(connection, lease.rotor_id)
         note = (
             update(t.cursor)
             .where(own)
             .values(
                 owner=None,
                 lease_until=None,
-                not_before=now_s() + pause_s,
-                blocked=block,
+                not_before=case((freed, None), else_=now_s() + pause_s),
+                blocked=case((freed, False), else_=block),
                 last_error=error[:4000],
                 last_error_event=event,
             )
+            .returning(c.blocked)
         )
-        if connection.execute(note).rowcount == 1 and block:
+        if connection.execute(note).scalar():
             post(connection, lease.rotor_id, "blocked", {"error": error[:4000], "event": event})
 
 
@@ -161,7 +168,7 @@ def release(engine: Engine, owner: str) -> int:
         freed = connection.execute(
             update(t.cursor).where(c.owner == owner).values(lease_until=None, owner=None)
         ).rowcount
-        for table in (t.job, t.webhook):
+        for table in (t.job, t.webhook, t.residual):
             own = table.c.owner == owner
             connection.execute(update(table).where(own).values(lease_until=None, owner=None))
         if freed:

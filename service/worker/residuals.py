@@ -28,6 +28,7 @@ from service.store.engine import now_s, transaction
 from service.store.log import lock_rotor, read_entries
 from service.store.outbox import post
 from service.store.unit_of_work import SqlStore
+from service.worker.claiming import over
 from service.worker.diagnosing import MOST_PARTICLES, plain
 from service.worker.heartbeat import heartbeats
 from service.worker.jobs import StoppedError
@@ -52,9 +53,14 @@ def holds(claim: Claim) -> ColumnElement[bool]:
     return r.fence == claim.fence
 
 
+def owned(owner: str) -> ColumnElement[bool]:
+    """The claim was neither given back nor ended."""
+    return r.owner == owner
+
+
 def claim_residuals(engine: Engine, owner: str, lease_s: float) -> Claim | None:
     """The rotor whose residuals are oldest behind a sealed version, and held by nobody alive."""
-    free = or_(r.lease_until.is_(None), r.lease_until <= now_s())
+    free = or_(r.lease_until.is_(None), over(r.lease_until, lease_s))
     rested = or_(r.not_before.is_(None), r.not_before <= now_s())
     behind = or_(r.rotor_id.is_(None), (r.version < c.version) & free & rested)
     sealed = (
@@ -65,7 +71,7 @@ def claim_residuals(engine: Engine, owner: str, lease_s: float) -> Claim | None:
         .join(t.rotor, t.rotor.c.id == c.rotor_id)
         .outerjoin(t.residual, r.rotor_id == c.rotor_id)
         .where(sealed, behind)
-        .order_by(c.rotor_id)
+        .order_by(r.computed_at.nulls_first(), c.rotor_id)
         .limit(1)
     )
     with transaction(engine, write=False) as connection:
@@ -119,6 +125,10 @@ class Residuals:
         if claim is None:
             return False
         try:
+            if claim.attempts > self.settings.max_attempts:
+                dead = f"{claim.attempts - 1} workers died or lost their lease over them"
+                self.keep(claim, None, dead)
+                return True
             with heartbeats(lambda: self._beat(claim), self.settings.lease_s):
                 body = self.compute(claim)
             self.keep(claim, body, None)
@@ -188,14 +198,14 @@ class Residuals:
                 post(connection, claim.rotor_id, "residuals", told)
 
     def _beat(self, claim: Claim) -> bool:
-        own = (r.rotor_id == claim.rotor_id) & holds(claim)
+        own = (r.rotor_id == claim.rotor_id) & holds(claim) & owned(self.owner)
         with transaction(self.store.engine, write=True) as connection:
             beat = update(t.residual).where(own)
             until = now_s() + self.settings.lease_s
             return connection.execute(beat.values(lease_until=until)).rowcount == 1
 
     def _close(self, claim: Claim, **values: object) -> None:
-        own = (r.rotor_id == claim.rotor_id) & holds(claim)
+        own = (r.rotor_id == claim.rotor_id) & holds(claim) & owned(self.owner)
         with transaction(self.store.engine, write=True) as connection:
             close = update(t.residual).where(own).values(owner=None, lease_until=None, **values)
             if connection.execute(close).rowcount != 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from sqlalchemy import true
@@ -10,15 +11,20 @@ from sqlalchemy import true
 from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.errors import LostLeaseError
+from service.handlers.webhooks import create_webhook
 from service.settings import Settings
+from service.store.engine import transaction
+from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.check import check
 from service.studies.chaos.clock import Clock
 from service.studies.chaos.twin import Descent
 from service.worker import claiming
 from service.worker import lease as leases
+from service.worker.deliver import claim_webhook
 from service.worker.job_lease import claim_job
 from service.worker.loop import Worker
+from service.worker.residuals import claim_residuals
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
@@ -53,6 +59,34 @@ def test_a_dead_workers_job_is_taken_over_though_the_clock_was_set_back(store: S
     assert claim_job(store.engine, "other", LEASE_S, "diagnose") is None
     clock.ahead = -HOUR
     assert claim_job(store.engine, "other", LEASE_S, "diagnose") is not None
+
+
+def test_a_dead_workers_webhook_is_taken_over_though_the_clock_was_set_back(
+    store: SqlStore, rotor: str, tmp_path: Path
+) -> None:
+    clock, engine = Clock(store.engine), store.engine
+    key = tmp_path / "key"
+    key.write_text("7d" * 32)
+    url = "http://127.0.0.1:9/"
+    create_webhook(store, str(key), "127.0.0.0/8", "ops", url=url, events=None, rotors=None)
+    with transaction(engine, write=True) as connection:
+        note(connection, rotor, "blocked", {"error": "e", "event": None})
+    assert claim_webhook(engine, "dead", LEASE_S) is not None
+    assert claim_webhook(engine, "other", LEASE_S) is None
+    clock.ahead = -HOUR
+    assert claim_webhook(engine, "other", LEASE_S) is not None
+
+
+def test_a_dead_workers_residuals_are_taken_over_though_the_clock_was_set_back(
+    store: SqlStore, twin: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    clock, engine = Clock(store.engine), store.engine
+    post(rotor, reading("a"))
+    twin.drain()
+    assert claim_residuals(engine, "dead", LEASE_S) is not None
+    assert claim_residuals(engine, "other", LEASE_S) is None
+    clock.ahead = -HOUR
+    assert claim_residuals(engine, "other", LEASE_S) is not None
 
 
 def test_without_the_bound_a_rotor_waits_until_the_clock_has_caught_up(

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
-from sqlalchemy import false, select, text, true
+from sqlalchemy import false, select, text, true, update
 from sqlalchemy.exc import DBAPIError
 
 from core.observation import Inspection
@@ -27,6 +27,7 @@ from service.store import log as store_log
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.log import SqlLog
+from service.store.outbox import post as post_note
 from service.store.unit_of_work import SqlStore
 from service.worker import claiming
 from service.worker import lease as leases
@@ -445,3 +446,50 @@ def test_entries_wait_for_a_sealing_that_is_overdue(
     with race.store.read() as tx:
         assert [tx.states.get(rotor, v).sealed for v in (1, 2, 3)] == [False, True, False]
         assert tx.records.rotor(rotor).applied_seq == 2
+
+
+def test_entries_do_not_wait_for_a_sealer_where_none_lives(
+    race: Race, rotor: str, reading: Make, post: Post
+) -> None:
+    race.provisional = True
+    race.settings = race.settings.model_copy(update={"seal_within_s": 0.0})
+    applier = race.updater("applier")
+    applier.role = "apply"
+    for number, name in enumerate("abc", 1):
+        post(rotor, reading(name))
+        assert applier.run_once()
+        with race.store.read() as tx:
+            assert tx.records.rotor(rotor).applied_seq == number
+            assert not tx.states.get(rotor).sealed
+
+
+def test_a_blocking_waits_for_its_turn_at_the_rotor(
+    race: Race, rotor: str, reading: Make, post: Post
+) -> None:
+    """It comes while somebody has the rotor's row and goes on to its cursor: as an update does,
+    and as a post does, so that neither waits for the other and notes are numbered in order."""
+    post(rotor, reading("a"))
+    engine = race.store.engine
+    lease = claiming.claim(engine, "failing", 60.0)
+    assert lease is not None
+    errors: list[BaseException] = []
+
+    def block() -> None:
+        try:
+            leases.fail(engine, lease, "no use", None, 0.0, block=True)
+        except BaseException as error:
+            errors.append(error)
+
+    blocking = threading.Thread(target=block)
+    with transaction(engine, write=True) as connection:
+        store_log.lock_rotor(connection, rotor)
+        blocking.start()
+        blocking.join(0.5)
+        assert blocking.is_alive()
+        post_note(connection, rotor, "diagnosed", {})
+        connection.execute(update(t.cursor).values(dirty=True, dirty_since=1.0))
+    blocking.join()
+    assert errors == []
+    with race.store.read() as tx:
+        assert tx.records.rotor(rotor).blocked
+        assert [note.kind for note in tx.outbox.after(rotor, 0, 10)] == ["diagnosed", "blocked"]

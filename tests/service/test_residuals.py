@@ -13,15 +13,17 @@ from sqlalchemy import select, update
 from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.client import Client
+from service.errors import StoreAwayError
 from service.fake import HORIZON_H, FakeScience
 from service.handlers.inspections import retract
-from service.handlers.rotors import view_rotor
-from service.ports import Json
+from service.handlers.rotors import create_rotor, view_rotor
+from service.ports import BladeRecord, Json
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import residuals as work
+from service.worker.lease import release
 from service.worker.loop import Worker
 from service.worker.residuals import Residuals, claim_residuals
 
@@ -284,3 +286,64 @@ def test_a_worker_that_is_stopped_gives_them_back_uncounted(
         row = connection.execute(select(t.residual)).one()
     assert (row.version, row.attempts, row.owner) == (0, 0, None)
     assert Residuals(store, science, settings, "t").run_once()
+
+
+def test_residuals_that_kill_their_workers_are_given_up_with_an_error(
+    store: SqlStore, science: FakeScience, settings: Settings, read: str
+) -> None:
+    few = settings.model_copy(update={"max_attempts": 2})
+    for _ in range(2):
+        assert claim_residuals(store.engine, "dies", 30.0) is not None
+        release(store.engine, "dies")
+    assert Residuals(store, science, few, "d").run_once()
+    with store.read() as tx:
+        kept = tx.records.residuals("r1")
+    assert (kept.version, kept.body) == (1, None)
+    assert "2 workers died" in str(kept.error)
+    assert not Residuals(store, science, few, "d").run_once()
+
+
+def test_the_oldest_residuals_go_first(
+    store: SqlStore,
+    science: FakeScience,
+    settings: Settings,
+    worker: Worker,
+    reading: Make,
+    post: Post,
+) -> None:
+    """The first rotor gets versions without a pause; the others have their turn all the same."""
+    names = ("r1", "r2", "r3")
+    for name in names:
+        create_rotor(store, name, "rotor-blade", [BladeRecord("B1")], 64, 7)
+        post(name, reading("a"))
+    taken = []
+    for k in range(4):
+        post("r1", reading(f"more-{k}", time_h=1000.0 * (k + 1)))
+        worker.drain()
+        claim = claim_residuals(store.engine, "d", 30.0)
+        assert claim is not None
+        taken.append(claim.rotor_id)
+        one = Residuals(store, science, settings, "d")
+        one.keep(claim, None, "looked at")
+    assert taken == ["r1", "r2", "r3", "r1"]
+
+
+def test_a_commit_that_was_not_heard_of_stays(
+    store: SqlStore,
+    science: FakeScience,
+    settings: Settings,
+    read: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one, real = Residuals(store, science, settings, "d"), Residuals.keep
+
+    def unheard(self: Residuals, *given: Any) -> None:
+        real(self, *given)
+        raise StoreAwayError("ConnectionReset")
+
+    monkeypatch.setattr(Residuals, "keep", unheard)
+    with pytest.raises(StoreAwayError):
+        one.run_once()
+    with transaction(store.engine, write=False) as connection:
+        row = connection.execute(select(t.residual)).one()
+    assert (row.version, row.attempts) == (1, 0)

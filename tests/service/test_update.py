@@ -220,6 +220,39 @@ def test_after_its_attempts_a_rotor_is_blocked_with_the_reading_named_and_others
     assert (freed.rotor.blocked, freed.rotor.last_error) == (False, None)
 
 
+@pytest.mark.parametrize("free", ["retract", "retry"])
+def test_a_rotor_that_is_freed_during_its_last_attempt_is_tried_again(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post, free: str
+) -> None:
+    tried: list[str] = []
+
+    class Slow(Choosy):
+        def update(self, *given: Any, **more: Any) -> FakeState:
+            tried.append("")
+            if len(tried) == 2:
+                if free == "retract":
+                    retract(store, rotor, "culprit")
+                else:
+                    retry(store, rotor)
+            if len(tried) > 3 and free == "retry":
+                return FakeScience.update(self, *given, **more)
+            return super().update(*given, **more)
+
+    twice = settings.model_copy(update={"max_attempts": 2, "retry_base_s": 0.0})
+    post(rotor, reading("culprit", campaign="bad"))
+    worker = make_worker(store, Slow(), twice)
+    for _ in range(2):
+        assert worker.updater.run_once()
+    view = view_rotor(store, rotor).rotor
+    assert (view.blocked, view.attempts) == (False, 0)
+    assert "no particle explains it" in str(view.last_error)
+    with store.read() as tx:
+        assert [note.kind for note in tx.outbox.after(rotor, 0, 10)] == []
+        assert tx.connection.execute(select(t.cursor.c.not_before)).scalar() is None
+    worker.drain()
+    assert view_rotor(store, rotor).has_applied(2 if free == "retract" else 1)
+
+
 def test_a_failed_update_pauses_before_it_is_tried_again(
     store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
 ) -> None:
