@@ -16,7 +16,9 @@ key twice (the last would silently win), and 1e-3 is a number, as YAML 1.2 has i
 
 from __future__ import annotations
 
+import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ import yaml
 
 from core.errors import FaultsError, InputError
 from core.network import Network
+from service.names import ID_LENGTH, ID_PATTERN
 from service.ports import Json
 
 MOST_BYTES = 2**20
@@ -47,9 +50,15 @@ NEEDED = {
     "quantity": ("name", "unit", "kind", "sigma_obs", "low", "high"),
     "prior": ("kind", "low", "high"),
 }
-SAID = {str: "a text", float: "a number", int: "a whole number", bool: "true or false",
+SAID = {str: "a text", float: "a finite number", int: "a whole number", bool: "true or false",
         dict: "a mapping", list: "a list"}  # fmt: skip
 KINDS = ("scalar", "field", "vector")
+
+
+UNREADABLE = (
+    *(yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError, OverflowError),
+    *(KeyError, IndexError, AttributeError, TypeError),  # explicit tags on what they do not fit
+)
 
 
 class _Reader(yaml.SafeLoader):  # type: ignore[misc]
@@ -65,7 +74,8 @@ class _Reader(yaml.SafeLoader):  # type: ignore[misc]
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        twice = sorted({str(key) for key in keys if keys.count(key) > 1})
+        counts = Counter(keys)
+        twice = sorted({str(key) for key in keys if counts[key] > 1})
         if twice:
             line = node.start_mark.line + 1
             raise yaml.YAMLError(f"the mapping at line {line} has {', '.join(twice)} twice")
@@ -74,7 +84,7 @@ class _Reader(yaml.SafeLoader):  # type: ignore[misc]
 
 _Reader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
     list("-+.0123456789"),
 )
 
@@ -92,7 +102,7 @@ network.quantities = [] is empty. To mend it: declare at least one.
         raise FaultsError([InputError(where, f"{len(text)} bytes", "is too long", remedy)])
     try:
         told = yaml.load(text, Loader=_Reader)
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except UNREADABLE as error:
         said = " ".join(str(error).split())[:300]
         problem = f"is neither YAML nor JSON: {said}"
         raise FaultsError([InputError(where, "…", problem, "correct it there")]) from None
@@ -120,10 +130,12 @@ def network_of(told: object, where: str = "network") -> Network:
     for i, one in enumerate(_list(told, "parameters")):
         at = f"{where}.parameters[{i}]"
         if _keys(one, PARAMETER, at, "parameter", faults):
+            _name(one, at, faults)
             _prior(one, "prior", at, faults)
     for i, one in enumerate(_list(told, "quantities")):
         at = f"{where}.quantities[{i}]"
         if _keys(one, QUANTITY, at, "quantity", faults):
+            _name(one, at, faults)
             _prior(one, "sigma_obs", at, faults)
             if isinstance(one.get("kind"), str) and one["kind"] not in KINDS:
                 remedy = f"use one of {', '.join(KINDS)}"
@@ -175,8 +187,17 @@ def _keys(
 
 def _is(value: object, kind: type) -> bool:
     if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
+        whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
+        return whole or (isinstance(value, float) and math.isfinite(value))
     return isinstance(value, kind) and not (kind is int and isinstance(value, bool))
+
+
+def _name(told: Mapping[str, Any], where: str, faults: list[InputError]) -> None:
+    """Names that readings and addresses carry, so they are held against what these may."""
+    name = told.get("name")
+    if isinstance(name, str) and not (len(name) <= ID_LENGTH and re.match(ID_PATTERN, name)):
+        remedy = f"use letters, digits and . _ : + -, no space, {ID_LENGTH} at most"
+        faults.append(InputError(f"{where}.name", _short(name), "is no name", remedy))
 
 
 def _prior(told: Mapping[str, Any], key: str, where: str, faults: list[InputError]) -> None:

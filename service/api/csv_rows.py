@@ -12,21 +12,29 @@ import io
 import re
 from typing import Any
 
-from service.api.problems import Fault, RequestError, fault, invalid
+from service.api.problems import MOST_FAULTS, Fault, RequestError, fault, invalid
 from service.export.readings import COLUMNS
+from service.names import is_number
 
 CSV_EXAMPLE = "id,blade,quantity,time_h,value,unit\ni3,B01,elongation,16000,0.21,mm\n"
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 WHOLE = re.compile(r"\d{1,9}")
 NEEDED = ("id", "blade", "quantity", "time_h")
 AXES = ("x", "y", "z")
 NUMBERS = ("time_h", "value", "sigma", *AXES)
+MOST_ROWS = 500_000
+LONG_LINE = re.compile(rb"[^\n]{20000}")  # longer than all cells of a row may be
 KNOWN = f"the columns are {', '.join(COLUMNS)}"
 Row = dict[str, Any]
 
 
 def csv_rows(body: bytes) -> list[tuple[str, Row]]:
     """The readings and the line of each, e.g. ``line 2.``. RequestError lists every fault."""
+    if LONG_LINE.search(body):
+        told = "the body is no CSV of readings: it has a line of 20,000 bytes or more"
+        raise RequestError(400, "invalid-csv", told)
+    if (count := body.count(b"\n")) > MOST_ROWS:
+        remedy = f"post {MOST_ROWS} at a time"
+        raise invalid([fault("body", count, f"has more than {MOST_ROWS} lines", remedy)])
     try:
         reader = csv.DictReader(io.StringIO(body.decode("utf-8-sig"), newline=""), strict=True)
         header = list(reader.fieldnames or [])
@@ -38,6 +46,8 @@ def csv_rows(body: bytes) -> list[tuple[str, Row]]:
         faults.append(fault("body", "", "holds no row", "give at least one reading"))
     rows = []
     for number, row in lines:
+        if len(faults) > MOST_FAULTS:
+            break
         if None in row or None in row.values():
             problem, remedy = "has another number of cells than the header", "give every cell"
             told = ",".join(str(value) for value in row.values())
@@ -58,7 +68,7 @@ def _header_faults(header: list[str]) -> list[Fault]:
 
 
 def _cell(column: str, text: Any) -> Any:
-    if column in NUMBERS and NUMBER.fullmatch(text):
+    if column in NUMBERS and is_number(text):
         return float(text)
     if column == "node" and WHOLE.fullmatch(text):
         return int(text)

@@ -63,6 +63,7 @@ class Shelf:
     """Answers by question, least recently used ones dropped above `limit_mb`; for many threads."""
 
     ENTRY_BYTES = 2048
+    LONGEST = 4096  # of a question's path and query; longer ones are not asked twice
 
     def __init__(self, limit_mb: float) -> None:
         self._limit, self._size = int(limit_mb * 2**20), 0
@@ -76,17 +77,20 @@ class Shelf:
             return self._kept.get(question)
 
     def put(self, question: Question, kept: Kept) -> None:
+        if len(question[0]) + len(question[1]) > self.LONGEST:
+            return
         with self._lock:
             if (old := self._kept.pop(question, None)) is not None:
-                self._size -= self._bytes(old)
+                self._size -= self._bytes(question, old)
             self._kept[question] = kept
-            self._size += self._bytes(kept)
+            self._size += self._bytes(question, kept)
             while self._size > self._limit:
-                _, dropped = self._kept.popitem(last=False)
-                self._size -= self._bytes(dropped)
+                self._size -= self._bytes(*self._kept.popitem(last=False))
 
-    def _bytes(self, kept: Kept) -> int:
-        return self.ENTRY_BYTES + len(kept.body or b"")
+    def _bytes(self, question: Question, kept: Kept) -> int:
+        heads = sum(len(name) + len(value) for name, value in kept.headers)
+        asked = 2 * len(question[0]) + len(question[1])  # its path parameters repeat the path
+        return self.ENTRY_BYTES + asked + heads + len(kept.body or b"")
 
 
 def rests_on(scope: MutableMapping[str, Any], found: Basis, which: Which) -> None:

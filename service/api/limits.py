@@ -7,6 +7,8 @@ of a broken connection.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -48,14 +50,15 @@ class BodyLimit:
 
         async def watched(message: Message) -> None:
             nonlocal started
+            if taken > self.limit and not started:
+                return  # what a parser made of the cut body
             started = True
             await send(message)
 
-        try:
+        with suppress(_TooLargeError):
             await self.app(scope, counted, watched)
-        except _TooLargeError:
-            if not started:
-                await self._refuse(scope, receive, send, taken, True)
+        if taken > self.limit and not started:
+            await self._refuse(scope, receive, send, taken, True)
 
     async def _refuse(
         self, scope: Scope, receive: Receive, send: Send, size: int, drain: bool

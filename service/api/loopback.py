@@ -67,6 +67,8 @@ def by_loopback(scope: Scope, origins: Collection[str]) -> bool:
         return False
     if any(name in headers for name in PROXIES):
         return False
+    if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+        return headers.get("origin") in origins  # browsers say of each request whose page asks
     host = headers.get("host", "")
     if not is_loopback(_name_of(host)):
         return False

@@ -19,6 +19,7 @@ from service.api.visit import visit_of
 from service.tokens import redacted
 
 LONGEST = 200
+MOST_FAULTS = 1000  # that one answer tells; who reads a body stops a little later
 Fault = dict[str, Any]
 
 
@@ -101,8 +102,12 @@ def problem(
 
 
 def invalid(faults: Sequence[Fault]) -> RequestError:
-    """422 with every fault; the sentence is the first one's."""
+    """422 with every fault, up to `MOST_FAULTS`; the sentence is the first one's."""
     first = faults[0]
+    if len(faults) > MOST_FAULTS:
+        told = f"has more than {MOST_FAULTS} faults, of which these are the first"
+        remedy = "mend these and post again to hear of the others"
+        faults = [*faults[:MOST_FAULTS], fault("body", None, told, remedy)]
     text = (
         f"{first['field']} = {first['value']!r}: {first['problem']}. To mend it: {first['remedy']}"
     )

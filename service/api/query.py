@@ -14,6 +14,7 @@ from fastapi import Request
 
 from service.api.problems import fault, invalid
 
+MOST, NEARBY = 50, 5  # parameters of one request; names that are compared with those known
 BELOW = "/v1/"  # health, metrics and pages are asked by programs with parameters of their own
 Takes = Mapping[str, bool]  # a parameter's name: whether it may be given more than once
 
@@ -41,14 +42,17 @@ async def known_query(request: Request) -> None:
     given = request.query_params.multi_items()
     if not given or not request.url.path.startswith(BELOW):
         return
+    if len(given) > MOST:
+        told = "are too many parameters"
+        raise invalid([fault("query", len(given), told, f"give {MOST} at most, each once")])
     route = request.scope["route"].path_format
     known = takes(request.app.openapi(), route, request.method)
     faults, seen = [], set[str]()
     for name, value in given:
         if name not in known:
-            faults.append(
-                fault(name, value, "is no parameter of this route", _instead(name, known))
-            )
+            near = known if len(faults) < NEARBY and len(name) <= 100 else {}
+            remedy = _instead(name, near, known)
+            faults.append(fault(name, value, "is no parameter of this route", remedy))
         elif name in seen and not known[name]:
             faults.append(fault(name, value, "is given more than once", "give it once"))
         seen.add(name)
@@ -56,7 +60,7 @@ async def known_query(request: Request) -> None:
         raise invalid(faults)
 
 
-def _instead(name: str, known: Takes) -> str:
-    if near := get_close_matches(name, known, 1, 0.5):
-        return f"use {near[0]}"
+def _instead(name: str, near: Takes, known: Takes) -> str:
+    if found := get_close_matches(name, near, 1, 0.5):
+        return f"use {found[0]}"
     return f"use {', '.join(known)}" if known else "leave it out: this route takes none"

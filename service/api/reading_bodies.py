@@ -26,7 +26,15 @@ from pydantic_core import from_json
 from core.errors import InputError
 from core.observation import Inspection
 from service.api.csv_rows import csv_rows
-from service.api.problems import Fault, RequestError, fault, fault_of, faults_of_validation, invalid
+from service.api.problems import (
+    MOST_FAULTS,
+    Fault,
+    RequestError,
+    fault,
+    fault_of,
+    faults_of_validation,
+    invalid,
+)
 from service.api.schemas import Body, Id, Moment, Text
 from service.api.sensorthings import sensorthings_rows
 from service.export.sensorthings import MEDIA
@@ -114,6 +122,7 @@ class InspectionIn(Body):
 
 
 VALUE = ("value", "values", "nodes")
+MOST_READINGS = 100_000
 UNREAD = "unread"
 STAND_INS: dict[str, Any] = {
     "id": UNREAD, "blade": UNREAD, "quantity": UNREAD, "time_h": 0.0, "value": 0.0
@@ -143,6 +152,9 @@ def read_inspections(
             "unsupported-media-type",
             f"{kind!r} is not read; post application/json, text/csv or {MEDIA}",
         )
+    if len(rows) > MOST_READINGS:
+        remedy = f"post {MOST_READINGS} at a time"
+        raise invalid([fault("inspections", len(rows), f"are above {MOST_READINGS}", remedy)])
     items: list[Item] = []
     faults: list[Fault] = []
     unread: dict[str, frozenset[str]] = {}  # fields that were not read, by the place of their row
@@ -152,6 +164,8 @@ def read_inspections(
         except ValidationError as error:
             faults += faults_of_validation(error.errors(), where)
             fields = _fields(error)
+            if len(faults) > MOST_FAULTS:
+                raise invalid(faults) from None
             if (rest := _rest(row, fields)) is not None:
                 items.append(Item(where, rest))
                 unread[where] = fields
@@ -210,4 +224,4 @@ def _json_rows(body: bytes) -> list[tuple[str, Any]]:
         raise invalid(
             [fault("inspections", rows, "is not a list of readings", "give at least one")]
         )
-    return [(f"inspections[{i}].", row) for i, row in enumerate(rows)]
+    return [(f"inspections[{i}].", row) for i, row in enumerate(rows[: MOST_READINGS + 1])]

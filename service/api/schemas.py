@@ -30,7 +30,9 @@ def _moment(text: str) -> str:
     return text
 
 
-Moment = Annotated[str, StringConstraints(max_length=40), AfterValidator(_moment)]
+Moment = Annotated[
+    str, StringConstraints(max_length=40, pattern=TEXT_PATTERN), AfterValidator(_moment)
+]
 
 
 class Body(BaseModel):

@@ -22,7 +22,7 @@ from typing import Any
 
 from pydantic_core import from_json
 
-from service.api.problems import Fault, RequestError, fault, invalid
+from service.api.problems import MOST_FAULTS, Fault, RequestError, fault, invalid
 from service.export.sensorthings import PREDICTION, SAID, stream_id
 
 Json = dict[str, Any]
@@ -87,6 +87,8 @@ class _Reader:
 
     def say(self, where: str, value: object, problem: str, remedy: str) -> None:
         self.faults.append(fault(where, value, problem, remedy))
+        if len(self.faults) > MOST_FAULTS:
+            raise invalid(self.faults)
 
     def _object(self, where: str, value: object) -> Json:
         if isinstance(value, dict):

@@ -17,7 +17,10 @@ from service.handlers.reads import Basis
 from service.moments import moment as moment  # (routes take it from here)
 from service.names import ID_PATTERN
 from service.ports import Appended, Science, Store
+from service.release import release
 from service.settings import Settings
+
+RELEASE = release()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +96,8 @@ def accepted(answers: Sequence[Appended]) -> JSONResponse:
 
 
 def tag_of(request: Request, *parts: object) -> str:
-    """The ETag of an answer that depends on `parts` and the question alone."""
-    return tag(request.url.path, request.url.query, *parts)
+    """The ETag of an answer that depends on `parts`, the question and this release alone."""
+    return tag(RELEASE, request.url.path, request.url.query, *parts)
 
 
 def tag_of_basis(request: Request, found: Basis) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -58,7 +59,7 @@ def of_rotor(
     there = {blade.id: blade for blade in sorted(blades, key=lambda blade: blade.id)}
     if names is None:
         return _checked(found, quantity, times, [b for b in there.values() if not b.retired_seq])
-    if twice := sorted({name for name in names if list(names).count(name) > 1}):
+    if twice := sorted(name for name, count in Counter(names).items() if count > 1):
         raise InputError("blades", ", ".join(twice), "is named twice", "name each blade once")
     for name in names:
         if name not in there:

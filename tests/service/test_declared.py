@@ -39,7 +39,7 @@ def test_every_fault_of_a_declaration_is_told_under_the_name_that_was_written() 
     assert found == {
         "network.parameters[0].level": "is not a text",
         "network.parameters[0].prior.width": "is not known",
-        "network.parameters[0].prior.low": "is not a number",
+        "network.parameters[0].prior.low": "is not a finite number",
         "network.parameters[1].name": "is not a text",
         "network.quantities[0].unit": "is missing",
         "network.quantities[0].kind": "is not known",

@@ -221,7 +221,7 @@ def test_nothing_is_kept_where_there_is_no_room(
 
 def test_the_shelf_drops_what_was_not_asked_for_the_longest() -> None:
     ground = Ground("r", lambda store, rotor: None, None)
-    shelf = Shelf(3 * (Shelf.ENTRY_BYTES + 100) / 2**20)
+    shelf = Shelf(3 * (Shelf.ENTRY_BYTES + 102) / 2**20)  # with a path of one letter
     for name in "abc":
         shelf.put((name, b"", False), Kept(ground, name, [], b"x" * 100, {}))
     assert shelf.get(("a", b"", False)) is not None

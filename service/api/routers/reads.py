@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
@@ -12,7 +11,7 @@ from pydantic import FiniteFloat
 
 from service.api.files import CSV, SENSORTHINGS, file
 from service.api.kept import rests_on
-from service.api.problems import RequestError, fault
+from service.api.problems import fault, invalid
 from service.api.routers.draws import get_draws, get_rotor_draws
 from service.api.services import Name, Wired, moment, tag_of_basis, tagged, unchanged
 from service.api.which import Asked
@@ -20,6 +19,7 @@ from service.export import sensorthings
 from service.export.tables import prediction_csv
 from service.handlers import reads as use
 from service.handlers.life import along_question, life
+from service.names import is_number
 from service.ports import Which
 
 router = APIRouter(prefix="/v1/rotors/{r}", tags=["reads"])
@@ -27,7 +27,6 @@ DRAWS = 1000  # in a file; `…/draws?format=netcdf` gives as many as are asked 
 Form = Annotated[
     Literal["json", "netcdf"], Query(description=f"netcdf: {DRAWS} draws in ArviZ's schema")
 ]
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
 @router.get("/posterior", summary="The shared parameters of the rotor")
@@ -142,12 +141,7 @@ def read_times(text: str | None) -> list[float] | None:
         return None
     parts = [part.strip() for part in text.split(",")]
     for part in parts:
-        if not NUMBER.fullmatch(part):
+        if not is_number(part):
             remedy = "give hours with commas between, e.g. times=8000,24000"
-            raise RequestError(
-                422,
-                "invalid-input",
-                f"times: {part!r} is not a number. To mend it: {remedy}",
-                [fault("times", part, "is not a number", remedy)],
-            )
+            raise invalid([fault("times", part, "is not a number", remedy)])
     return [float(part) for part in parts]

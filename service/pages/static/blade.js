@@ -4,7 +4,7 @@ import { get, pages, path } from "./api.js";
 import { chart, legend, numbers } from "./chart.js";
 import { corner, marginals } from "./corner.js";
 import { $, asked, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
-import { ago, fixed, hours, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
+import { ago, fixed, hours, inUnit, labels, moment, number, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
 import { kindsOf, readingsTable } from "./reading.js";
@@ -66,7 +66,7 @@ function drawBands(found, readings, life) {
   show(bandsLegend, legend([["line", "mean", "mean"], ["strong", "band", "blade ±1 sd, ±2 sd (without noise)"], ["light", "band", "next reading ±2 sd (with noise)"],
     ...kinds.map((kind) => ["mark", kind, { counts: "counts", late: "late", corrects: "correction", replaced: "replaced", retracted: "retracted" }[kind]])]));
   const hidden = readings.filter((r) => r.quantity === found.quantity).length - marks.length;
-  if (hidden > 0) bandsLegend.append(h("p", { class: "small soft" }, `${number(hidden, "scan")} of this quantity at other nodes: see In 3-D.`));
+  if (hidden > 0) bandsLegend.append(h("p", { class: "small soft" }, `${number(hidden, "scan")} of this quantity not drawn here (other nodes, or many at once): see In 3-D.`));
   const lines = SOURCES.map(([name, way]) => ({ name, way, values: sd[name], ink: name }));
   show(bandsTable, numbers("Prediction as a table", found.time_h, [{ name: "mean", values: mean }, { name: "sd of the blade", values: bladeSd }, { name: "sd of a reading", values: sd.total }], found.unit));
   chart(sources, { time: found.time_h, lines, what: `sd of ${what}`, unitName: found.unit, height: 210, least: 0, label: `Standard deviation by source over operating hours` });
@@ -83,7 +83,8 @@ function drawFigures(found, mean, sd, bladeSd, life) {
   if (life === null) parts.push(h("p", { class: "soft" }, "Give a limit above to see the time to it."));
   else {
     const end = hours(life.time_h.at(-1));
-    const at = (share) => (life.quantiles[share] === null ? `beyond ${end}` : hours(Math.round(life.quantiles[share] / 10) * 10));
+    const grain = 10 ** Math.max(-3, Math.floor(Math.log10(life.time_h.at(-1))) - 3); // of 50 000 h: 10 h
+    const at = (share) => (life.quantiles[share] === null ? `beyond ${end}` : `${labels([Math.round(life.quantiles[share] / grain) * grain, grain])[0]} h`);
     parts.push(figure(at("0.5"), `median time to ${inUnit(plain(life.limit), life.unit)}`),
       h("p", { class: "small" }, `5 %: ${at("0.05")}; 95 %: ${at("0.95")}. Chance to have passed it by ${end}: ${fixed(100 * life.passed.at(-1), 1)} %.`),
       h("p", { class: "small soft" }, "From all particles of the blade at each hour, without a reading's noise, for a quantity that does not shrink."));

@@ -2,7 +2,7 @@
 
 import { get, path } from "./api.js";
 import { $, aside, asked, colour, facts, h, names, panel, remember, s, scroll, select, show, table } from "./dom.js";
-import { fixed, inUnit, moment, number, plain, withSd, words } from "./format.js";
+import { fixed, inUnit, labels, moment, number, plain, withSd, words } from "./format.js";
 import { ORDERS, heat } from "./heat.js";
 import { drawn, follow, keep } from "./live.js";
 import { ticks } from "./scale.js";
@@ -29,6 +29,8 @@ async function readAll() {
 
 const INKS = ["parameters", "late", "discrepancy", "noise", "prior"];
 
+const labelled = (values) => labels(values).map((label, i) => [values[i], label]);
+
 /** z against the rotor's hours: a point a reading, its group by ink, ±2 sd as lines. */
 function scatter(items) {
   const groups = [...new Set(items.map((r) => r[chosen.by] ?? "–"))].sort((a, b) => String(a).localeCompare(String(b), "en", { numeric: true }));
@@ -45,8 +47,8 @@ function scatter(items) {
   const text = (x, y, what, anchor) => s("text", { x, y, "text-anchor": anchor, "font-size": 12, fill: colour("soft") }, what);
   const picture = s("svg", { class: "bars wide", viewBox: `0 0 880 ${height}`, role: "img", "aria-label": "Residuals in standard deviations over the rotor's hours; the table below has the largest" },
     grid(0, true), grid(2, false), grid(-2, false),
-    ticks([-reach, reach], 7).map((z) => text(left - 8, Y(z) + 4, fixed(z, 0), "end")),
-    ticks([0, last], 8).map((t) => text(X(t), bottom + 18, fixed(t, 0), "middle")),
+    labelled(ticks([-reach, reach], 7)).map(([z, label]) => text(left - 8, Y(z) + 4, label, "end")),
+    labelled(ticks([0, last], 8)).map(([t, label]) => text(X(t), bottom + 18, label, "middle")),
     text((left + right) / 2, height - 6, "rotor's hours [h]", "middle"),
     s("text", { x: 14, y: (top + bottom) / 2, "text-anchor": "middle", "font-size": 12, fill: colour("soft"), transform: `rotate(-90 14 ${(top + bottom) / 2})` }, "z [sd]"),
     items.map((r, i) => s("circle", { cx: beside(r, i), cy: Y(r.z), r: 3.5, fill: ink(r), "fill-opacity": 0.75 },
