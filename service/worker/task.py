@@ -66,7 +66,7 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
     with store.read() as tx:
         rotor = tx.records.rotor(lease.rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
-        if memory is not None and not _holds(tx, lease, memory):
+        if memory is not None and not same_history(tx, lease, memory):
             log.warning("rotor %s: the log went another way than this worker saw", rotor.id)
             memory = None
         if memory is None or (memory.version, memory.through) != (
@@ -90,7 +90,7 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
     )
 
 
-def _holds(tx: SqlTransaction, lease: Lease, memory: Memory) -> bool:
+def same_history(tx: SqlTransaction, lease: Lease, memory: Memory) -> bool:
     """The database has the entry with which the memory ends; the version, too, if it is used."""
     asked = {"rotor": lease.rotor_id, "seq": memory.through, "version": memory.version}
     *last, digest = tx.connection.execute(_ENDS, asked).one()
