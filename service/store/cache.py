@@ -11,25 +11,31 @@ from service.ports import Array
 Key = tuple[str, int, str]
 Kept = tuple[str, int, str, str | None]  # and the SHA-256 that it has in this version
 MOST_CHECKED = 512
+VERSIONS = 3
 OVERHEAD = 664  # bytes of an array's objects, head and key beside its numbers, measured
 
 
 class ArrayCache:
-    """Decoded arrays, least recently used ones dropped above `limit_mb`; safe between threads.
+    """Decoded arrays of a few versions of each rotor; safe between threads.
 
-    Each counts with what Python needs to hold it: of small arrays that is nearly all.
+    Of a rotor the `VERSIONS` that were used last are kept: a rotor that is read while it is updated
+    leaves versions behind that nobody asks for again. Above `limit_mb` the arrays that were used
+    the longest ago go. Each counts with what Python needs to hold it: of small arrays that is
+    nearly all.
     """
 
     def __init__(self, limit_mb: float) -> None:
         self._limit = int(limit_mb * 2**20)
         self._size = 0
         self._arrays: OrderedDict[Kept, Array] = OrderedDict()
+        self._versions: dict[str, OrderedDict[int, set[Kept]]] = {}
         self._lock = threading.Lock()
 
     def get(self, key: Kept) -> Array | None:
         with self._lock:
             if key in self._arrays:
                 self._arrays.move_to_end(key)
+                self._versions[key[0]].move_to_end(key[1])
             return self._arrays.get(key)
 
     def put(self, key: Kept, array: Array) -> None:
@@ -38,9 +44,26 @@ class ArrayCache:
                 return
             self._arrays[key] = array
             self._size += array.nbytes + OVERHEAD
+            versions = self._versions.setdefault(key[0], OrderedDict())
+            versions.setdefault(key[1], set()).add(key)
+            versions.move_to_end(key[1])
+            if len(versions) > VERSIONS:
+                for old in list(next(iter(versions.values()))):
+                    self._drop(old)
             while self._size > self._limit:
-                _, dropped = self._arrays.popitem(last=False)
-                self._size -= dropped.nbytes + OVERHEAD
+                self._drop(next(iter(self._arrays)))
+
+    def _drop(self, key: Kept) -> None:
+        self._size -= self._arrays.pop(key).nbytes + OVERHEAD
+        versions = self._versions[key[0]]
+        versions[key[1]].discard(key)
+        if not versions[key[1]]:
+            del versions[key[1]]
+        if not versions:
+            del self._versions[key[0]]
+
+    def __len__(self) -> int:
+        return len(self._arrays)
 
 
 class Checked:

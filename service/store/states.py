@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from sys import intern
 from typing import Any
 
 from sqlalchemy import (
@@ -270,4 +271,5 @@ def digests(connection: Connection, rotor_id: str, version: int | None = None) -
     query = select(a.name, a.sha256).where(
         a.rotor_id == rotor_id, a.name == newest.c.name, a.version == newest.c.version
     )
-    return {row[0]: row[1] for row in connection.execute(query) if row[1]}
+    # Names, and most digests, are those of the versions before: each text is held once.
+    return {intern(row[0]): intern(row[1]) for row in connection.execute(query) if row[1]}

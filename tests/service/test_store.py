@@ -241,6 +241,34 @@ def test_an_array_of_a_version_that_is_gone_is_not_replaced_by_an_older_one(
         arrays("a")
 
 
+def test_the_cache_holds_few_versions_of_a_rotor_those_used_last() -> None:
+    cache = ArrayCache(limit_mb=1.0)
+    one = np.zeros(2)
+
+    def there(rotor: str) -> list[int]:
+        return [v for v in range(1, 9) if cache.get((rotor, v, "a", None)) is not None]
+
+    for version in range(1, 5):
+        for name in ("a", "b"):
+            cache.put(("r", version, name, None), one)
+    assert there("r") == [2, 3, 4]
+    assert cache.get(("r", 1, "b", None)) is None
+    cache.put(("other", 1, "a", None), one)
+    cache.get(("r", 2, "a", None))  # asked for as of then
+    cache.put(("r", 5, "a", None), one)
+    assert there("r") == [2, 4, 5]
+    assert there("other") == [1]
+    assert len(cache) == 2 + 2 + 1 + 1
+
+
+def test_what_is_dropped_for_want_of_room_leaves_nothing_behind() -> None:
+    cache = ArrayCache(limit_mb=10 * (16 + OVERHEAD) / 2**20)
+    for rotor in range(100):
+        cache.put((f"r{rotor}", 1, "a", None), np.zeros(2))
+    assert len(cache) == 10
+    assert len(cache._versions) == 10
+
+
 def test_a_database_that_is_away_is_told_as_such(tmp_path: Path) -> None:
     for url in (
         f"sqlite:///{tmp_path / 'no' / 'such' / 'folder.db'}",
