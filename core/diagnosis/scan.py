@@ -21,6 +21,12 @@ other blades with equal rows, with random signs. That keeps what is within a bla
 its memory, and destroys what blades have in common; where the shared parameters lie in their
 priors is drawn anew as well. The largest family's log BF over all cells is
 compared with that of the dealt sets: family-wise, over everything tried.
+
+Two things such a null would hide. One odd blade is dealt as well, and makes the gain of whichever
+blade it lands on: it is dealt no larger than t-distributed readings of the others' size are but in
+`ODD` of all rotors. And of few blades the signs all agree by chance in 2^(1−B) of the sets: below
+`FEW` normal readings of the rotor's own size are drawn instead, and what concerns all blades is
+measured by their scatter about it, so that its size does not matter.
 """
 
 from __future__ import annotations
@@ -31,15 +37,19 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from core.calibration.message import POOL
 from core.diagnosis.grammar import Cell
-from core.diagnosis.scatter import Scatter
+from core.diagnosis.scatter import LEAST_BLADES, Scatter
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures
 from core.rng import stream
 
 Array = NDArray[np.float64]
+FEW = 6  # blades below which they are not dealt
+USUAL = 0.95  # of dealt sets
+ODD, TAIL = 0.05, 4.0  # a blade is dealt no larger than t-distributed readings are but so rarely
 
 
 @dataclass(frozen=True)
@@ -188,34 +198,52 @@ class Scan:
         return dict(zip((*self.families, *self.free), values.tolist(), strict=True))
 
     def null(self, count: int, seed: int) -> Array:
-        """The largest family's log mean Bayes factor in `count` dealt sets, (count,)."""
+        """`by_family` of `count` dealt sets, (count, families and free sets)."""
         rng = stream(seed, "dealt")
         root, back = _roots(self.seen)
         white = np.einsum("bij,bj->bi", back, self.seen.q)
-        rows = self.seen.real.sum(axis=1)
         weighted = np.einsum("bij,bic->bjc", root, self.efficient)  # rootᵀ g⊥
-        alone = _alone(self.cells, self.g.shape[2])
-        scatter = Scatter.of(self.own, np.any(self.g != 0, axis=1), alone)
-        information = np.diag(self.information)
         shared = self.seen.by_chance(rng, count) @ np.einsum(
             "bnk,bnc->kc", self.seen.deviation, self.g
         )
-        alike = [np.flatnonzero(rows == n) for n in np.unique(rows)]
-        dealt = np.empty((count, *white.shape))
-        for k in range(count):
-            order = np.arange(len(rows))
-            for own in alike:
-                order[own] = rng.choice(own, len(own))
-            dealt[k] = white[order] * rng.choice([-1.0, 1.0], len(rows))[:, None]
+        dealt = _dealt(white, self.seen.real.sum(axis=1), rng, count)
 
-        def largest(k: int) -> float:
+        def tried(k: int) -> Array:
             c = np.einsum("bjc,bj->bc", weighted, dealt[k])
-            u = c.sum(axis=0) + shared[k]
-            phi = scatter.phi(c, u, information)
-            gains = _gains(u, information, phi, self._signs)
-            return float(self.by_family(gains, u, phi).max())
+            return self._tried(c, c.sum(axis=0) + shared[k])
 
-        return np.array(list(POOL.map(largest, range(count))))
+        return np.array(list(POOL.map(tried, range(count))))
+
+    @cached_property
+    def _scatter(self) -> Scatter:
+        """For the null; of few blades phi is each cell's own that concerns them all."""
+        alone, blades = _alone(self.cells, self.g.shape[2]), len(self.own)
+        least = blades if blades < FEW else LEAST_BLADES
+        return Scatter.of(self.own, np.any(self.g != 0, axis=1), alone, least)
+
+    def _tried(self, c: Array, u: Array) -> Array:
+        """`by_family` of contributions (B, C) and scores (C,)."""
+        information = np.diag(self.information)
+        phi = self._scatter.phi(c, u, information)
+        return self.by_family(_gains(u, information, phi, self._signs), u, phi)
+
+    def chance(self, count: int, seed: int) -> float:
+        """Family-wise probability of so large a gain, by `count` dealt sets.
+
+        Families of one blade and all others are each counted from what `USUAL` of the dealt sets
+        do not exceed: a blade that is odd widens the null of the former.
+        """
+        null = np.atleast_2d(self.null(count, seed))
+        found = self._tried(self.c, self.u)
+        alone = np.array([name.endswith(", blade") for name in self.found])
+        excess = np.full((2, count + 1), -np.inf)
+        for k, own in enumerate((alone, ~alone)):
+            if np.any(own):
+                largest = null[:, own].max(axis=1)
+                usual = np.quantile(largest, USUAL)
+                excess[k] = np.append(largest, found[own].max()) - usual
+        *dealt, top = excess.max(axis=0)
+        return float((1 + np.sum(np.array(dealt) >= top)) / (1 + count))
 
     def including(self, *which: int) -> Scan:
         """The scan of what is left once these cells' effects are in the model."""
@@ -229,6 +257,27 @@ def _alone(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
     out = np.zeros(columns, bool)
     out[: len(cells)] = [cell.whom == "blade" for cell in cells]
     return out
+
+
+def _dealt(white: Array, rows: NDArray[np.int64], rng: np.random.Generator, count: int) -> Array:
+    """`count` sets of whitened blades (B, n), (count, B, n); rows: of each blade, (B,)."""
+    norm = np.linalg.norm(white, axis=1)
+    if len(rows) < FEW:
+        size = max(1.0, float(np.sqrt(np.sum(norm**2) / np.sum(rows))))
+        there = np.arange(white.shape[1]) < rows[:, None]
+        return np.asarray(size * rng.standard_normal((count, *white.shape)) * there)
+    if len(rows) >= LEAST_BLADES:
+        usual = float(np.median(norm / np.sqrt(np.maximum(rows, 1))))
+        most = usual * float(student.ppf(1.0 - 0.5 * ODD / rows.sum(), TAIL))
+        white = white * np.minimum(1.0, most / np.maximum(norm, 1e-300))[:, None]
+    alike = [np.flatnonzero(rows == n) for n in np.unique(rows)]
+    dealt = np.empty((count, *white.shape))
+    for k in range(count):
+        order = np.arange(len(rows))
+        for own in alike:
+            order[own] = rng.choice(own, len(own))
+        dealt[k] = white[order] * rng.choice([-1.0, 1.0], len(rows))[:, None]
+    return dealt
 
 
 def _gains(u: Array, information: Array, phi: Array, signs: NDArray[np.int64]) -> Array:

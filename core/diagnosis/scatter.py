@@ -35,13 +35,21 @@ class Scatter:
     typical: NDArray[np.bool_]
 
     @staticmethod
-    def of(own: Array, concerned: NDArray[np.bool_], alone: NDArray[np.bool_]) -> Scatter:
-        """From informations own (B, C); cells `alone` (C,) are of one blade."""
+    def of(
+        own: Array,
+        concerned: NDArray[np.bool_],
+        alone: NDArray[np.bool_],
+        least: int = LEAST_BLADES,
+    ) -> Scatter:
+        """From informations own (B, C); cells `alone` (C,) are of one blade.
+
+        least  blades from which phi is a cell's own
+        """
         seen = concerned & (own > 1e-12)
         count = seen.sum(axis=0)
         freedom = np.maximum(count - 1, 1) / np.maximum(count, 1)
         held = np.where(seen, own, 0.0)
-        many = np.asarray(count >= LEAST_BLADES)
+        many = np.asarray(count >= least)
         return Scatter(seen.astype(float), held, held.sum(axis=0) * freedom, many, many & ~alone)
 
     def phi(self, c: Array, u: Array, information: Array) -> Array:

@@ -82,9 +82,7 @@ def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Ve
         return Verdict(
             "adequate", 1.0, None, (), None, (), {}, {}, (), ("nothing is left to look for",)
         )
-    null = scan.null(dealt, seed)
-    top = max(tried.values())
-    p = float((1 + np.sum(null >= top)) / (1 + dealt))
+    top, p = max(tried.values()), scan.chance(dealt, seed)
     if p > alarm:
         why = f"so large a gain comes by chance in {p:.0%} of {dealt} dealt sets"
         return Verdict("adequate", p, None, (), None, (), {}, tried, (), (why,))
@@ -96,8 +94,7 @@ def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Ve
     named = tuple(sorted(n for n, w in evidence.items() if w >= NAMED))
     best = best_of(hypotheses, named)
     rest = scan.including(*best.cells)
-    left = rest.null(dealt, seed)
-    after = float((1 + np.sum(left >= max(rest.found.values()))) / (1 + dealt))
+    after = rest.chance(dealt, seed)
     held = tuple(one for c in best.cells for one in holds(scan, best.cells, c))
     reasons = []
     free = max((tried[n] for n in scan.free), default=-np.inf)

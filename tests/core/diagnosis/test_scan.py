@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from core.diagnosis import scan as module
 from core.diagnosis.scan import Scan
 from core.diagnosis.verdict import judge
+from tests.core.diagnosis import fleet
 from tests.core.diagnosis.fleet import SIGMA, rotor, scan
 
 SETS, DEALT = 100, 99
@@ -15,9 +19,7 @@ SETS, DEALT = 100, 99
 def p_values(noise: str) -> list[float]:
     found = []
     for seed in range(SETS):
-        one = scan(*rotor(seed, noise=noise))
-        top = max(one.found.values())
-        found.append((1 + np.sum(one.null(DEALT, seed) >= top)) / (1 + DEALT))
+        found.append(scan(*rotor(seed, noise=noise)).chance(DEALT, seed))
     return found
 
 
@@ -25,6 +27,61 @@ def p_values(noise: str) -> list[float]:
 def test_clean_rotors_alarm_no_more_often_than_said(noise: str) -> None:
     """5 % nominal; 11 of 100 are 1 % probable at 5 % and 42 % at 10 %."""
     assert np.mean(np.array(p_values(noise)) <= 0.05) <= 11 / SETS
+
+
+@pytest.mark.parametrize("noise", ["normal", "heavy", "walk"])
+def test_three_clean_blades_alarm_no_more_often_than_said(
+    noise: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fleet, "BLADES", 3)
+    assert np.mean(np.array(p_values(noise)) <= 0.05) <= 11 / SETS
+
+
+def test_an_offset_in_all_of_three_blades_is_no_matter_of_signs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Signs of three blades agree by chance in a quarter of all sets, however large they are."""
+    monkeypatch.setattr(fleet, "BLADES", 3)
+    one = scan(*rotor(1, lambda b, k: 30 * SIGMA if k == 1 else 0.0))
+    assert one.chance(DEALT, 1) <= 0.02
+
+
+def off(size: float, common: float = 0.0) -> Any:
+    """The first blade by `size` noises at its last reading, all at the one before by `common`."""
+    return lambda b, k: SIGMA * (size * (b == 0) * (k == 2) + common * (k == 1))
+
+
+def median_p(add: Any) -> float:
+    return float(np.median([scan(*rotor(s, add)).chance(DEALT, s) for s in range(5)]))
+
+
+def far(b: int, k: int) -> float:
+    return 60 * SIGMA * (b == 0)
+
+
+def test_one_blade_that_is_far_off_alarms() -> None:
+    assert median_p(far) <= 1 / (1 + DEALT)
+
+
+def test_dealt_as_it_is_the_odd_blade_would_hide_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The control: it is drawn at least once in two thirds of the sets."""
+    monkeypatch.setattr(module, "ODD", 0.0)
+    assert median_p(far) > 2 / (1 + DEALT)
+
+
+def test_one_blade_that_is_off_does_not_hide_what_all_have_in_common() -> None:
+    assert median_p(off(30.0, 2.0)) <= 0.05
+
+
+def test_in_one_null_for_all_families_it_would(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The control: the largest of all families against that of the dealt sets, all as they are."""
+    monkeypatch.setattr(module, "ODD", 0.0)
+    found = []
+    for seed in range(5):
+        one = scan(*rotor(seed, off(30.0, 2.0)))
+        largest = one.null(DEALT, seed).max(axis=1)
+        found.append((1 + np.sum(largest >= max(one.found.values()))) / (1 + DEALT))
+    assert np.median(found) > 0.05
 
 
 def test_a_null_that_does_not_know_the_blades_scatter_alarms_too_often() -> None:
