@@ -1,7 +1,8 @@
 """Is a state to be trusted, and if not, why: stated with the state, never silent.
 
     ok            the nodes carry the posterior, and every blade fits the rotor
-    degenerate    they do not: too few effective nodes, or tempered until the state is sealed
+    degenerate    they do not: too few effective nodes, messages that are too rough, or tempered
+                  until the state is sealed
     contradicted  a blade's readings cannot be what the rotor's best parameters give
 
 A blade contradicts where even its best local parameters, at the best shared node s*, leave
@@ -29,6 +30,7 @@ from core.smc.placement import sobol
 Array = NDArray[np.float64]
 FLOOR = 0.3  # share of the nodes that carries a sealed posterior
 QUICK_FLOOR = 0.1  # and a provisional one
+TILT = 0.3  # nat of error in a sealed posterior's differences between nodes that is too much
 IMPROBABLE = -20.0  # log probability below which residuals are no noise
 STARTS = 256
 
@@ -141,6 +143,11 @@ def verdict(
         )
     if health["tempered"] < 1:
         reasons.append(f"tempered to {health['tempered']:g}: wider than the readings say")
+    if sealed and not health["message_tilt_nat"] <= TILT:
+        reasons.append(
+            f"the blades' messages are known to {health['message_tilt_nat']:g} nat between nodes, "
+            f"{TILT:g} is allowed: too many local parameters for the readings' noise"
+        )
     met = not reasons
     for one in contradicted:
         explained = not _improbable(one["own_nat"], one["rows"])

@@ -178,9 +178,16 @@ def test_clean_rotors_are_not_accused() -> None:
 
 
 def test_a_state_below_its_floor_says_so() -> None:
-    fine = {"ess_ratio": 0.8, "ess": 51.0, "nodes": 64, "tempered": 1.0}
+    fine = {"ess_ratio": 0.8, "ess": 51.0, "nodes": 64, "tempered": 1.0, "message_tilt_nat": 0.29}
     assert verdict(fine, [], sealed=True)["status"] == "ok"
-    for worse in ({"ess_ratio": 0.05, "ess": 3.2}, {"tempered": 0.4}, {"ess_ratio": float("nan")}):
+    assert verdict(fine | {"message_tilt_nat": 0.31}, [], sealed=False)["status"] == "ok"
+    for worse in (
+        {"ess_ratio": 0.05, "ess": 3.2},
+        {"tempered": 0.4},
+        {"ess_ratio": float("nan")},
+        {"message_tilt_nat": 0.31},
+        {"message_tilt_nat": float("nan")},
+    ):
         told = verdict(fine | worse, [], sealed=True)
         assert told["status"] == "degenerate"
         assert not told["met_floor"]
