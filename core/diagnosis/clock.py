@@ -3,14 +3,15 @@
 A blade counts its own operating hours; a replaced blade starts from zero while the rotor goes on.
 The rotor's hour of a reading is the blade's plus an offset: the rotor's hours when the blade's
 were zero. Where the blade's record does not say, campaigns tell: all readings of one campaign were
-taken at one hour of the rotor, which is that of its oldest blade.
+taken at one hour of the rotor, which is that of its oldest blade or later. So a blade's offset is
+the largest that its campaigns ask for; and as blades without a campaign in common are linked by
+others, the campaigns' hours are asked twice, with the offsets found first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from statistics import median
 
 from core.diagnosis.grammar import Facts, Readers
 from core.observation import Inspection
@@ -30,24 +31,35 @@ def with_offsets(
     >>> found["old"].offset_h, found["new"].offset_h
     (0.0, 8000.0)
     """
-    hour: dict[str, float] = {}
-    for r in readings:
-        if r.campaign is not None:
-            at = r.time_h + told.get(r.blade, 0.0)
-            hour[r.campaign] = max(hour.get(r.campaign, 0.0), at)
-    behind: dict[str, list[float]] = {}
-    for r in readings:
-        if r.campaign is not None:
-            behind.setdefault(r.blade, []).append(hour[r.campaign] - r.time_h)
-    return {
-        name: replace(own, offset_h=told.get(name, median(behind.get(name, [0.0]))))
-        for name, own in blades.items()
-    }
+    offset: Mapping[str, float] = told
+    for _ in range(2):
+        hour: dict[str, float] = {}
+        for r in readings:
+            if r.campaign is not None:
+                at = r.time_h + offset.get(r.blade, 0.0)
+                hour[r.campaign] = max(hour.get(r.campaign, 0.0), at)
+        behind: dict[str, float] = {}
+        for r in readings:
+            if r.campaign is not None:
+                late = hour[r.campaign] - r.time_h
+                behind[r.blade] = max(behind.get(r.blade, 0.0), late)
+        offset = {**behind, **told}
+    return {name: replace(own, offset_h=offset.get(name, 0.0)) for name, own in blades.items()}
 
 
 def readers(readings: Sequence[Inspection], blades: Mapping[str, Facts]) -> Readers:
     """Instruments, campaigns and where between inspections a step may be."""
-    hours = sorted({r.time_h + blades[r.blade].offset_h for r in readings})
+    return Readers(
+        tuple(sorted({r.instrument for r in readings if r.instrument is not None})),
+        tuple(sorted({r.campaign for r in readings if r.campaign is not None})),
+        _between({r.time_h + blades[r.blade].offset_h for r in readings}),
+        _between({r.time_h for r in readings}),
+    )
+
+
+def _between(at: Iterable[float]) -> tuple[float, ...]:
+    """One hour in each interval between inspections, `STEPS` at most."""
+    hours = sorted(at)
     apart = SAME * hours[-1] if hours else 0.0
     visits: list[float] = []
     for hour in hours:
@@ -57,8 +69,4 @@ def readers(readings: Sequence[Inspection], blades: Mapping[str, Facts]) -> Read
     if len(between) > STEPS:
         share = (len(between) - 1) / (STEPS - 1)
         between = [between[round(k * share)] for k in range(STEPS)]
-    return Readers(
-        tuple(sorted({r.instrument for r in readings if r.instrument is not None})),
-        tuple(sorted({r.campaign for r in readings if r.campaign is not None})),
-        tuple(between),
-    )
+    return tuple(between)

@@ -104,11 +104,13 @@ class Readers:
     """Instruments and campaigns of a rotor's readings, and hours between its inspections.
 
     between_h  of the rotor's hours, one for each interval between inspections: where a step may be
+    ages_h     the same of the blades' own hours
     """
 
     instruments: tuple[str, ...]
     campaigns: tuple[str, ...]
     between_h: tuple[float, ...]
+    ages_h: tuple[float, ...]
 
 
 def cells(
@@ -134,11 +136,12 @@ def cells(
     }
     found = []
     for family in families:
+        where = readers.ages_h if family.clock == "blade" else readers.between_h
         if family.of not in (inputs if family.target == "input" else quantities):
             continue
         for whom in family.whom:
             for shape in family.shapes:
-                steps = readers.between_h if shape == "step" else (None,)
+                steps = where if shape == "step" else (None,)
                 found += [
                     Cell(family, shape, whom, value, hour)
                     for value in values[whom]

@@ -14,7 +14,7 @@ from core.errors import InputError
 from core.family import Family
 from core.observation import Inspection
 
-NOBODY = Readers((), (), (4000.0,))
+NOBODY = Readers((), (), (4000.0,), (4000.0,))
 INPUTS = ("tbc_thickness", "t1t_rate", "creep_steady")
 
 
@@ -107,3 +107,30 @@ def test_inspections_of_one_visit_are_one() -> None:
     who = readers(data, {"a": Facts()})
     assert len(who.between_h) == 2
     assert 0 < who.between_h[0] < 7990 < who.between_h[1] < 16000
+
+
+def test_a_step_is_tried_between_hours_of_its_own_clock() -> None:
+    """Both blades were read at the ages of 4,000 and 8,000 h; one of them joined at 20,000 h."""
+    data = [reading(b, h, None) for b in ("old", "new") for h in (4000, 8000)]
+    facts = {"old": Facts(coating_lot="C1"), "new": Facts(coating_lot="C2", offset_h=20e3)}
+    who = readers(data, facts)
+    assert who.between_h == (2000.0, 6000.0, 16_000.0, 26_000.0)
+    assert who.ages_h == (2000.0, 6000.0)
+    inputs = ["tbc_thickness", "t1t_rate"]
+    steps: dict[str, set[float | None]] = {}
+    for one in cells(FAMILIES, inputs, ["elongation"], facts, who):
+        if one.shape == "step":
+            steps.setdefault(one.family.clock, set()).add(one.step_h)
+    assert steps["blade"] == set(who.ages_h)
+    assert steps["rotor"] == steps["event"] == set(who.between_h)
+
+
+def test_the_campaign_with_the_oldest_blade_tells_when_a_blade_came() -> None:
+    """`new` was mostly read in campaigns without an old one, `last` with none but `new`."""
+    data = [
+        reading("old", 20_000, "c3"),
+        reading("new", 2000, "c1"), reading("new", 4000, "c2"), reading("new", 8000, "c3"),
+        reading("new", 9000, "c4"), reading("last", 1000, "c4"),
+    ]  # fmt: skip
+    found = with_offsets({b: Facts() for b in ("old", "new", "last")}, data, {})
+    assert [found[b].offset_h for b in ("old", "new", "last")] == [0.0, 12_000.0, 20_000.0]
