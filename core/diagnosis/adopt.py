@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -46,14 +47,17 @@ def with_effects(
     return Model.of(network, model.surrogate)
 
 
-def parameter_name(cell: Cell) -> str:
-    """The amplitude's name in the network.
+def parameter_name(cell: Cell, network: Network) -> str:
+    """The amplitude's name beside what is in the network: numbered where one is adopted already.
 
     >>> from core.diagnosis.grammar import FAMILIES
-    >>> parameter_name(Cell(FAMILIES[0], "linear", "coating_lot", "C2"))
+    >>> parameter_name(Cell(FAMILIES[0], "linear", "coating_lot", "C2"), Network("n", (), ()))
     'coating wear (coating lot C2)'
     """
-    return cell.name.replace("@", " at ").replace(".", " ")
+    taken = {p.name for p in network.parameters}
+    name = cell.name.replace("@", " at ").replace(".", " ")
+    numbered = (name if k == 1 else f"{name} {k}" for k in count(1))
+    return next(n for n in numbered if n not in taken)
 
 
 def frees(cell: Cell, network: Network) -> bool:
@@ -71,7 +75,7 @@ def amplitude(cell: Cell, network: Network) -> tuple[str, float]:
     """The amplitude's name once the effect is in this network, and its value where nothing is."""
     if frees(cell, network):
         return cell.family.of, network.parameter(cell.family.of).nominal or 0.0
-    return parameter_name(cell), 0.0
+    return parameter_name(cell, network), 0.0
 
 
 def expected(cell: Cell, noise: Mapping[str, float]) -> float:
@@ -101,7 +105,7 @@ def _with(
 ) -> Network:
     if frees(cell, network):
         return _freed(network, cell)
-    family, name = cell.family, parameter_name(cell)
+    family, name = cell.family, parameter_name(cell, model.network)
     sign = family.sign or 1
     course = _bounded(cell, sign)
     blades = _blades(cell, facts)

@@ -151,6 +151,7 @@ def conclude(
     held: tuple[Held, ...],
     refused: Mapping[tuple[str, ...], str],
     open_: Mapping[str, float] | None = None,
+    ends: Sequence[str] = (),
 ) -> Verdict:
     """The verdict on the effects `names` that are in the model, from all that was seen.
 
@@ -158,8 +159,9 @@ def conclude(
     refused  hypotheses that the runs have no room for, with the reason
     open_    effects that were taken, could not be told from their rivals and left again, as chance
              explains the readings without them; by what they gained besides, together [nat]
+    ends     amplitudes that lean on the end of their room, in words
     """
-    reasons = _against(names, after, held, refused)
+    reasons = [*_against(names, after, held, refused), *ends]
     if reasons:
         return replace(
             first, word="unattributed", after=after, names=(), held=held, reasons=tuple(reasons)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from core.calibration.space import shared_prior
 from core.calibration.state import RotorState, blade_posterior, shared_posterior
 from core.diagnosis.adopt import amplitude
-from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.grammar import Cell
 from core.model import Model
 from core.prior import Prior
+
+if TYPE_CHECKING:
+    from core.diagnosis.diagnose import Diagnosis
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]

@@ -12,7 +12,8 @@
        each has to earn its place beside all others, or it leaves.
     5. What was taken but could not be told from its rivals leaves again where chance explains the
        readings without it: a name that is not settled must not keep those that are from being said.
-    6. The amplitudes have to hold (`verdict`), and what is left has to be chance (`conclude`).
+    6. The amplitudes have to hold (`verdict`) and to lie inside of their room, and what is left has
+       to be chance (`conclude`).
 
 Everything is a function of the readings that count, the facts of the blades and the seed.
 """
@@ -29,6 +30,7 @@ from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude
 from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, conclude
+from core.diagnosis.densities import leans
 from core.diagnosis.grammar import Cell
 from core.diagnosis.search import EARNED, MOST, Progress, Search
 from core.diagnosis.verdict import Verdict, judge
@@ -108,11 +110,13 @@ def diagnose(
         if frozenset(taken.effects) in seen:
             break  # what came has left again
         seen.append(frozenset(taken.effects))
+    turns = [search.standing(turn, taken) for turn in turns]
     after, open_ = found.p, dict[str, float]()
     if (fewer := search.without_open(taken, turns)) is not None:
         gone = [c.name for c in taken.effects if c not in fewer[0].effects]
         open_ = dict.fromkeys(gone, taken.gained - fewer[0].gained)
         taken, after = fewer
+        turns = [search.standing(turn, taken) for turn in turns]
     verdict = conclude(
         first,
         [c.name for c in taken.effects],
@@ -122,6 +126,7 @@ def diagnose(
         case.halves(model, taken),
         search.refused,
         open_,
+        [end for c in taken.effects if (end := _end(c, model, taken)) is not None],
     )
     return Diagnosis(
         verdict,
@@ -134,6 +139,19 @@ def diagnose(
         tuple(search.refused.items()),
         tuple(turns),
     )
+
+
+def _end(cell: Cell, before: Model, taken: Rival) -> str | None:
+    """That a cell's amplitude would go on if it could, in words; None where it has room."""
+    name, origin = amplitude(cell, before.network)
+    prior = taken.model.network.parameter(name).prior
+    shared = shared_posterior(taken.state.meta, taken.state.arrays.__getitem__)
+    side = leans(prior, shared.column(name), shared.particles.w)
+    end = {"low": prior.low, "high": prior.high}.get(side or "", origin)
+    if end == origin:
+        return None
+    why = "the runs end there" if cell.family.target == "input" else "none so large is expected"
+    return f"the amplitude of {cell.name} leans on {end - origin:.3g}, no room: {why}"
 
 
 def _effect(cell: Cell, before: Model, after: RotorState) -> Effect:

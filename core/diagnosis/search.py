@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from core.calibration.online import Workspace, begun
 from core.calibration.start import Start
@@ -147,6 +147,40 @@ class Search:
             if rest is not None and taken.gained < rest.gained + self.price:
                 return self.needed(rest)
         return taken
+
+    def standing(self, turn: Turn, taken: Rival) -> Turn:
+        """A turn's word on what it took and stayed, where effects that it rested on have left.
+
+        Its hypotheses are weighed anew by what was calibrated beside the effects that stayed, among
+        them those that left; what was not calibrated without these keeps the turn's word.
+        """
+        stayed = {c.name for c in taken.effects}
+        if set(turn.before) <= set(taken.effects) or not stayed.intersection(turn.took):
+            return turn
+        before = tuple(c for c in taken.effects if c.name not in turn.took)
+        rest = frozenset(before)
+        beside = {key - rest: made for key, made in self.known.items() if rest < key}
+        more = {c for key in beside if len(key) == 1 for c in key if c not in turn.cells}
+        cells = (*turn.cells, *sorted(more, key=lambda c: (c.name, c.shape, c.step_h or 0.0)))
+        place = {cell: i for i, cell in enumerate(cells)}
+        gains = {
+            tuple(sorted(place[c] for c in key)): made.gained
+            for key, made in beside.items()
+            if all(c in place for c in key)
+        }
+        known = [h for h in turn.hypotheses if h.cells in gains]
+        like = max(known, key=lambda h: h.weight, default=turn.hypotheses[0])
+        new = [
+            replace(like, cells=(i,), names=(cells[i].name,))
+            for i in range(len(cells))
+            if (i,) in gains and (i,) not in {h.cells for h in turn.hypotheses}
+        ]
+        rivals = {
+            tuple(cells[i].name for i in at): beside[frozenset(cells[i] for i in at)]
+            for at in sorted(gains, key=gains.__getitem__)
+        }
+        found = reweighed((*turn.hypotheses, *new), gains)
+        return replace(turn, hypotheses=found, rivals=rivals, cells=cells, before=before)
 
     def without_open(self, taken: Rival, turns: Sequence[Turn]) -> tuple[Rival, float] | None:
         """Without the effects whose turn left their names open, and the p of what is then left.

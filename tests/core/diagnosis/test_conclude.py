@@ -169,3 +169,10 @@ def test_the_filters_evidence_replaces_the_scans_and_leaves_the_others_in_propor
     assert found[("b",)] == pytest.approx(0.3 * 2.718281828 / total)
     assert found[("c",)] == pytest.approx(0.2 / total)
     assert reweighed((a, b, c), {}) == (a, b, c)
+
+
+def test_nothing_is_named_whose_amplitude_has_no_room() -> None:
+    end = "the amplitude of wear leans on 0.1, no room: the runs end there"
+    fine = turn("wear", wear=0.99, offset=0.01)
+    found = conclude(ALARM, ("wear",), 0.4, [fine], 20.0, (), {}, ends=[end])
+    assert (found.word, found.names, found.reasons) == ("unattributed", (), (end,))

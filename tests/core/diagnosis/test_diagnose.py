@@ -17,7 +17,7 @@ from core.calibration.state import shared_posterior
 from core.diagnosis import Case, Diagnosis, Facts, diagnose, to_json
 from core.diagnosis import diagnose as module_function
 from core.diagnosis.adopt import amplitude, frees, with_effects
-from core.diagnosis.conclude import Turn
+from core.diagnosis.conclude import Rival, Turn
 from core.diagnosis.families import FAMILIES, families_for
 from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis
@@ -256,3 +256,57 @@ def test_a_provisional_state_is_not_diagnosed() -> None:
     with pytest.raises(InputError, match="provisional"):
         module_function(MODEL, state, Case(SPEC, data, {}))
     assert shared_posterior(state.meta, state.arrays.__getitem__).names
+
+
+def test_an_amplitude_that_leans_on_the_end_of_its_room_is_not_accepted() -> None:
+    """A bend of 0.25 where the runs end at 0.15; with room to 2 it is named."""
+    asleep = replace(MODEL.network.parameter("bend"), prior=Prior("uniform", -2.0, 0.15))
+    parameters = tuple(asleep if p.name == "bend" else p for p in MODEL.network.parameters)
+    narrow = Model(replace(MODEL.network, parameters=parameters), MODEL.surrogate)
+    one = found(readings(lambda b, t: 0.25 * t**2), narrow)
+    assert "bend" in {e.cell.name for e in one.effects}
+    assert (one.verdict.word, one.verdict.names) == ("unattributed", ())
+    assert "the amplitude of bend leans on 0.15, no room: the runs end there" in one.verdict.reasons
+
+
+def test_what_is_adopted_may_be_found_again_under_another_name_in_the_network() -> None:
+    cell = Cell(OFFSET, "constant", "instrument", "gauge 1")
+    noise, facts = {"y": SIGMA}, {b: Facts() for b in SPEC.blades}
+    once = with_effects(MODEL, [cell], facts, noise)
+    assert amplitude(cell, MODEL.network)[0] == cell.name
+    again = replace(cell, shape="linear")
+    name, _ = amplitude(again, once.network)
+    assert name == f"{cell.name} 2"
+    twice = with_effects(once, [again], facts, noise)
+    assert [b.name for b in twice.network.biases] == [cell.name, name]
+    assert twice.network.parameter(name).level == "shared"
+
+
+def test_a_name_whose_evidence_rested_on_what_has_left_is_weighed_without_it() -> None:
+    """`first` was taken, `second` had all evidence beside it, and then `first` left."""
+    first, second, third = (Cell(OFFSET, "constant", "instrument", g) for g in "abc")
+    state = update(MODEL, SPEC, readings(lambda b, t: 0.0))
+
+    def rival(gained: float, *effects: Cell) -> Rival:
+        return Rival(effects, MODEL, lambda: state, gained)
+
+    def word(alone: float, other: float) -> str | None:
+        """What is claimed of `second`, which gains `alone`, and `third` gains `other`."""
+        made = (
+            rival(9.0, first), rival(alone, second), rival(other, third),
+            rival(30.0, first, second), rival(20.0, first, third),
+        )  # fmt: skip
+        case = Case(SPEC, (), {})
+        search = Search(MODEL, state, case, Workspace(), lambda *a: None)
+        search.known = {frozenset(one.effects): one for one in made}
+        weights = ((second, 30.0, 0.9999), (third, 20.0, 0.0001))
+        found = tuple(
+            Hypothesis((i,), (c.name,), gain, w) for i, (c, gain, w) in enumerate(weights)
+        )
+        turn = Turn(found, (second.name,), {}, (second, third), (first,))
+        assert search.standing(turn, made[3]) is turn
+        return search.standing(turn, made[1]).claim(second.name)
+
+    assert word(29.0, 10.0) == second.name
+    assert word(29.0, 40.0) is None, "another one gains more where the first is not there"
+    assert word(9.0, 0.0) is None, "the first gains as much alone"
