@@ -111,7 +111,8 @@ def diagnosed(
     total = STEPS + 4 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
-    case = Case(spec, tuple(readings), facts, families_of(model, families))
+    serving = tuple(b.id for b in blades if b.retired_seq is None)
+    case = Case(spec, tuple(readings), facts, families_of(model, families), serving=serving)
     case.cells(model)  # refuses at once where there is nothing to look for
     work = Workspace(kept)
     progress("calibration", 0, total)
@@ -141,6 +142,7 @@ def diagnosed(
             lambda what: progress(what, next(steps), total),
             work,
             (found.before[1], after[1]),
+            case.present,
         )
     progress("pictures and inspections to come", total - 1, total)
     split = splitting(found, case, work)

@@ -29,14 +29,25 @@ KEPT = 3  # states whose scores are kept
 
 @dataclass(frozen=True)
 class Case:
-    """A rotor to be diagnosed; families: beside those of the grammar and of the network."""
+    """A rotor to be diagnosed.
+
+    families  beside those of the grammar and of the network
+    serving   blades that are still on the rotor, which forecasts and inspections to come are of;
+              none: all
+    """
 
     spec: RotorSpec
     readings: tuple[Inspection, ...]
     facts: Mapping[str, Facts]
     families: Sequence[Family] = ()
     dealt: int = DEALT
+    serving: Sequence[str] = ()
     _seen: dict[tuple[str, str], Scores] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def present(self) -> tuple[str, ...]:
+        """Blades that forecasts and inspections to come are of."""
+        return tuple(self.serving) or tuple(self.spec.blades)
 
     def noise(self, model: Model, state: RotorState) -> dict[str, float]:
         """Of a reading, by quantity, as the state has it."""

@@ -1,8 +1,10 @@
-"""Before and after: both models, calibrated on the same readings, on readings that neither used.
+"""Before and after: both models, calibrated on the same readings, on readings held out of these.
 
-Held out is the latest third of the readings, one at least, of every second blade (in the order of
-names, of those with two readings or more): later times, on blades whose lots, instruments and
-campaigns the other blades still speak of. Each model predicts the *reading*, with the bias of
+Held out is all that was read at the latest third of a blade's hours, one at least, of every second
+blade (in the order of names, of those read at two hours or more): later times, on blades whose
+lots, instruments and campaigns the other blades still speak of. Neither calibration used them; but
+which effect is in the second model was chosen by all readings, these among them, so that they test
+its amplitude and the forecast, not the choice. Each model predicts the *reading*, with the bias of
 whoever took it and the reading's own noise where it has one; the score is the log density of a
 normal with the prediction's mean and sd [nat per reading].
 """
@@ -77,17 +79,15 @@ class BeforeAfter:
 
 
 def held_out(readings: Sequence[Inspection], quantity: str) -> tuple[Inspection, ...]:
-    """The latest third of the readings of every second blade with two or more of the quantity."""
-    by_blade: dict[str, list[Inspection]] = {}
-    for r in readings:
-        if r.quantity == quantity:
-            by_blade.setdefault(r.blade, []).append(r)
-    several = [b for b in sorted(by_blade) if len(by_blade[b]) > 1]
-    held: list[Inspection] = []
-    for b in several[1::2]:
-        own = sorted(by_blade[b], key=lambda r: (r.time_h, r.id))
-        held += own[-max(1, len(own) // 3) :]
-    return tuple(held)
+    """What was read at the latest third of its hours of every second blade with two or more."""
+    of = [r for r in readings if r.quantity == quantity]
+    at: dict[str, set[float]] = {}
+    for r in of:
+        at.setdefault(r.blade, set()).add(r.time_h)
+    hours = {b: sorted(at[b]) for b in sorted(at) if len(at[b]) > 1}
+    first = {b: hours[b][-max(1, len(hours[b]) // 3)] for b in list(hours)[1::2]}
+    held = [r for r in of if r.blade in first and r.time_h >= first[r.blade]]
+    return tuple(sorted(held, key=lambda r: (r.blade, r.time_h, r.id)))
 
 
 def before_after(
@@ -99,10 +99,12 @@ def before_after(
     say: Callable[[str], None] = lambda what: None,
     workspace: Workspace | None = None,
     states: Sequence[RotorState] = (),
+    blades: Sequence[str] = (),
 ) -> BeforeAfter:
     """Calibrate both models without the held-out readings, and predict these.
 
     states  of both models with all readings: where to look first
+    blades  whose forecast is told; none: all
     """
     held = held_out(readings, quantity)
     gone = {r.id for r in held}
@@ -114,7 +116,7 @@ def before_after(
         start = with_fewer(model, states[i]) if states else None
         state = update(model, spec, kept, workspace=work, start=start)
         scored.append(score(model, state, held, spec.known))
-        forecast.append(fleet(model, state, spec, quantity, horizon_h))
+        forecast.append(fleet(model, state, spec, quantity, horizon_h, blades))
     return BeforeAfter(
         quantity,
         tuple(r.id for r in held),
@@ -154,11 +156,16 @@ def score(
 
 
 def fleet(
-    model: Model, state: RotorState, spec: RotorSpec, quantity: str, hours: float
+    model: Model,
+    state: RotorState,
+    spec: RotorSpec,
+    quantity: str,
+    hours: float,
+    blades: Sequence[str] = (),
 ) -> tuple[float, float]:
-    """Mean over the blades at an hour, and the root mean square of their sds, without noise."""
+    """Mean over blades (none: all) at an hour, root mean square of their sds, without noise."""
     found = []
-    for blade in spec.blades:
+    for blade in blades or spec.blades:
         posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
         known = (spec.known or {}).get(blade)
         got = predict(

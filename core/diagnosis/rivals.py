@@ -55,7 +55,7 @@ def splitting(
     if found.verdict.word != "not separable":
         return None
     rivals = rivals_of(found, case, workspace)
-    asked = candidates(found.before[0], case.spec.blades, case.readings)
+    asked = candidates(found.before[0], case.present, case.readings)
     if len(rivals) < 2 or not asked:
         return None
     return separate(rivals, asked, case.spec.known)

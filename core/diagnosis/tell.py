@@ -141,7 +141,7 @@ def shared(state: RotorState) -> Json:
 
 
 def compared_json(compared: BeforeAfter) -> Json:
-    """Both models on readings that neither used, and the fleet's forecast."""
+    """Both models on readings that neither calibration used (`report`), and the forecast."""
     (m0, s0), (m1, s1) = compared.forecast
     return {
         "quantity": compared.quantity,

@@ -167,7 +167,7 @@ def _spread(
 ) -> tuple[float, float]:
     """Mean over the blades of a prediction's variance without noise, and the discrepancy's part."""
     found: list[Sequence[float]] = []
-    for blade in case.spec.blades:
+    for blade in case.present:
         posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
         known = (case.spec.known or {}).get(blade)
         own = model.for_blade(blade)

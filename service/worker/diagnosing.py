@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import MutableMapping
+from dataclasses import replace
 from typing import Any
 
 from core.errors import InputError
 from core.observation import digest_of, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
-from service.ports import Json, Progress, RotorSpec, Science
+from service.ports import BladeRecord, Json, Progress, RotorSpec, Science
 from service.store.log import read_entries
 from service.store.unit_of_work import SqlStore
 
@@ -42,7 +43,7 @@ def diagnose(
         card = tx.records.model(rotor.model_id, rotor.model_version)
         events = read_entries(tx.connection, rotor_id, 0, through)
         network = adopted_at(tx, rotor, through).network
-        blades = [b for b in tx.records.blades(rotor_id) if b.added_seq <= through]
+        blades = [_as_of(through, b) for b in tx.records.blades(rotor_id) if b.added_seq <= through]
     readings = effective(entries_of(events))
     if not readings:
         raise InputError(
@@ -72,6 +73,12 @@ def diagnose(
     }
     told: Json = plain(found) | {"rests_on": rests_on}
     return told
+
+
+def _as_of(through: int, blade: BladeRecord) -> BladeRecord:
+    """The blade as of an entry: what retires later is there still."""
+    later = blade.retired_seq is not None and blade.retired_seq > through
+    return replace(blade, retired_seq=None) if later else blade
 
 
 def plain(value: Any) -> Any:

@@ -29,7 +29,7 @@ from service.handlers.adoptions import adopt, back_out
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
-from service.handlers.rotors import create_rotor, view_rotor
+from service.handlers.rotors import create_rotor, retire_blade, view_rotor
 from service.ports import BladeRecord, Json, Which
 from service.report.page import report
 from service.science import CoreScience
@@ -347,3 +347,24 @@ def test_only_what_was_dormant_can_wake() -> None:
     told = {"parameters": [asdict(awake)]}
     with pytest.raises(FaultsError, match=r"network\.effects"):
         vary(before, creep_specimens.HORIZON_H, {"effects": told})
+
+
+def test_forecasts_and_inspections_are_of_blades_that_were_there_when_it_was_asked_for(
+    fleet: SqlStore, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One retires before the request, and one after it; both are calibrated."""
+    seen: list[Case] = []
+
+    def look(model: Model, state: RotorState, case: Case, *_: Any) -> Diagnosis:
+        seen.append(case)
+        raise InputError("test", 0, "has seen enough", "go on")
+
+    monkeypatch.setattr(effects, "diagnose", look)
+    post_inspections(fleet, "r1", visits(0.0))
+    retire_blade(fleet, "r1", "B1")
+    request_diagnosis(fleet, formula_science(), "r1", (), compare=True, horizon_h=None)
+    retire_blade(fleet, "r1", "B2")
+    make_worker(fleet, formula_science(), settings, "d", "diagnose").drain()
+    (case,) = seen
+    assert case.spec.blades == tuple(f"B{b}" for b in range(BLADES))
+    assert case.present == ("B0", "B2", "B3", "B4", "B5")

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
 from core.diagnosis.densities import density, leans, quantiles
-from core.diagnosis.report import score
+from core.diagnosis.report import fleet, held_out, score
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
@@ -75,3 +75,26 @@ def test_a_posterior_leans_on_a_bound_only_where_it_would_go_on(
     assert leans(prior, a, np.full(len(a), 1 / len(a))) == said
     flat = np.linspace(0.0, 1.0, 1001)
     assert leans(prior, flat, np.full(1001, 1 / 1001)) is None
+
+
+def test_held_out_is_all_that_was_read_at_a_blades_latest_hours() -> None:
+    """Two instruments at each of four hours; of one blade three readings, all at one hour."""
+    data = [
+        Inspection(f"{b}-{t}-{g}", b, "y", t, np.array([1.0]), instrument=g)
+        for b in ("b0", "b1")
+        for t in (1.0, 2.0, 3.0, 4.0)
+        for g in ("g1", "g2")
+    ]
+    data += [Inspection(f"once-{k}", "b01", "y", 2.0, np.array([1.0])) for k in range(3)]
+    assert [r.id for r in held_out(data, "y")] == ["b1-4.0-g1", "b1-4.0-g2"]
+
+
+def test_the_fleets_forecast_is_of_the_blades_that_are_named() -> None:
+    data = readings(3, [0.0, 0.6], seed=9, sigma=0.2)
+    spec = RotorSpec("r", ("b0", "b1", "b2"), particles=400, seed=1)
+    state = update(MODEL, spec, data)
+    each = [fleet(MODEL, state, spec, "y", 1.0, (b,))[0] for b in spec.blades]
+    assert fleet(MODEL, state, spec, "y", 1.0)[0] == pytest.approx(np.mean(each))
+    assert fleet(MODEL, state, spec, "y", 1.0, ("b0", "b2"))[0] == pytest.approx(
+        (each[0] + each[2]) / 2
+    )

@@ -78,6 +78,16 @@ def test_the_suspect_instrument_reads_again_and_then_another_one(
     assert second["share"] > first["share"] > max(r["weight"] for r in told["rivals"])
 
 
+def test_no_inspection_is_asked_of_a_blade_that_has_left(
+    torn: tuple[Diagnosis, Case, Workspace],
+) -> None:
+    found, case, work = torn
+    serving = ("b1", "b4")
+    split = splitting(found, replace(case, serving=serving), work)
+    assert split is not None
+    assert {one.blade for one, _ in split.single} <= set(serving)
+
+
 def test_other_verdicts_have_nothing_to_split(torn: tuple[Diagnosis, Case, Workspace]) -> None:
     found, case, work = torn
     for word in ("adequate", "effect", "unattributed"):
