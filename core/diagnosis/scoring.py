@@ -174,7 +174,10 @@ def _blade(
         at, sd_ = posterior.column(p.name)[some], np.sqrt(_own_variance(p, posterior))
         ends = tuple(np.clip(at + e * STEP * sd_, p.prior.low, p.prior.high) for e in (1, -1))
         change = answered(p.name, ends[0], some)[0] - answered(p.name, ends[1], some)[0]
-        spread[:, k] = sd_ * np.mean(change / (ends[0] - ends[1])[:, None], axis=0)
+        by_own = np.mean(change / (ends[0] - ends[1])[:, None], axis=0)
+        spread[:, k] = sd_ * by_own
+        if (mean := f"mean.{p.name}") in others:  # it moves the blades with it
+            slope[:, others.index(mean)] = by_own
     typical = 1.0 / (w @ (1.0 / v))
     r = (rows.y[:count] - f) / v
     some = _evenly(w, f, POINTS)

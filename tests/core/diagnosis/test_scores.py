@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -19,6 +20,9 @@ from core.diagnosis.signature import Signatures
 from core.errors import InputError
 from core.family import Family
 from tests.core.calibration.test_exact import SLOPES, conjugate, readings
+from tests.core.calibration.test_population import SPEC as POPULATION
+from tests.core.calibration.test_population import hierarchical, off_centre
+from tests.core.calibration.test_population import readings as of_a_population
 
 BLADES, TIMES, SIGMA = 5, [0.0, 0.5, 1.0, 1.5], 0.15
 ANY = Family(
@@ -197,3 +201,15 @@ def test_a_state_of_other_readings_is_refused() -> None:
         scores(model, state, data[:-1])
     with pytest.raises(InputError, match="cannot be diagnosed"):
         scores(model, state, [])
+
+
+def test_a_populations_mean_imitates_what_all_blades_have_in_common() -> None:
+    """y = s + l, l ~ N(mean, sd²): an offset of all is the mean's (sd 0.5) and s's (sd 0.3)."""
+    data = of_a_population(off_centre())
+    state = update(hierarchical(), replace(POPULATION, particles=2000), data)
+    seen = scores(hierarchical(), state, data)
+    names = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
+    slope = dict(zip(names, np.moveaxis(seen.slope, 2, 0), strict=True))
+    assert slope["mean.l"] == pytest.approx(np.ones_like(slope["mean.l"]))
+    assert slope["s"] == pytest.approx(np.ones_like(slope["s"]))
+    assert seen.cross(np.ones((*seen.place.shape, 1)))[0, 0] < 1 / (0.3**2 + 0.5**2)
