@@ -6,7 +6,7 @@
 * Every reading that it used still counts, unchanged. Readings that came later are no obstacle, or
   nothing could be adopted on a rotor that is read all the time; the answer tells how many.
 * No blade joined since whom the effect would have to be told about: one of its lot, or one with a
-  clock of its own where the effect runs by the rotor's.
+  clock of its own where the effect runs by the rotor's, be it the machine's or an instrument's.
 
 Each rule raises AdoptionError, with what to do.
 """
@@ -58,6 +58,16 @@ def claimed(job: JobRecord, result: Json | None) -> Json:
         problem = "it is of a release that did not say what its effects add to the network"
         raise AdoptionError(job.id, "adopted", problem, f"ask anew: {where}")
     return adds
+
+
+def holding(job: JobRecord, result: Json) -> None:
+    """AdoptionError: the effect fails in a condition, and nobody has decided to have it for all."""
+    fails = [c for c in result.get("conditions") or () if not c["holds"]]
+    if fails:
+        where = ", ".join(f"{c['input']} = {c['value']:g}" for c in fails)
+        there = f"/v1/rotors/{job.rotor_id}/diagnoses/{job.id}"
+        remedy = f"where it is to be had all the same, POST {there}/adoption"
+        raise AdoptionError(job.id, "adopted unasked", f"it does not hold at {where}", remedy)
 
 
 def models_of(
@@ -136,7 +146,8 @@ def concerns(effect: Json, blade: BladeRecord) -> bool:
     own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
     if whom in own:
         return bool(own[whom] == value)
-    return bool(effect["clock"] == "rotor" and effect["shape"] != "constant" and whom == "all")
+    runs = effect["clock"] == "rotor" and effect["shape"] != "constant"
+    return bool(runs and whom in ("all", "instrument", "campaign"))
 
 
 def _readings(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from service.adopted import ADOPTION, BACK_OUT, adopted_at, entries
 from service.errors import AdoptionError, NotFoundError
-from service.handlers.adoptable import claimed, models_of, readings_since, told_effects
+from service.handlers.adoptable import claimed, holding, models_of, readings_since, told_effects
 from service.handlers.diagnoses import found_in
 from service.handlers.rotors import digest_of_json
 from service.ports import Event, JobRecord, Json, NewEvent, Science, Store, Transaction
@@ -59,6 +59,8 @@ def adopt_in(
             return _at(tx, rotor.id, sheet.seq)
     adds = claimed(job, result)
     assert result is not None
+    if unasked:
+        holding(job, result)
     card = tx.records.model(rotor.model_id, rotor.model_version)
     network = with_more(now.network, adds)
     models = models_of(science, card, now, network, job, result)

@@ -348,6 +348,10 @@ def test_a_blade_that_joined_since_forbids_only_effects_that_would_concern_it() 
     assert concerns(step, BladeRecord("B9"))
     assert not concerns(step | {"clock": "blade"}, BladeRecord("B9"))
     assert not concerns(step | {"shape": "constant"}, BladeRecord("B9"))
+    drift = {"whom": "instrument", "value": "g1", "clock": "rotor", "shape": "linear"}
+    assert concerns(drift, BladeRecord("B9"))
+    assert not concerns(drift | {"shape": "constant"}, BladeRecord("B9"))
+    assert not concerns(step | {"whom": "blade", "value": "B1"}, BladeRecord("B9"))
 
 
 def test_a_new_blade_of_the_lot_is_named_in_the_refusal(
@@ -407,6 +411,29 @@ def test_what_forbids_an_adoption_by_itself_stands_in_the_result(
     assert view_rotor(store, "r1").rotor.head_seq == 13, "the retraction"
 
 
+@pytest.mark.parametrize("holds", [True, False])
+def test_what_fails_in_a_condition_is_not_adopted_unasked_and_may_be_asked_for(
+    api: httpx.Client, store: SqlStore, settings: Settings, post: Post, reading: Make, holds: bool
+) -> None:
+    automatic(store, settings, post, reading, "effect")
+
+    class Conditional(Offsets):
+        def diagnose(self, *given: Any) -> Json:
+            one = {"input": "stress", "value": 230.0, "holds": holds}
+            return super().diagnose(*given) | {"conditions": [one]}
+
+    science = Conditional()
+    found = diagnosed(store, science, make_worker(store, science, settings, "d", "diagnose"))
+    result = find_diagnosis(store, "r1", found).result or {}
+    assert result["verdict"] == "effect"
+    assert ("not_adopted" in result) is not holds
+    assert view_rotor(store, "r1").rotor.head_seq == 12 + holds
+    if not holds:
+        assert "does not hold at stress = 230" in result["not_adopted"]
+        adopt(store, science, "r1", found)
+        assert view_rotor(store, "r1").rotor.head_seq == 13
+
+
 def lost(store: SqlStore, settings: Settings) -> tuple[str, int]:
     """A diagnosis that is cancelled in its last step, and where the rotor's log ends then."""
     names: list[str] = []
@@ -438,9 +465,10 @@ def test_without_the_fence_it_would_be(
     reading: Make,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The mutant: who holds a job is not asked."""
+    """The mutant: neither who holds a job is asked, nor whether it still runs."""
     automatic(store, settings, post, reading, "effect")
     monkeypatch.setattr(job_lease, "holds", lambda lease: t.job.c.id == lease.id)
+    monkeypatch.setattr(job_lease, "runs", lambda: t.job.c.id.is_not(None))
     assert lost(store, settings) == ("done", 13)
 
 
