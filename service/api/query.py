@@ -12,7 +12,7 @@ from difflib import get_close_matches
 
 from fastapi import Request
 
-from service.api.problems import fault, invalid
+from service.api.problems import Fault, fault, invalid
 
 MOST, NEARBY = 50, 5  # parameters of one request; names that are compared with those known
 BELOW = "/v1/"  # health, metrics and pages are asked by programs with parameters of their own
@@ -47,7 +47,8 @@ async def known_query(request: Request) -> None:
         raise invalid([fault("query", len(given), told, f"give {MOST} at most, each once")])
     route = request.scope["route"].path_format
     known = takes(request.app.openapi(), route, request.method)
-    faults, seen = [], set[str]()
+    faults: list[Fault] = []
+    seen: set[str] = set()
     for name, value in given:
         if name not in known:
             near = known if len(faults) < NEARBY and len(name) <= 100 else {}
