@@ -50,7 +50,7 @@ def with_effects(
 def parameter_name(cell: Cell, network: Network) -> str:
     """The amplitude's name beside what is in the network: numbered where one is adopted already.
 
-    >>> from core.diagnosis.grammar import FAMILIES
+    >>> from core.diagnosis.families import FAMILIES
     >>> parameter_name(Cell(FAMILIES[0], "linear", "coating_lot", "C2"), Network("n", (), ()))
     'coating wear (coating lot C2)'
     """

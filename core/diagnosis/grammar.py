@@ -44,6 +44,7 @@ class Cell:
     def name(self) -> str:
         """What it is called: family and whom, however it runs in time.
 
+        >>> from core.diagnosis.families import FAMILIES
         >>> Cell(FAMILIES[0], "linear", "coating_lot", "C2").name
         'coating wear (coating lot C2)'
         """
@@ -53,6 +54,7 @@ class Cell:
     def cause(self) -> str:
         """What it is called whatever its course: that of all families of its cause.
 
+        >>> from core.diagnosis.families import FAMILIES
         >>> Cell(FAMILIES[0], "linear", "coating_lot", "C2").cause
         'coating loss (coating lot C2)'
         """
@@ -92,6 +94,7 @@ class Facts:
 def there(cell: Cell, own: Facts) -> bool:
     """Whether a blade was on the rotor when a cell's step happened.
 
+    >>> from core.diagnosis.families import FAMILIES
     >>> rub = next(f for f in FAMILIES if f.name == "tip rub")
     >>> [there(Cell(rub, "step", "all", None, 1e4), Facts(offset_h=h)) for h in (0.0, 2e4)]
     [True, False]
