@@ -27,10 +27,11 @@ import yaml
 
 from core.errors import FaultsError, InputError
 from core.network import Network
-from service.names import ID_LENGTH, ID_PATTERN
+from service.names import ID_LENGTH, ID_PATTERN, LONGEST_NUMBER
 from service.ports import Json
 
 MOST_BYTES = 2**20
+MOST_NAMED = 1000  # parameters, quantities, or keys of one mapping
 PRIOR = {"kind": str, "low": float, "high": float, "mean": float, "sd": float}
 PARAMETER = {
     "name": str, "level": str, "prior": dict, "unit": str, "symbol": str, "nominal": float,
@@ -72,6 +73,16 @@ class _Reader(yaml.SafeLoader):  # type: ignore[misc]
             )
         return super().compose_node(parent, index)
 
+    def short_number(self, node: Any) -> Any:
+        if len(node.value) > LONGEST_NUMBER:
+            line = node.start_mark.line + 1
+            raise yaml.YAMLError(
+                f"the number at line {line} has {len(node.value)} characters, above "
+                f"{LONGEST_NUMBER}"
+            )
+        whole = node.tag.endswith(":int")
+        return self.construct_yaml_int(node) if whole else self.construct_yaml_float(node)
+
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
         counts = Counter(keys)
@@ -87,6 +98,10 @@ _Reader.add_implicit_resolver(
     re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
     list("-+.0123456789"),
 )
+
+
+for _tag in ("int", "float"):
+    _Reader.add_constructor(f"tag:yaml.org,2002:{_tag}", _Reader.short_number)
 
 
 def read_network(text: str | bytes, where: str = "network") -> Network:
@@ -126,17 +141,25 @@ def network_of(told: object, where: str = "network") -> Network:
     if not isinstance(told, Mapping):
         problem = "is no mapping with name, parameters and quantities"
         raise FaultsError([InputError(where, _short(told), problem, "see the README")])
+    for name in ("parameters", "quantities"):
+        if (count := len(_list(told, name))) > MOST_NAMED:
+            remedy = f"declare {MOST_NAMED} at most"
+            raise FaultsError([InputError(f"{where}.{name}", count, "are too many", remedy)])
     _keys(told, NETWORK, where, "network", faults)
+    for name in ("notes", "drifts", "biases", "families"):
+        _finite(told.get(name), f"{where}.{name}", faults)
     for i, one in enumerate(_list(told, "parameters")):
         at = f"{where}.parameters[{i}]"
         if _keys(one, PARAMETER, at, "parameter", faults):
             _name(one, at, faults)
             _prior(one, "prior", at, faults)
+            _finite(one.get("population"), f"{at}.population", faults)
     for i, one in enumerate(_list(told, "quantities")):
         at = f"{where}.quantities[{i}]"
         if _keys(one, QUANTITY, at, "quantity", faults):
             _name(one, at, faults)
             _prior(one, "sigma_obs", at, faults)
+            _finite(one.get("discrepancy"), f"{at}.discrepancy", faults)
             if isinstance(one.get("kind"), str) and one["kind"] not in KINDS:
                 remedy = f"use one of {', '.join(KINDS)}"
                 faults.append(InputError(f"{at}.kind", one["kind"], "is not known", remedy))
@@ -169,6 +192,10 @@ def _keys(
     if not isinstance(told, Mapping):
         faults.append(InputError(where, _short(told), "is no mapping", f"give {', '.join(known)}"))
         return False
+    if len(told) > MOST_NAMED:
+        remedy = f"use {', '.join(known)}"
+        faults.append(InputError(where, f"{len(told)} keys", "are too many", remedy))
+        return False
     for key in told:
         if key not in known:
             remedy = f"use {', '.join(known)}"
@@ -192,11 +219,24 @@ def _is(value: object, kind: type) -> bool:
     return isinstance(value, kind) and not (kind is int and isinstance(value, bool))
 
 
+def _finite(value: object, where: str, faults: list[InputError]) -> None:
+    """Numbers below a key whose own keys are checked elsewhere."""
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            _finite(one, f"{where}.{key}", faults)
+    elif isinstance(value, list):
+        for i, one in enumerate(value):
+            _finite(one, f"{where}[{i}]", faults)
+    elif isinstance(value, float) and not math.isfinite(value) and len(faults) <= MOST_NAMED:
+        remedy = "give a finite number, or leave it out"
+        faults.append(InputError(where, value, "is not a finite number", remedy))
+
+
 def _name(told: Mapping[str, Any], where: str, faults: list[InputError]) -> None:
     """Names that readings and addresses carry, so they are held against what these may."""
     name = told.get("name")
-    if isinstance(name, str) and not (len(name) <= ID_LENGTH and re.match(ID_PATTERN, name)):
-        remedy = f"use letters, digits and . _ : + -, no space, {ID_LENGTH} at most"
+    if isinstance(name, str) and not (len(name) <= ID_LENGTH and re.fullmatch(ID_PATTERN, name)):
+        remedy = f"use letters, digits and . _ : @ + -, no space, {ID_LENGTH} at most"
         faults.append(InputError(f"{where}.name", _short(name), "is no name", remedy))
 
 

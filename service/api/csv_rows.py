@@ -22,40 +22,48 @@ NEEDED = ("id", "blade", "quantity", "time_h")
 AXES = ("x", "y", "z")
 NUMBERS = ("time_h", "value", "sigma", *AXES)
 MOST_ROWS = 500_000
-LONG_LINE = re.compile(rb"[^\n]{20000}")  # longer than all cells of a row may be
+LONGEST_LINE = 20_000  # bytes; longer than all cells of a row may be
 KNOWN = f"the columns are {', '.join(COLUMNS)}"
 Row = dict[str, Any]
 
 
 def csv_rows(body: bytes) -> list[tuple[str, Row]]:
     """The readings and the line of each, e.g. ``line 2.``. RequestError lists every fault."""
-    if LONG_LINE.search(body):
-        told = "the body is no CSV of readings: it has a line of 20,000 bytes or more"
-        raise RequestError(400, "invalid-csv", told)
-    if (count := body.count(b"\n")) > MOST_ROWS:
+    if (count := body.count(b"\n") + body.count(b"\r") - body.count(b"\r\n")) > MOST_ROWS:
         remedy = f"post {MOST_ROWS} at a time"
         raise invalid([fault("body", count, f"has more than {MOST_ROWS} lines", remedy)])
+    if max(map(len, body.splitlines()), default=0) >= LONGEST_LINE:
+        told = "the body is no CSV of readings: it has a line of 20,000 bytes or more"
+        raise RequestError(400, "invalid-csv", told)
     try:
         reader = csv.DictReader(io.StringIO(body.decode("utf-8-sig"), newline=""), strict=True)
-        header = list(reader.fieldnames or [])
-        lines = [(reader.line_num, row) for row in reader]
+        return _readings(_rows(reader))
     except (UnicodeDecodeError, csv.Error) as error:
         raise RequestError(400, "invalid-csv", f"the body is not CSV in UTF-8: {error}") from None
+
+
+def _rows(reader: csv.DictReader[str]) -> list[tuple[int, Row]]:
+    """The rows that are not empty in each cell, read one by one: all are not held at once."""
+    header = list(reader.fieldnames or [])
+    if len(header) > len(COLUMNS):
+        problem = f"are more columns than the {len(COLUMNS)} known ones"
+        raise invalid([fault("header", len(header), problem, KNOWN)])
     faults = _header_faults(header)
-    if not lines and not faults:
-        faults.append(fault("body", "", "holds no row", "give at least one reading"))
     rows = []
-    for number, row in lines:
-        if len(faults) > MOST_FAULTS:
-            break
+    for row in reader:
+        number = reader.line_num
         if None in row or None in row.values():
             problem, remedy = "has another number of cells than the header", "give every cell"
             told = ",".join(str(value) for value in row.values())
             faults.append(fault(f"line {number}", told, problem, remedy))
+            if len(faults) > MOST_FAULTS:
+                raise invalid(faults)
         rows.append((number, {k: _cell(k, v) for k, v in row.items() if v}))
+    if not rows and not faults:
+        faults.append(fault("body", "", "holds no row", "give at least one reading"))
     if faults:
         raise invalid(faults)
-    return _readings(rows)
+    return rows
 
 
 def _header_faults(header: list[str]) -> list[Fault]:
@@ -88,6 +96,8 @@ def _readings(rows: list[tuple[int, Row]]) -> list[tuple[str, Row]]:
             continue
         if (odd := _scan_fault(number, row, given, node)) is not None:
             faults.append(odd)
+            if len(faults) > MOST_FAULTS:
+                break
             continue
         first, head, whole = scans.setdefault(row.get("id"), (number, row, {}))
         if head != row:

@@ -3,7 +3,8 @@
 A server on the loopback needs no key: it is for the programs of its own machine. But strangers
 reach it all the same. A proxy on this machine passes on what others ask; it is known by the headers
 that proxies add. And a page in a browser on this machine, written by somebody else, may post to
-127.0.0.1 (the browser names the page in `Origin`), or be served under a name that its owner lets
+127.0.0.1 (the browser names the page in `Origin`) or name a picture there (it says `cross-site` in
+`Sec-Fetch-Site`), or be served under a name that its owner lets
 point to 127.0.0.1, and then even read the answers (`Host` has that name). All three need a key.
 
 A proxy that adds no header cannot be told from a program: behind one set BLADETWIN_KEYS=always.
@@ -67,10 +68,10 @@ def by_loopback(scope: Scope, origins: Collection[str]) -> bool:
         return False
     if any(name in headers for name in PROXIES):
         return False
-    if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
-        return headers.get("origin") in origins  # browsers say of each request whose page asks
     host = headers.get("host", "")
     if not is_loopback(_name_of(host)):
         return False
     origin = headers.get("origin")
+    if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+        return origin in origins  # a browser says whose page asks, of a picture too
     return origin is None or origin in origins or origin in (f"http://{host}", f"https://{host}")

@@ -20,6 +20,7 @@ from service.tokens import redacted
 
 LONGEST = 200
 MOST_FAULTS = 1000  # that one answer tells; who reads a body stops a little later
+MOST_READINGS = 100_000  # of one body
 Fault = dict[str, Any]
 
 
@@ -103,16 +104,26 @@ def problem(
 
 def invalid(faults: Sequence[Fault]) -> RequestError:
     """422 with every fault, up to `MOST_FAULTS`; the sentence is the first one's."""
-    first = faults[0]
-    if len(faults) > MOST_FAULTS:
-        told = f"has more than {MOST_FAULTS} faults, of which these are the first"
-        remedy = "mend these and post again to hear of the others"
-        faults = [*faults[:MOST_FAULTS], fault("body", None, told, remedy)]
+    first, faults = faults[0], bounded(faults)
     text = (
         f"{first['field']} = {first['value']!r}: {first['problem']}. To mend it: {first['remedy']}"
     )
     more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
     return RequestError(422, "invalid-input", text + more, faults)
+
+
+def bounded(faults: Sequence[Fault]) -> Sequence[Fault]:
+    """The first `MOST_FAULTS`, and one that says that there are more."""
+    if len(faults) <= MOST_FAULTS:
+        return faults
+    told = f"has more than {MOST_FAULTS} faults, of which these are the first"
+    remedy = "mend these and post again to hear of the others"
+    return [*faults[:MOST_FAULTS], fault("body", None, told, remedy)]
+
+
+def too_many(count: int, most: int) -> RequestError:
+    """422 for a body of more readings than it may hold."""
+    return invalid([fault("inspections", count, f"are above {most}", f"post {most} at a time")])
 
 
 def fault_of(error: InputError) -> Fault:

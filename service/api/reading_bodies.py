@@ -28,20 +28,25 @@ from core.observation import Inspection
 from service.api.csv_rows import csv_rows
 from service.api.problems import (
     MOST_FAULTS,
+    MOST_READINGS,
     Fault,
     RequestError,
     fault,
     fault_of,
     faults_of_validation,
     invalid,
+    too_many,
 )
 from service.api.schemas import Body, Id, Moment, Text
 from service.api.sensorthings import sensorthings_rows
 from service.export.sensorthings import MEDIA
 from service.handlers.inspections import Item
 
+MOST_VALUES, MOST_PARTS = 100_000, 16  # nodes of a scan; components of a vector
+Parts = Annotated[list[FiniteFloat], Field(max_length=MOST_PARTS)]
 Values = Annotated[
-    Annotated[list[list[FiniteFloat]], Tag("vector")] | Annotated[list[FiniteFloat], Tag("scalar")],
+    Annotated[list[Parts], Tag("vector"), Field(max_length=MOST_VALUES)]
+    | Annotated[list[FiniteFloat], Tag("scalar"), Field(max_length=MOST_VALUES)],
     Discriminator(lambda v: "vector" if isinstance(v, list) and v and _is_list(v[0]) else "scalar"),
 ]
 
@@ -86,7 +91,9 @@ class InspectionIn(Body):
     time_h: FiniteFloat
     value: FiniteFloat | None = None
     values: Values | None = None
-    nodes: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = None
+    nodes: Annotated[
+        list[Annotated[int, Field(ge=0, lt=2**31)]] | None, Field(max_length=MOST_VALUES)
+    ] = None
     unit: Text | None = None
     sigma: Annotated[FiniteFloat, Field(gt=0)] | None = None
     instrument: Text | None = None
@@ -122,7 +129,7 @@ class InspectionIn(Body):
 
 
 VALUE = ("value", "values", "nodes")
-MOST_READINGS = 100_000
+MOST_FIELDS = 100  # of a reading: those that are not known are told one by one
 UNREAD = "unread"
 STAND_INS: dict[str, Any] = {
     "id": UNREAD, "blade": UNREAD, "quantity": UNREAD, "time_h": 0.0, "value": 0.0
@@ -153,19 +160,24 @@ def read_inspections(
             f"{kind!r} is not read; post application/json, text/csv or {MEDIA}",
         )
     if len(rows) > MOST_READINGS:
-        remedy = f"post {MOST_READINGS} at a time"
-        raise invalid([fault("inspections", len(rows), f"are above {MOST_READINGS}", remedy)])
+        raise too_many(len(rows), MOST_READINGS)
     items: list[Item] = []
     faults: list[Fault] = []
     unread: dict[str, frozenset[str]] = {}  # fields that were not read, by the place of their row
     for where, row in rows:
+        if isinstance(row, dict) and len(row) > MOST_FIELDS:
+            remedy = f"give the fields of a reading: {', '.join(InspectionIn.model_fields)}"
+            told = f"{len(row)} fields"
+            faults.append(fault(where.rstrip(".") or "body", told, "are too many", remedy))
+            raise invalid(faults)
         try:
             items.append(Item(where, InspectionIn.model_validate(row).reading()))
         except ValidationError as error:
+            if len(faults) + error.error_count() > MOST_FAULTS:
+                faults += faults_of_validation(error.errors()[: MOST_FAULTS + 1], where)
+                raise invalid(faults) from None
             faults += faults_of_validation(error.errors(), where)
             fields = _fields(error)
-            if len(faults) > MOST_FAULTS:
-                raise invalid(faults) from None
             if (rest := _rest(row, fields)) is not None:
                 items.append(Item(where, rest))
                 unread[where] = fields
@@ -224,4 +236,6 @@ def _json_rows(body: bytes) -> list[tuple[str, Any]]:
         raise invalid(
             [fault("inspections", rows, "is not a list of readings", "give at least one")]
         )
-    return [(f"inspections[{i}].", row) for i, row in enumerate(rows[: MOST_READINGS + 1])]
+    if len(rows) > MOST_READINGS:
+        raise too_many(len(rows), MOST_READINGS)
+    return [(f"inspections[{i}].", row) for i, row in enumerate(rows)]

@@ -17,7 +17,16 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from core.errors import InputError, ModelError
-from service.api.problems import Fault, RequestError, fault, fault_of, faults_of_validation, problem
+from service.api.problems import (
+    MOST_FAULTS,
+    Fault,
+    RequestError,
+    bounded,
+    fault,
+    fault_of,
+    faults_of_validation,
+    problem,
+)
 from service.errors import (
     AdoptionError,
     ConflictError,
@@ -40,8 +49,8 @@ async def _refused(request: Request, error: Any) -> JSONResponse:
 
 
 async def _faulty(request: Request, error: Any) -> JSONResponse:
-    faults = [fault_of(one) for one in error.faults]
-    return problem(request, 422, "invalid-input", _sentence(faults), faults)
+    faults = [fault_of(one) for one in error.faults[: MOST_FAULTS + 1]]
+    return problem(request, 422, "invalid-input", _sentence(faults), bounded(faults))
 
 
 async def _unusable(request: Request, error: Any) -> JSONResponse:
@@ -49,10 +58,10 @@ async def _unusable(request: Request, error: Any) -> JSONResponse:
 
 
 async def _malformed(request: Request, error: Any) -> JSONResponse:
-    faults = faults_of_validation(error.errors())
+    faults = faults_of_validation(error.errors()[: MOST_FAULTS + 1])
     broken = any(one["type"] == "json_invalid" for one in error.errors())
     status, kind = (400, "invalid-json") if broken else (422, "invalid-input")
-    return problem(request, status, kind, _sentence(faults), faults)
+    return problem(request, status, kind, _sentence(faults), bounded(faults))
 
 
 async def _missing(request: Request, error: Any) -> JSONResponse:

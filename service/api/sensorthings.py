@@ -22,7 +22,15 @@ from typing import Any
 
 from pydantic_core import from_json
 
-from service.api.problems import MOST_FAULTS, Fault, RequestError, fault, invalid
+from service.api.problems import (
+    MOST_FAULTS,
+    MOST_READINGS,
+    Fault,
+    RequestError,
+    fault,
+    invalid,
+    too_many,
+)
 from service.export.sensorthings import PREDICTION, SAID, stream_id
 
 Json = dict[str, Any]
@@ -147,12 +155,13 @@ class _Reader:
             if len(set(names)) < len(names):
                 self.say(f"{where}components", names, "names one twice", "give each column once")
                 continue
-            rows = list(self._list(f"{where}dataArray", group.get("dataArray"), "rows"))
-            count = group.get("dataArray@iot.count", len(rows))
-            if count != len(rows):
+            rows = group.get("dataArray")
+            there = len(rows) if isinstance(rows, list) else 0
+            count = group.get("dataArray@iot.count", there)
+            if count != there:
                 remedy = "send all of them, or leave the count out"
-                self.say(f"{where}dataArray@iot.count", count, f"are not {len(rows)} rows", remedy)
-            for row_place, row in rows:
+                self.say(f"{where}dataArray@iot.count", count, f"are not {there} rows", remedy)
+            for row_place, row in self._list(f"{where}dataArray", rows, "rows"):
                 if not isinstance(row, list) or len(row) != len(names):
                     problem = f"is no list of {len(names)} values"
                     self.say(row_place, row, problem, "give a value for each component")
@@ -242,6 +251,8 @@ class _Reader:
         result = told["result"]
         row["values" if isinstance(result, list) else "value"] = result
         self.rows.append((where, row))
+        if len(self.rows) > MOST_READINGS:
+            raise too_many(len(self.rows), MOST_READINGS)
 
 
 def _told(cells: Iterator[tuple[str, Any]]) -> Json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import Any
@@ -11,12 +12,13 @@ import httpx
 import pytest
 
 from core.errors import FaultsError
-from service.api import csv_rows, reading_bodies, services
+from service.api import csv_rows, reading_bodies, sensorthings, services
 from service.api.csv_rows import csv_rows as rows_of
 from service.api.kept import Ground, Kept, Shelf
 from service.api.loopback import by_loopback
 from service.api.problems import MOST_FAULTS, RequestError
 from service.api.reading_bodies import read_inspections
+from service.api.routers.reads import LONGEST_TIMES
 from service.declared import read_network
 from service.names import LONGEST_NUMBER, is_number
 from service.worker.loop import Worker
@@ -190,5 +192,106 @@ quantities:
         "network.quantities[0].name",
     ]
     big = text.replace(".nan", "1" + "0" * 400).replace(".inf", "9")
-    with pytest.raises(FaultsError, match="nominal"):
+    with pytest.raises(FaultsError, match="the number at line 3 has 401 characters, above 40"):
         read_network(big)
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "problem"),
+    [
+        ("text/csv", (b"a" * 19_000 + b"\n") * 200, "is no column"),
+        ("text/csv", b",".join(b"c%d" % i for i in range(3000)) + b"\nx\n" * 3000, "more columns"),
+        ("", b'{"id":"a","values":[' + b'"a",' * 500_000 + b"0]}", "at most 100000 items"),
+        ("", b"{" + b",".join(b'"%d":0' % i for i in range(50_000)) + b"}", "are too many"),
+    ],
+)
+def test_a_body_of_one_megabyte_is_refused_in_a_second_or_two(
+    kind: str, body: bytes, problem: str
+) -> None:
+    begun = time.process_time()
+    told = refused(body, kind)
+    assert time.process_time() - begun < 5
+    assert any(problem in one["problem"] for one in told.faults), told.faults[:2]
+    assert len(told.faults) <= MOST_FAULTS + 1
+
+
+def test_observations_above_the_bound_are_refused_while_they_are_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sensorthings, "MOST_READINGS", 3)
+    rows = [[f"i{i}", 0.1, 8e3] for i in range(4)]
+    names = ["id", "result", "parameters/time_h"]
+    stream = {"Datastream": {"@iot.id": "B1/elongation"}, "components": names}
+
+    def body(count: int) -> bytes:
+        return json.dumps([stream | {"dataArray": rows[:count]}]).encode()
+
+    assert len(read_inspections(body(3), reading_bodies.MEDIA)) == 3
+    told = refused(body(4), reading_bodies.MEDIA)
+    assert told.faults[0]["problem"] == "are above 3"
+
+
+def test_times_longer_than_its_bound_are_refused_and_the_document_says_which(
+    api: httpx.Client, rotor: str, worker: Worker
+) -> None:
+    worker.drain()
+    long = ",".join(["8000"] * 3500)
+    assert len(long) > LONGEST_TIMES
+    for path, more in (
+        (PREDICTION, {}),
+        ("/v1/rotors/r1/blades/B1/life", {"limit": "1"}),
+        ("/v1/rotors/r1/series", {}),
+    ):
+        told = api.get(path, params={"times": long} | more)
+        fields = [one["field"] for one in told.json()["faults"]]
+        assert (told.status_code, "times" in fields) == (422, True), path
+    text = json.dumps(api.get("/openapi.json").json())
+    assert text.count(f'"maxLength": {LONGEST_TIMES}') == 5
+
+
+def test_another_site_s_page_needs_a_loopback_name_as_everybody() -> None:
+    allowed = "https://dash.example"
+    asked = loop(sec_fetch_site="cross-site", origin=allowed, host="evil.example")
+    assert not by_loopback(asked, (allowed,))
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1" + ":1" * 50_000, "1." + "0" * 60])
+def test_a_number_of_a_network_above_forty_characters_is_told_with_its_line(number: str) -> None:
+    begun = time.process_time()
+    with pytest.raises(FaultsError, match=r"the number at line 2 has \d+ characters, above 40"):
+        read_network(f"name: n\nschema: {number}")
+    assert time.process_time() - begun < 2
+
+
+def test_a_network_of_too_many_entries_is_one_fault() -> None:
+    with pytest.raises(FaultsError) as caught:
+        read_network("{name: n, parameters: [" + "0," * 2000 + "0], quantities: []}")
+    (one,) = caught.value.faults
+    assert (one.what, one.value, one.problem) == ("network.parameters", 2001, "are too many")
+    keys = ",".join(f"k{i}: 0" for i in range(2000))
+    with pytest.raises(FaultsError) as caught:
+        read_network("{" + keys + "}")
+    assert [one.problem for one in caught.value.faults] == ["are too many"]
+
+
+def test_numbers_are_finite_wherever_a_network_has_them() -> None:
+    text = """
+name: n
+notes: {seen: [1, .nan]}
+parameters:
+  - {name: "rate\\n", level: local, prior: {kind: normal, low: 0, high: 1, mean: .nan},
+     population: {spread: .inf}}
+quantities:
+  - {name: drop, unit: kPa, kind: scalar, low: 0, high: 1, numerical: .nan,
+     sigma_obs: {kind: log_uniform, low: 0.05, high: 2}, discrepancy: {sd: -.inf}}
+"""
+    with pytest.raises(FaultsError) as caught:
+        read_network(text)
+    assert {one.what for one in caught.value.faults} == {
+        "network.notes.seen[1]",
+        "network.parameters[0].name",
+        "network.parameters[0].prior.mean",
+        "network.parameters[0].population.spread",
+        "network.quantities[0].numerical",
+        "network.quantities[0].discrepancy.sd",
+    }

@@ -10,7 +10,7 @@ from fastapi.responses import Response
 from service.api.files import ARROW, NPZ, VTU, ZIP, file
 from service.api.problems import fault, invalid
 from service.api.routers.glance import Hour, Quantity
-from service.api.routers.reads import read_times
+from service.api.routers.reads import LONGEST_TIMES, read_times
 from service.api.services import Name, Wired, tag_of_basis, tagged, unchanged
 from service.api.which import Asked
 from service.handlers import exports, series
@@ -20,7 +20,11 @@ from service.handlers.reads import basis
 router = APIRouter(prefix="/v1", tags=["glance"])
 ROTOR, BLADE = "/rotors/{r}", "/rotors/{r}/blades/{b}"
 Times = Annotated[
-    str | None, Query(description="hours with commas between; default: the model's instants")
+    str | None,
+    Query(
+        max_length=LONGEST_TIMES,
+        description="hours with commas between; default: the model's instants",
+    ),
 ]
 
 

@@ -24,6 +24,7 @@ from service.ports import Which
 
 router = APIRouter(prefix="/v1/rotors/{r}", tags=["reads"])
 DRAWS = 1000  # in a file; `…/draws?format=netcdf` gives as many as are asked for
+LONGEST_TIMES = 16_384  # characters of `times`
 Form = Annotated[
     Literal["json", "netcdf"], Query(description=f"netcdf: {DRAWS} draws in ArviZ's schema")
 ]
@@ -68,7 +69,9 @@ def get_prediction(
     quantity: Annotated[
         str | None, Query(max_length=100, description="default: the model's first one")
     ] = None,
-    times: Annotated[str | None, Query(description="hours, with commas between")] = None,
+    times: Annotated[
+        str | None, Query(max_length=LONGEST_TIMES, description="hours, with commas between")
+    ] = None,
     node: Annotated[str | None, Query(max_length=100)] = None,
     probability: float = 0.95,
     instrument: Annotated[
@@ -114,7 +117,11 @@ def get_life(
         str | None, Query(max_length=100, description="default: the model's first one")
     ] = None,
     times: Annotated[
-        str | None, Query(description="hours, with commas between; default: the model's")
+        str | None,
+        Query(
+            max_length=LONGEST_TIMES,
+            description="hours, with commas between; default: the model's",
+        ),
     ] = None,
     node: Annotated[str | None, Query(max_length=100)] = None,
     component: Annotated[

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
-from service.api.routers.reads import read_times
+from service.api.routers.reads import LONGEST_TIMES, read_times
 from service.api.services import Cursor, Name, Wired, tag_of, tagged, unchanged
 from service.api.which import Asked
 from service.handlers import rows as use
@@ -35,7 +35,11 @@ def get_series(
         str | None, Query(max_length=100, description="default: the model's first one")
     ] = None,
     times: Annotated[
-        str | None, Query(description="hours, with commas between; default: the model's")
+        str | None,
+        Query(
+            max_length=LONGEST_TIMES,
+            description="hours, with commas between; default: the model's",
+        ),
     ] = None,
     node: Annotated[str | None, Query(max_length=100)] = None,
     component: Annotated[
