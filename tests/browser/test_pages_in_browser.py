@@ -404,6 +404,19 @@ def test_the_time_to_a_limit_is_the_service_s(watched: Watched, service: Running
     assert watched.errors == []
 
 
+def test_hours_and_ticks_have_the_decimals_that_their_range_needs(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/blades/B1")
+    told = page.evaluate(
+        """async () => {
+            const { hoursOf, labels } = await import("/assets/format.js");
+            const told = [hoursOf(12346, 50000), hoursOf(3.4214, 12), hoursOf(0.4567, 0.9)];
+            return [...told, ...labels([0, 2.5, 5])];
+        }"""
+    )
+    shown = [re.sub(r"\D", "", text) if "h" in text else text for text in told]
+    assert shown == ["12350", "342", "04567", "0.0", "2.5", "5.0"]
+
+
 def test_a_service_that_is_away_is_told_and_the_page_comes_back(watched: Watched) -> None:
     page = watched.open("/rotors/r1")
     page.route("**/v1/**", lambda route: route.abort())

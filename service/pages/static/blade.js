@@ -4,7 +4,7 @@ import { get, pages, path } from "./api.js";
 import { chart, legend, numbers } from "./chart.js";
 import { corner, marginals } from "./corner.js";
 import { $, asked, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
-import { ago, fixed, hours, inUnit, labels, moment, number, plain, unit, withSd, words } from "./format.js";
+import { ago, fixed, hours, hoursOf, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
 import { kindsOf, readingsTable } from "./reading.js";
@@ -82,9 +82,9 @@ function drawFigures(found, mean, sd, bladeSd, life) {
   const parts = [figure(inUnit(withSd(mean[last], bladeSd[last]), found.unit), `at ${hours(found.time_h[last])}: the blade itself; a reading then: ± ${inUnit(plain(sd.total[last], 2), found.unit)}`)];
   if (life === null) parts.push(h("p", { class: "soft" }, "Give a limit above to see the time to it."));
   else {
-    const end = hours(life.time_h.at(-1));
-    const grain = 10 ** Math.max(-3, Math.floor(Math.log10(life.time_h.at(-1))) - 3); // of 50 000 h: 10 h
-    const at = (share) => (life.quantiles[share] === null ? `beyond ${end}` : `${labels([Math.round(life.quantiles[share] / grain) * grain, grain])[0]} h`);
+    const last = life.time_h.at(-1);
+    const end = last < 10 ? hoursOf(last, last) : hours(last);
+    const at = (share) => (life.quantiles[share] === null ? `beyond ${end}` : hoursOf(life.quantiles[share], last));
     parts.push(figure(at("0.5"), `median time to ${inUnit(plain(life.limit), life.unit)}`),
       h("p", { class: "small" }, `5 %: ${at("0.05")}; 95 %: ${at("0.95")}. Chance to have passed it by ${end}: ${fixed(100 * life.passed.at(-1), 1)} %.`),
       h("p", { class: "small soft" }, "From all particles of the blade at each hour, without a reading's noise, for a quantity that does not shrink."));

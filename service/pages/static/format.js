@@ -44,6 +44,13 @@ export const axis = (what, name) => `${what} [${unit(name) || "1"}]`;
 
 export const hours = (value) => (value === null || value === undefined ? "–" : `${fixed(value, 0)}${NBSP}h`);
 
+/** Hours, to a thousandth of the last one or finer: of 50 000 h to 10 h, of 12 h to 0.01 h. */
+export function hoursOf(value, last) {
+  const power = last > 0 ? Math.max(-6, Math.floor(Math.log10(last)) - 3) : 0;
+  const shown = power < 0 ? fixed(value, -power) : fixed(Math.round(value / 10 ** power) * 10 ** power, 0);
+  return `${shown}${NBSP}h`;
+}
+
 export function seconds(value) {
   if (value === null || value === undefined) return "–";
   if (value < 90) return `${fixed(value, value < 10 ? 1 : 0)}${NBSP}s`;
