@@ -511,7 +511,8 @@ class Doubtful(FakeScience):
 
 
 class Degenerate(Doubtful):
-    told = verdict({"nodes": 64, "ess": 2.0, "ess_ratio": 0.03, "tempered": 1.0}, [], sealed=True)
+    found: ClassVar[Json] = {"nodes": 64, "ess": 2.0, "ess_ratio": 0.03, "tempered": 1.0}
+    told = verdict(found | {"message_tilt_nat": 0.0}, [], sealed=True)
 
 
 class OfAnEarlierRelease(Doubtful):
