@@ -157,6 +157,7 @@ def serve(settings: Settings) -> None:
     )
     supervisor.start()
     set_aside()
+    sys.setswitchinterval(SWITCH_S)
     try:
         server.run()
     finally:
@@ -165,6 +166,9 @@ def serve(settings: Settings) -> None:
         tracing.end()
 
 
+# How long a thread of the API that computes keeps the interpreter's lock from one that has a row of
+# the database to take: a fifth of what Python sets (`tests/benchmarks/bench_rows.py`).
+SWITCH_S = 0.001
 SEALER_NICENESS, EMBEDDED_NICENESS = 10, 4
 
 

@@ -8,5 +8,6 @@ keys.py      API keys                         trail.py     the audit trail
 answers.py   first answers by Idempotency-Key
 cache.py     what a process keeps          intact.py   whether a version is what was written
 audit.py     every stored part checked    outbox.py   notes of what was committed
+gathered.py  many rows fetched as one
 unit_of_work.py   one transaction with all of these
 """

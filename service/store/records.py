@@ -16,6 +16,7 @@ from service.errors import NotFoundError
 from service.ports import BladeRecord, JobRecord, Json, ModelCard, ResidualRecord, RotorRecord
 from service.store import tables as t
 from service.store.engine import now_s
+from service.store.gathered import Gathered
 from service.store.log import notify
 
 ROTOR = (
@@ -25,6 +26,7 @@ ROTOR = (
 )
 UNFINISHED = ("queued", "running")
 BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
+BLADE_NAMES = [column.name for column in BLADE]
 # Nearly every request asks these: a statement is built and understood once.
 _ROTOR = select(*ROTOR).join(t.cursor).where(t.rotor.c.id == bindparam("rotor"))
 _MODEL = (
@@ -34,8 +36,8 @@ _MODEL = (
 )
 _VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
 _OF_ROTOR = t.blade.c.rotor_id == bindparam("rotor")
-_BLADES = select(*BLADE).where(_OF_ROTOR)
-_BLADE_IDS = select(t.blade.c.id).where(_OF_ROTOR)
+_BLADES = Gathered(select(*BLADE).where(_OF_ROTOR))
+_BLADE_IDS = Gathered(select(t.blade.c.id).where(_OF_ROTOR))
 _ONE_BLADE = select(*BLADE).where(_OF_ROTOR, t.blade.c.id == bindparam("blade"))
 
 
@@ -194,16 +196,16 @@ class SqlRecords:
 
     def blades(self, rotor_id: str) -> list[BladeRecord]:
         """Blades by id in byte order: digests rest on it, and databases sort text differently."""
-        rows = self._connection.execute(_BLADES, {"rotor": rotor_id})
+        rows = _BLADES.rows(self._connection, {"rotor": rotor_id})
         return sorted((_blade(row) for row in rows), key=lambda blade: blade.id)
 
     def blade_ids(self, rotor_id: str) -> set[str]:
-        return set(self._connection.execute(_BLADE_IDS, {"rotor": rotor_id}).scalars())
+        return {name for (name,) in _BLADE_IDS.rows(self._connection, {"rotor": rotor_id})}
 
     def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None:
         asked = {"rotor": rotor_id, "blade": blade_id}
         row = self._connection.execute(_ONE_BLADE, asked).one_or_none()
-        return None if row is None else _blade(row)
+        return None if row is None else _blade(tuple(row))
 
     def put_blade(self, rotor_id: str, blade: BladeRecord) -> None:
         values = asdict(blade) | {"rotor_id": rotor_id, "known": _text(blade.known)}
@@ -240,8 +242,9 @@ def _rotor(row: Row[Any]) -> RotorRecord:
     return RotorRecord(**dict(row._mapping) | {"network": _read(row.network)})
 
 
-def _blade(row: Row[Any]) -> BladeRecord:
-    return BladeRecord(**dict(row._mapping) | {"known": _read(row.known)})
+def _blade(row: tuple[Any, ...]) -> BladeRecord:
+    values = dict(zip(BLADE_NAMES, row, strict=True))
+    return BladeRecord(**values | {"known": _read(values["known"])})
 
 
 def _text(value: object) -> str | None:

@@ -25,7 +25,6 @@ from sqlalchemy import (
     func,
     or_,
     select,
-    true,
 )
 
 from core.errors import ModelError, RangeError
@@ -37,6 +36,7 @@ from service.store import tables as t
 from service.store.cache import ArrayCache, Checked, Key
 from service.store.encoding import DamagedArrayError, Encoded, decode
 from service.store.engine import now_s
+from service.store.gathered import Gathered
 
 NEWEST = (
     select(t.state.c.version, t.state.c.digest)
@@ -234,12 +234,20 @@ _ARRAY = (
     .order_by(_A.version.desc())
     .limit(1)
 )
-_NEWEST_SMALL = (
-    select(_A.name, func.max(_A.version).label("version"))
-    .where(*_UNTIL, or_(_A.name.like("shared/%"), _A.name.like("column/%")))
-    .group_by(_A.name)
-    .subquery()
+_NEWEST_NAMES = (
+    select(_A.name, func.max(_A.version).label("version")).where(*_UNTIL).group_by(_A.name)
 )
+_NEWEST = _NEWEST_NAMES.subquery()
+_DIGESTS = Gathered(
+    select(_A.name, _A.sha256).where(
+        _A.rotor_id == bindparam("rotor"),
+        _A.name == _NEWEST.c.name,
+        _A.version == _NEWEST.c.version,
+    )
+)
+_NEWEST_SMALL = _NEWEST_NAMES.where(
+    or_(_A.name.like("shared/%"), _A.name.like("column/%"))
+).subquery()
 _SMALL = select(_A.name, *_BYTES).where(
     _A.rotor_id == bindparam("rotor"),
     _A.name == _NEWEST_SMALL.c.name,
@@ -260,16 +268,7 @@ def record_of(row: Row[Any]) -> StateRecord:
 
 def digests(connection: Connection, rotor_id: str, version: int | None = None) -> dict[str, str]:
     """name -> SHA-256 of each array of a version; None: of the newest."""
-    a = t.state_array.c
-    until = a.version <= version if version is not None else true()
-    newest = (
-        select(a.name, func.max(a.version).label("version"))
-        .where(a.rotor_id == rotor_id, until)
-        .group_by(a.name)
-        .subquery()
-    )
-    query = select(a.name, a.sha256).where(
-        a.rotor_id == rotor_id, a.name == newest.c.name, a.version == newest.c.version
-    )
+    asked = {"rotor": rotor_id, "version": 2**63 - 1 if version is None else version}
     # Names, and most digests, are those of the versions before: each text is held once.
-    return {intern(row[0]): intern(row[1]) for row in connection.execute(query) if row[1]}
+    rows = _DIGESTS.rows(connection, asked)
+    return {intern(name): intern(sha256) for name, sha256 in rows if sha256}
