@@ -55,6 +55,30 @@ class Inspection:
             nodes.flags.writeable = False
             object.__setattr__(self, "nodes", nodes)
 
+    @classmethod
+    def again(
+        cls,
+        digest: str,
+        values: Array,
+        nodes: NDArray[np.int64] | None,
+        rest: Iterable[tuple[str, Any]],
+    ) -> Inspection:
+        """One that was there before, from its digest and parts: nothing is copied or computed.
+
+        rest   (name, value) of each of the other fields
+        """
+        made = object.__new__(cls)
+        put = object.__setattr__
+        values.flags.writeable = False
+        put(made, "values", values)
+        if nodes is not None:
+            nodes.flags.writeable = False
+        put(made, "nodes", nodes)
+        for name, value in rest:
+            put(made, name, value)
+        put(made, "_digest", digest)
+        return made
+
     def to_json(self) -> dict[str, Any]:
         """A plain dictionary; absent fields are left out, floats are exact."""
         out: dict[str, Any] = {

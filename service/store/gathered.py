@@ -8,7 +8,8 @@ feeds itself. So what nearly every request reads comes as a single row, a JSON a
 
 SQLite writes real numbers as decimals that do not always read back as the same number. So a real
 number x comes as two integers: its whole part i, and g = (x - i) 2⁶². All of this arithmetic is
-exact for |x| >= 2⁻¹⁰ and 0, which SQLite itself confirms; where it does not, the rows come one by one.
+exact for 0 and |x| >= 2⁻¹⁰, which SQLite itself confirms; where it does not, the rows come one by
+one.
 """
 
 from __future__ import annotations

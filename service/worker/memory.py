@@ -5,7 +5,7 @@ which only grows, so that those through an entry hold for ever, and an update re
 To read and check the readings of a rotor anew costs some 25 µs for each (SQL, JSON, digest):
 without memory an update takes the longer the longer its rotor is in service, and a worker that
 cares for many rotors would do little else. States are large, so few of them are kept; readings are
-small and kept up to a number of bytes.
+kept packed (`packing`), up to a number of bytes.
 
 A database that was restored, or whose place a replica took that had not heard of the last commits,
 goes on from an earlier moment and may come to the same numbers by another way. So what a memory
@@ -15,13 +15,13 @@ ends with is compared with the database before it is used (`service.worker.task`
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from core.observation import Entry
 from service.ports import Event, RotorState
+from service.worker.packing import Chunks, packed, unpacked
 
-ENTRY_BYTES = 520  # an entry with its reading, measured; values beyond one and nodes are added
 ROTOR_BYTES = 800  # a rotor without entries, measured
 NO_VERSION = -1
 Mark = tuple[str, str, float]
@@ -35,6 +35,7 @@ class Memory:
     anew     the stored state is not used, and all that replaces it is written
     last     what entry `through` is called by; None: no entry
     digest   what the version is called by; None: none yet
+    chunks   the first of the entries, packed before
     """
 
     version: int
@@ -45,6 +46,26 @@ class Memory:
     anew: bool = False
     last: Mark | None = None
     digest: str | None = None
+    chunks: Chunks = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """The entries of a rotor through one of them, packed."""
+
+    through: int
+    last: Mark | None
+    chunks: Chunks
+
+    @property
+    def nbytes(self) -> int:
+        return ROTOR_BYTES + sum(chunk.nbytes for chunk in self.chunks)
+
+    def memory(self) -> Memory:
+        entries = unpacked(self.chunks)
+        return Memory(
+            NO_VERSION, self.through, None, {}, entries, last=self.last, chunks=self.chunks
+        )
 
 
 def mark(events: Sequence[Event], before: Mark | None) -> Mark | None:
@@ -52,21 +73,6 @@ def mark(events: Sequence[Event], before: Mark | None) -> Mark | None:
     if not events:
         return before
     return events[-1].event_id, events[-1].digest, events[-1].received_at
-
-
-def size(entries: Iterable[Entry]) -> int:
-    """Bytes that entries take in memory, about.
-
-    >>> size([Entry(1, "retraction", "a"), Entry(2, "retraction", "b")])
-    1040
-    """
-    total = 0
-    for entry in entries:
-        total += ENTRY_BYTES
-        if (reading := entry.inspection) is not None:
-            total += reading.values.nbytes - reading.values.itemsize
-            total += 0 if reading.nodes is None else reading.nodes.nbytes
-    return total
 
 
 class Memories:
@@ -79,14 +85,15 @@ class Memories:
     def __init__(self, states: int, readings_mb: float) -> None:
         self._most, self._limit = states, int(readings_mb * 2**20)
         self._states: OrderedDict[str, Memory] = OrderedDict()
-        self._readings: OrderedDict[str, tuple[Memory, int]] = OrderedDict()
+        self._readings: OrderedDict[str, Readings] = OrderedDict()
         self._bytes = 0
 
     def get(self, rotor_id: str) -> Memory | None:
         """What is remembered of a rotor; None: nothing."""
         if (whole := self._states.get(rotor_id)) is not None:
             return whole
-        return self._readings.get(rotor_id, (None, 0))[0]
+        rest = self._readings.get(rotor_id)
+        return None if rest is None else rest.memory()
 
     def put(self, rotor_id: str, memory: Memory) -> None:
         """Remember a rotor as the one seen last; what is beyond a limit is forgotten."""
@@ -94,16 +101,14 @@ class Memories:
         self._states[rotor_id] = memory
         while len(self._states) > self._most:
             name, old = self._states.popitem(last=False)
-            taken = ROTOR_BYTES + size(old.entries)
-            rest = Memory(NO_VERSION, old.through, None, {}, old.entries, last=old.last)
-            self._readings[name] = (rest, taken)
-            self._bytes += taken
+            rest = Readings(old.through, old.last, packed(old.entries, old.chunks))
+            self._readings[name] = rest
+            self._bytes += rest.nbytes
         while self._bytes > self._limit:
-            _, (_, freed) = self._readings.popitem(last=False)
-            self._bytes -= freed
+            self._bytes -= self._readings.popitem(last=False)[1].nbytes
 
     def forget(self, rotor_id: str) -> None:
         """All that is remembered of a rotor."""
         self._states.pop(rotor_id, None)
-        _, freed = self._readings.pop(rotor_id, (None, 0))
-        self._bytes -= freed
+        rest = self._readings.pop(rotor_id, None)
+        self._bytes -= 0 if rest is None else rest.nbytes

@@ -110,7 +110,16 @@ def _restored(
     if lease.version == 0:
         return Memory(0, 0, None, {}, entries)
     sha256 = digests(tx.connection, lease.rotor_id)
-    memory = Memory(lease.version, lease.applied_seq, None, sha256, entries, anew=True, last=last)
+    memory = Memory(
+        lease.version,
+        lease.applied_seq,
+        None,
+        sha256,
+        entries,
+        anew=True,
+        last=last,
+        chunks=stale.chunks,
+    )
     try:
         record = tx.states.get(lease.rotor_id, lease.version)
         tx.states.prefetch(lease.rotor_id, lease.version)

@@ -205,6 +205,7 @@ class Updater:
             task.entries,
             last=task.last,
             digest=record.digest,
+            chunks=task.memory.chunks,
         )
         self._memory.put(lease.rotor_id, memory)
         return version

@@ -20,11 +20,11 @@ from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import task
-from service.worker.memory import ENTRY_BYTES, NO_VERSION, ROTOR_BYTES, Memories, Memory, size
+from service.worker.memory import NO_VERSION, ROTOR_BYTES, Memories, Memory
+from service.worker.packing import packed
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
-HUNDRED = ROTOR_BYTES + 100 * ENTRY_BYTES
 
 
 def entries(count: int) -> list[Entry]:
@@ -32,14 +32,11 @@ def entries(count: int) -> list[Entry]:
     return [Entry(seq, "inspection", "i", one) for seq in range(count)]
 
 
+HUNDRED = ROTOR_BYTES + sum(chunk.nbytes for chunk in packed(entries(100)))
+
+
 def memory(count: int) -> Memory:
     return Memory(7, count, FakeState({}, {}), {"a": "sha"}, entries(count))
-
-
-def test_an_entry_is_counted_with_its_values_and_nodes() -> None:
-    scan = Inspection("s", "B1", "deformation", 8e3, np.zeros((5, 3)), np.arange(5))
-    assert size(entries(2)) == 2 * ENTRY_BYTES
-    assert size([Entry(1, "inspection", "s", scan)]) == ENTRY_BYTES + 14 * 8 + 5 * 8
 
 
 def test_states_beyond_the_limit_go_and_their_readings_stay() -> None:
@@ -51,7 +48,11 @@ def test_states_beyond_the_limit_go_and_their_readings_stay() -> None:
     kept.put("c", whole["c"])
     assert kept.get("a") is whole["a"]
     assert kept.get("c") is whole["c"]
-    assert kept.get("b") == Memory(NO_VERSION, 3, None, {}, whole["b"].entries)
+    rest = kept.get("b")
+    assert rest is not None
+    assert (rest.version, rest.through, rest.state, rest.last) == (NO_VERSION, 3, None, None)
+    assert [entry.seq for entry in rest.entries] == [0, 1, 2]
+    assert packed(rest.entries, rest.chunks)[0] is rest.chunks[0]
     assert kept.get("d") is None
 
 
