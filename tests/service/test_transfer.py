@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import func, select, text
+from sqlalchemy import bindparam, func, select, text
 from typer.testing import CliRunner
 
 from core.errors import BladetwinError, InputError
@@ -32,6 +32,7 @@ from service.settings import Settings
 from service.store import records
 from service.store import tables as t
 from service.store.engine import is_sqlite, open_engine, transaction
+from service.store.gathered import Gathered
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore
 from service.worker.rebuild import replay
@@ -165,9 +166,12 @@ def test_the_order_of_blades_is_that_of_their_bytes_however_the_database_sorts_t
     names = ("B1", "B_1", "a-spare")
     create_rotor(store, "r1", "rotor-blade", [BladeRecord(name) for name in names], 64, 7)
     post("r1", reading("i", blade="a-spare"))
-    monkeypatch.setattr(
-        records, "_BLADES", records._BLADES.order_by(None).order_by(func.lower(t.blade.c.id))
-    )
+    own = t.blade.c.rotor_id == bindparam("rotor")
+    query = select(*records.BLADE).where(own).order_by(func.lower(t.blade.c.id))
+    monkeypatch.setattr(records, "_BLADES", Gathered(query))
+    with store.read() as tx:
+        came = [row[0] for row in records._BLADES.rows(tx.connection, {"rotor": "r1"})]
+    assert came == ["a-spare", "B1", "B_1"], "the control: another order than that of the bytes"
     work(store, science, settings)
     view = view_rotor(store, "r1")
     assert view.state is not None
