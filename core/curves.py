@@ -153,7 +153,7 @@ def curves(
     nodes = None
     if declared.kind != "scalar":
         if node is None:
-            node = surrogate.named[declared.node or "tip"]
+            node = declared.node_among(surrogate.named)
         if not 0 <= node < surrogate.node_count:
             raise RangeError(
                 "node", node, f"does not exist: 0 … {surrogate.node_count - 1}", "name a node"

@@ -10,6 +10,10 @@ which is no bell: where a blade may run hot or cool it is skewed, and its early 
 on an outage, lies elsewhere than mean ± sd of the curves would have it. Where the sum falls again
 (a quantity that shrinks for a while) what was passed stays passed: its running maximum counts.
 
+Of a quantity that is above the limit at hour 0 and lower at the model's horizon (a heat transfer
+that fouls away) the limit is passed from above: P(y(t) <= L) takes the place of P(y(t) >= L). One
+that is above it and does not fall has passed it at hour 0.
+
 The hour at which the sum reaches p is the p-quantile of the time to the limit. What lies beyond the
 model's hours has none: the model says nothing of it.
 """
@@ -79,11 +83,20 @@ def life(
     thin = thinned(posterior)
     w = thin.particles.w
 
+    def middle(at: float) -> float:
+        one = curves(model, thin, quantity, np.array([at]), node, component, known)
+        return float(w @ one.mean[:, 0] / w.sum())
+
+    begun = middle(0.0)
+    falls = begun > limit and middle(model.part(quantity).horizon_h) < begun
+    side = -1.0 if falls else 1.0
+
     def share(at: Array) -> Array:
         one = curves(model, thin, quantity, at, node, component, known)
         with np.errstate(divide="ignore", invalid="ignore"):
-            z = (one.mean - limit) / one.width
-        z = np.where(one.width > 0, z, np.where(one.mean >= limit, np.inf, -np.inf))
+            z = side * (one.mean - limit) / one.width
+        beyond = side * (one.mean - limit) >= 0
+        z = np.where(one.width > 0, z, np.where(beyond, np.inf, -np.inf))
         return np.asarray(np.clip(w @ ndtr(z) / w.sum(), 0.0, 1.0))
 
     passed = np.maximum.accumulate(share(time))

@@ -118,12 +118,15 @@ class Inspection:
 
 
 class Covers(Protocol):
-    """What `check` needs to know of a model (a surrogate has it)."""
+    """What `check` needs to know of a model."""
 
     @property
     def horizon_h(self) -> float: ...
     @property
     def node_count(self) -> int: ...
+    @property
+    def nodes(self) -> Mapping[str, int]:
+        """Nodes that have a name."""
 
 
 def check(reading: Inspection, network: Network, model: Covers, where: str = "") -> None:
@@ -187,6 +190,8 @@ def faults(
         )
     try:
         _check_shape(reading, quantity.kind, model.node_count, name("values"), name("nodes"))
+        if quantity.kind == "field" and reading.nodes is None:
+            quantity.node_among(model.nodes)
     except InputError as shape:
         yield shape
 

@@ -122,6 +122,24 @@ class Quantity:
             raise InputError("quantity", self.name, "holds a . or @", "choose another name")
 
     @property
+    def default_node(self) -> str:
+        """Name of the node where one is needed and none is given: of a field, of a vector."""
+        return self.node or ("tip" if self.kind == "vector" else "critical")
+
+    def node_among(self, named: Mapping[str, int]) -> int:
+        """The number of `default_node`; InputError: a model without it, so that one must be given.
+
+        >>> noise = Prior("log_uniform", 1e-6, 1e-3)
+        >>> Quantity("ceeq", "1", "field", noise, 0, 1).node_among({"critical": 7, "tip": 9})
+        7
+        """
+        if self.default_node not in named:
+            there = ", ".join(sorted(named)) or "no node"
+            problem = f"is needed for {self.name}: the model names {there}, not {self.default_node}"
+            raise InputError("node", None, problem, "give the number of a node")
+        return named[self.default_node]
+
+    @property
     def sigma_name(self) -> str:
         return f"sigma_obs.{self.name}"
 

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+CALIBRATED = 5  # degree of the polynomials that a calibration asks
 
 
 @lru_cache(maxsize=64)

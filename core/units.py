@@ -87,10 +87,25 @@ def ratio(given: str, wanted: str) -> tuple[float, float]:
     if one.exponents != other.exponents:
         problem = f"is a unit of {_shown(one)}, not of {_shown(other)} as {wanted!r} is"
         raise UnitError("unit", given, problem, f"give the values in {wanted!r}")
+    if (counts(given), counts(wanted)) in ((True, False), (False, True)):
+        problem = f"counts turns where {wanted!r} counts angles, or the other way: 2 π apart"
+        raise UnitError("unit", given, problem, f"give the values in {wanted!r}")
     a = one.factor / other.factor
     b = (one.offset - other.offset) / other.factor
     near = float(f"{a:.12g}")
     return near, float(f"{b:.12g}")
+
+
+def counts(text: str) -> bool | None:
+    """Whether a rate counts turns (rpm, Hz) or angles (rad/s); None: neither.
+
+    >>> counts("rpm"), counts("kHz"), counts("rad/s"), counts("1/s")
+    (True, True, False, None)
+    """
+    words = re.findall(r"[^\W\d_]+|°", text)
+    if any(word == "rpm" or word.endswith("Hz") for word in words):
+        return True
+    return False if any(word.endswith("rad") or word in ("deg", "°") for word in words) else None
 
 
 def _shown(found: Unit) -> str:

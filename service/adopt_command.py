@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 import typer
@@ -27,20 +28,24 @@ def adopt(
     with reached(url, key) as twin:
         done = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
         told: dict[str, Any] = {**done}
+        if not as_json:  # it is done, whatever becomes of the waiting
+            typer.echo("\n".join(lines_of(rotor, told["adoption"])))
         if wait > 0:
             twin.wait_for(rotor, told["head_seq"], wait)
             told["rotor"] = twin.wait_sealed(rotor, wait)
     if as_json:
         typer.echo(json.dumps(told))
-        return
-    one = told["adoption"]
-    what = "backed out" if one["what"] == "back-out" else "adopted"
-    typer.echo(f"rotor {rotor}: {what} with entry {one['seq']}")
-    for effect in one["effects"]:
-        size = effect["amplitude"]
-        typer.echo(f"  {effect['name']}: {size['mean']:.3g} ± {size['sd']:.2g} {size['of']}")
-    if one["readings_since"]:
-        typer.echo(f"  {one['readings_since']} readings came since the diagnosis")
-    if "rotor" in told:
+    elif "rotor" in told:
         version, digest = told["rotor"]["version"], told["rotor"]["posterior"]["state_digest"]
         typer.echo(f"  sealed as version {version}: {digest[:16]}…")
+
+
+def lines_of(rotor: str, one: dict[str, Any]) -> Iterator[str]:
+    """What an entry of the log did to the rotor's model."""
+    what = "backed out" if one["what"] == "back-out" else "adopted"
+    yield f"rotor {rotor}: {what} with entry {one['seq']}"
+    for effect in one["effects"]:
+        size = effect["amplitude"]
+        yield f"  {effect['name']}: {size['mean']:.3g} ± {size['sd']:.2g} {size['of']}"
+    if one["readings_since"]:
+        yield f"  {one['readings_since']} readings came since the diagnosis"

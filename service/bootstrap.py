@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable
 from functools import cache, partial
+from types import FrameType
 from typing import TYPE_CHECKING, Any, cast
 
 from service import tracing
@@ -149,9 +150,14 @@ def serve(settings: Settings) -> None:
     register_builtins(store, science)
     app = make_app(store, science, settings)
     server = make_server(app, settings)
-    # uvicorn raises the signal again when it has ended; the workers are still to be stopped.
+
+    # A signal before uvicorn listens for it ends the server as soon as it has begun. uvicorn raises
+    # it again when it has ended; the workers are still to be stopped.
+    def stop(signum: int, frame: FrameType | None) -> None:
+        server.should_exit = True
+
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda signum, frame: None)
+        signal.signal(number, stop)
     supervisor = Supervisor(
         store.engine, worker_roles(settings), worker_command, settings.environ()
     )

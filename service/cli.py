@@ -245,6 +245,9 @@ def main() -> None:
     except BladetwinError as error:
         typer.echo(f"bladetwin: {error}", err=True)
         raise SystemExit(1) from None
+    except TimeoutError as error:
+        typer.echo(f"bladetwin: {error}. To mend it: wait longer, or read its log.", err=True)
+        raise SystemExit(1) from None
     except OSError as error:
         where = f"{error.filename}: " if error.filename is not None else ""
         why = error.strerror or type(error).__name__

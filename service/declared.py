@@ -30,7 +30,7 @@ from core.network import Network
 from service.names import ID_LENGTH, ID_PATTERN, LONGEST_NUMBER
 from service.ports import Json
 
-MOST_BYTES = 2**20
+MOST_BYTES = 2**17  # pure Python reads some 25 kB of YAML a second on a slow processor
 MOST_NAMED = 1000  # parameters, quantities, or keys of one mapping
 PRIOR = {"kind": str, "low": float, "high": float, "mean": float, "sd": float}
 PARAMETER = {

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 Told = dict[str, Any]
 LOOK_S = 1.0
+CONFLICT = 409
 LACKS = 3  # exit status where the model lacks something
 SHOWN = 10
 
@@ -112,8 +113,22 @@ def lines_of(told: Told) -> Iterator[str]:
     )
 
 
+def adopted(twin: Client, rotor: str, diagnosis: str) -> Told:
+    """The adoption; ``not_adopted`` says why where the rotor has gone on meanwhile."""
+    from service.client import ProblemError
+
+    try:
+        return {**twin.adopt(rotor, diagnosis)}
+    except ProblemError as error:
+        if error.status != CONFLICT:
+            raise
+        return {"not_adopted": str(error)}
+
+
 def adopted_line(told: Told) -> str:
     """What became of ``--adopt``."""
+    if "not_adopted" in told:
+        return "not adopted"
     if "head_seq" not in told:
         return f"nothing to adopt: the verdict is {told['result']['verdict']}"
     return f"adopted, with entry {told['head_seq']}; the new version follows"
@@ -174,10 +189,10 @@ def diagnose(
     with reached(url, key) as twin, shown(quiet=as_json) as show:
         asked = twin.diagnose(rotor, families=own, compare=not no_compare)
         told = awaited(twin, {**asked}, show, LOOK_S)
-        if adopt and told["status"] == "done" and told["result"]["verdict"] == "effect":
-            told |= twin.adopt(rotor, told["id"])
         if html is not None and told["status"] == "done":
             write(html, twin.report(rotor, told["id"], limit=limit))
+        if adopt and told["status"] == "done" and told["result"]["verdict"] == "effect":
+            told |= adopted(twin, rotor, told["id"])
     if as_json:
         typer.echo(json.dumps(told))
     if told["status"] != "done":
@@ -187,5 +202,7 @@ def diagnose(
         typer.echo("\n".join(lines_of(told)))
         if adopt:
             typer.echo(adopted_line(told))
+    if "not_adopted" in told:
+        raise DiagnosisError(str(told["not_adopted"]))
     if told["result"]["verdict"] != "adequate":
         raise typer.Exit(LACKS)

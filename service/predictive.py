@@ -86,7 +86,7 @@ def replicated(
         hours = np.array([readings[i].time_h for i in places])
         asked = nodes
         if asked is None and declared.kind != "scalar":
-            asked = (own.part(quantity).named[declared.node or "critical"],)
+            asked = (declared.node_among(own.part(quantity).named),)
         x = inputs_of(own, posterior, quantity, known.get(blade))
         order = np.unique(hours, return_inverse=True)
         mean, sd = own.part(quantity).predict(

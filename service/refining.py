@@ -246,6 +246,7 @@ def _fits(archive: Archive, network: Network) -> None:
 class _Range:
     horizon_h: float
     node_count: int
+    nodes: Mapping[str, int]
 
 
 def readings_of(body: bytes, network: Network, archive: Archive) -> list[Inspection]:
@@ -264,7 +265,8 @@ def readings_of(body: bytes, network: Network, archive: Archive) -> list[Inspect
         ]
         whole = InputError("readings", "…", error.detail, "give CSV as it is posted")
         raise FaultsError(listed or [whole]) from None
-    covers = _Range(archive.declaration.time_h[-1], archive.declaration.nodes)
+    declared = archive.declaration
+    covers = _Range(declared.time_h[-1], declared.nodes, declared.named)
     found = []
     for item in items:
         for one in faults(item.reading, network, covers, item.where):

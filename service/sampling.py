@@ -78,6 +78,9 @@ class Served:
                 answer = self._http.request(method, path, json=body)
                 told = answer.json()
                 break
+            except httpx.TimeoutException as error:  # the run may go on there: not asked twice
+                said = f"{path} had no answer in time ({type(error).__name__})"
+                raise ModelError(f"{self._http.base_url}: {said}") from error
             except httpx.TransportError as error:
                 if not left:
                     raise ModelError(f"{self._http.base_url} does not answer: {error}") from error

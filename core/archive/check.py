@@ -63,12 +63,13 @@ def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wa
         else:
             remedy = "declare it: local, shared or known, with its bounds as prior"
             found.fault(f"input {name}", None, "varies and is no parameter of the network", remedy)
-    if "ceeq" not in source.quantities:
+    creeps = "ceeq" in source.quantities and source.quantities["ceeq"].kind == "field"
+    if not creeps:
         _no_clock(network, found)
     turned: dict[str, tuple[Kind, str, float, float]] = {}
     for q in network.quantities:
         _quantity(q, source, turned, found)
-    if "ceeq" in source.quantities and {q.name for q in network.quantities} & {*BY_CEEQ}:
+    if creeps and {q.name for q in network.quantities} & {*BY_CEEQ}:
         given = source.quantities["ceeq"]
         turned.setdefault("ceeq", (given.kind, given.unit, 1.0, 0.0))
     asked = {DISPLACEMENT if q.kind == "vector" else q.name for q in network.quantities}

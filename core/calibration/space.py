@@ -109,7 +109,10 @@ def shared_prior(model: Model, name: str) -> Prior:
 def shared_space(
     model: Model, rows: Iterable[Sighted], joint: JointPrior | None = None
 ) -> SharedSpace:
-    """Shared parameters that the readings can speak of; what nobody measured keeps its prior."""
+    """Shared parameters that the readings can speak of; what nobody measured keeps its prior.
+
+    Where they can speak of none, the first noise stands in with its prior: nodes need a place.
+    """
     rows = list(rows)
     met: set[str] = set(joint.names if joint else ()).union(*(r.shared for r in rows))
     told = Counter[str]()
@@ -124,6 +127,7 @@ def shared_space(
         found |= dict.fromkeys(names, q.sigma_obs)
     for q in quantities:
         found |= {n: prior for n, prior in parameters(model, q).items() if n in met}
+    found = found or {quantities[0].sigma_name: quantities[0].sigma_obs}
     heavy = tuple(j for j, name in enumerate(found) if 0 < told[name] < FEW)
     return SharedSpace(tuple(found), tuple(found.values()), joint, TAILS if hyper else 1, heavy)
 

@@ -28,13 +28,13 @@ from core.errors import InputError, ModelError
 from core.model import Input, Model, Stacked
 from core.network import Parameter
 from core.observation import Inspection, digest_of
-from core.response import Response
+from core.response import CALIBRATED, Response
 from core.surrogate.closed_form import ClosedForm, FormulaRows
 from core.surrogate.driven import Driven
 
 Array = NDArray[np.float64]
 Rows = Response | FormulaRows
-DEGREE = 5
+DEGREE = CALIBRATED
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ def _node_of(model: Model, reading: Inspection) -> list[int] | None:
         return None
     if reading.nodes is not None:
         return [int(n) for n in reading.nodes]
-    return [model.part(reading.quantity).named[quantity.node or "critical"]]
+    return [quantity.node_among(model.part(reading.quantity).named)]
 
 
 def _gaussian_prior_rows(model: Model, like: Rows) -> list[tuple[Rows, Parameter, float | str]]:

@@ -97,11 +97,8 @@ def answers(model: Model, quantity: Quantity) -> bool:
     """Whether the surrogate answers for a quantity of the network."""
     part = model.part(quantity.name)
     middle = np.array([[0.5 * (i.low + i.high) for i in part.inputs]])
-    node = quantity.node or "tip"
-    if quantity.kind != "scalar" and node not in part.named:
-        return False
-    nodes = None if quantity.kind == "scalar" else [part.named[node]]
     try:
+        nodes = None if quantity.kind == "scalar" else [quantity.node_among(part.named)]
         part.predict(middle, quantity.name, np.array([0.5 * part.horizon_h]), nodes)
     except InputError:
         return False
@@ -234,7 +231,7 @@ def _answers(
         declared, part = model.network.quantity(quantity), model.part(quantity)
         members = [i for i, one in enumerate(asked) if one.quantity == quantity]
         hours = np.unique([asked[i].time_h for i in members])
-        nodes = None if declared.kind == "scalar" else [part.named[declared.node or "tip"]]
+        nodes = None if declared.kind == "scalar" else [declared.node_among(part.named)]
         x = inputs_of(model, posterior, quantity, known)
         y, s = (a.reshape(n, len(hours)) for a in part.predict(x, quantity, hours, nodes))
         for i in members:

@@ -17,6 +17,7 @@ worthless reading look as if it took 1/n of the variance.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -78,15 +79,19 @@ def worth(
     Raises InputError for a target that the state knows nothing of, and without candidates.
     """
     aim = _aim(model, state, target, known, most)
+    stays = float(aim.noise[0])  # surrogate and discrepancy: no reading takes it away
     told = expected(model, state, asked, known, most=most)
     variance = float(_own(aim))
     c = told.cross(aim)[:, 0]
     each = np.array([_own(told, i) for i in range(len(asked))]) + told.noise
     left = np.maximum(variance - c**2 / each, 0.0)
     order = sorted(range(len(asked)), key=lambda i: (round(float(left[i] / variance), 9), i))
-    single = tuple((asked[i], float(np.sqrt(left[i]))) for i in order)
-    grown = _grown(told, c, each, variance, asked, count)
-    return Worth(float(aim.mean[0]), variance**0.5, single, grown)
+    single = tuple((asked[i], math.sqrt(left[i] + stays)) for i in order)
+    grown = tuple(
+        (one, math.sqrt(rest + stays))
+        for one, rest in _grown(told, c, each, variance, asked, count)
+    )
+    return Worth(float(aim.mean[0]), math.sqrt(variance + stays), single, grown)
 
 
 def _own(one: Expected, i: int = 0) -> float:
@@ -101,7 +106,7 @@ def _own(one: Expected, i: int = 0) -> float:
 def _grown(
     told: Expected, c: Array, each: Array, variance: float, asked: Sequence[Candidate], count: int
 ) -> tuple[tuple[Candidate, float], ...]:
-    """Greedy, by conditioning everything on what was taken: Cholesky's columns, one by one."""
+    """Variances left; greedy, by conditioning everything on what was taken: Cholesky's columns."""
     taken: list[int] = []
     grown: list[tuple[Candidate, float]] = []
     columns = np.zeros((len(asked), 0))
@@ -120,7 +125,7 @@ def _grown(
         own = own - column**2
         columns = np.c_[columns, column]
         taken.append(i)
-        grown.append((asked[i], float(np.sqrt(max(left, 0.0)))))
+        grown.append((asked[i], max(left, 0.0)))
     return tuple(grown)
 
 

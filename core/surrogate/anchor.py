@@ -16,9 +16,9 @@ those of the start, its variance counts by
 
     (v(m) + v(0) − 2 c(m, 0)) / v(m)
 
-beside the fine one's own. After the fine one's horizon what it corrects is held. (Additive and
-multiplicative bridges between models of two fidelities: Han, Görtz & Zimmermann, Aerospace Science
-and Technology 25, 2013.)
+beside the fine one's own: where the two have nothing to do with each other, by more than one. After
+the fine one's horizon what it corrects is held. (Additive and multiplicative bridges between models
+of two fidelities: Han, Görtz & Zimmermann, Aerospace Science and Technology 25, 2013.)
 """
 
 from __future__ import annotations
@@ -129,12 +129,12 @@ class Anchor:
         return mean, np.hypot(sd * grown * share, sdf * mean / yf), ceeq * ef / e0
 
     def _share(self, wide: Surrogate, start: Array, middle: Array) -> Array:
-        """Root of the share of the wide one's variance that does not cancel, (n, T)."""
+        """Root of the share of the wide one's variance that counts, (n, T)."""
         n, t, d = middle.shape
         here = np.repeat(wide.scaled(start), t, axis=0)
         there = wide.scaled(middle.reshape(n * t, d))
         v, v0, c = wide.process.covariance(there, here)
-        left = np.clip((v + v0 - 2.0 * c) / v, 0.0, 1.0)
+        left = np.maximum((v + v0 - 2.0 * c) / v, 0.0)
         return np.asarray(np.sqrt(left).reshape(n, t))
 
 

@@ -220,18 +220,20 @@ class Driven:
     ) -> tuple[Array, Array]:
         """`predict` by polynomials, compiled once for each time; 0 at the start."""
         which = None if nodes is None else tuple(nodes)
-        keys = [(quantity, float(t), which) for t in times]
-        new = sorted({t for (_, t, _), key in zip(keys, keys, strict=True)
-                      if t > 0 and key not in self._answers})  # fmt: skip
+        asked = [float(t) for t in times]
+        # taken out once: another thread may clear what is kept meanwhile
+        rows_at = {t: self._answers.get((quantity, t, which)) for t in asked if t > 0}
+        new = sorted(t for t, rows in rows_at.items() if rows is None)
         if new:
             self.base.check_times(new)
             if len(self._answers) > KEPT:
                 self._answers.clear()
             made = self.response(quantity, new, nodes)
             for t, rows in zip(new, np.split(np.arange(len(made)), len(new)), strict=True):
-                self._answers[quantity, t, which] = made.rows(rows)
-        found = [self._answers[key].evaluate(x) if key[1] > 0 else None for key in keys]
-        width = next((one[0].shape[1] for one in found if one is not None), 1)
+                rows_at[t] = self._answers[quantity, t, which] = made.rows(rows)
+        ready = {t: rows.evaluate(x) for t, rows in rows_at.items() if rows is not None}
+        found = [ready.get(t) for t in asked]
+        width = len(self.base.rows(quantity, nodes))
         nothing = np.zeros((len(x), width))
         mean, sd = (
             np.stack([nothing if one is None else one[k] for one in found], axis=1) for k in (0, 1)

@@ -11,13 +11,14 @@ from scipy.stats import qmc
 
 from core.response import multi_indices
 from core.rng import stream
-from core.surrogate.kernel import Hyper, SharedGP, fit_hyper
+from core.surrogate.kernel import Hyper, SharedGP, carries, fit_hyper
 from core.surrogate.part import Part
 from core.surrogate.targets import ELASTIC, Target
 from core.surrogate.tucker import Factors, Ranks, factorise
 
 Array = NDArray[np.float64]
 LEADING = 0.99
+LEAST_MOVED = 1e-12  # of the mean square
 TRENDS = (0, 1, 2)
 SAMPLED_ROWS = 240
 RANKS = {
@@ -99,22 +100,38 @@ def hyper_of(z: Array, fitted: Mapping[str, Fitted], trends: Sequence[int] = TRE
     """Hyperparameters of each trend; the trend of the smallest leave-one-out error.
 
     That error is the geometric mean over the parts of sum_j e_j^2: a part that is hard to learn
-    has no louder voice than one that is easy.
+    has no louder voice than one that is easy. A part that is the same in every run has none.
     """
     columns, joined = _columns(fitted)
-    share = np.concatenate([_leading(np.var(one.c, axis=0)) for one in fitted.values()])
-    share /= len(fitted)
+    moving = {name for name, one in fitted.items() if moves(one)} or set(fitted)
+    share = np.concatenate(
+        [
+            _leading(np.var(one.c, axis=0)) if name in moving else np.zeros(one.c.shape[1])
+            for name, one in fitted.items()
+        ]
+    )
+    share /= len(moving)
     best, smallest = None, np.inf
     for trend in trends:
         if len(z) < 2 * len(multi_indices(z.shape[1], trend)):
             break
+        if not carries(z, trend):
+            continue
         hyper = fit_hyper(z, joined, share, trend)
         e, _ = SharedGP.condition(z, joined, hyper).left_out()
-        error = float(np.mean([np.log(np.sum(e[:, own] ** 2)) for own in columns.values()]))
+        left = [np.sum(e[:, own] ** 2) for name, own in columns.items() if name in moving]
+        error = float(np.mean(np.log(left)))
         if error < smallest:
             best, smallest = hyper, error
     assert best is not None
     return best
+
+
+def moves(one: Fitted) -> bool:
+    """Whether a part differs between runs by more than the rounding of single precision."""
+    values = one.target.values
+    largest = max(float(np.mean(values**2, axis=0).sum()), np.finfo(float).tiny)
+    return bool(np.var(values, axis=0).sum() > LEAST_MOVED * largest)
 
 
 def _leading(variance: Array) -> Array:

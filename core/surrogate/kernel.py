@@ -30,7 +30,7 @@ and the leave-one-out residuals have the closed form e_ij = [Q c_j]_i / Q_ii wit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,17 @@ def correlation(z: Array, other: Array, lengths: Array) -> Array:
     return np.asarray(np.reciprocal(out, out=out))
 
 
+def carries(z: Array, trend: int) -> bool:
+    """Whether inputs z (n, d) tell the terms of a trend apart.
+
+    >>> star = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1], [0.5, 0], [0, 0.5]])
+    >>> carries(star, 1), carries(star, 2)
+    (True, False)
+    """
+    h = monomials(z, trend)
+    return bool(np.linalg.matrix_rank(h) == min(h.shape[1], len(z)))
+
+
 def _along(a: Array, b: Array) -> Array:
     """Products of rows (m, n) with rows, (m,)."""
     return np.asarray(np.einsum("ij,ij->i", a, b))
@@ -101,7 +112,10 @@ class SharedGP:
 
     @classmethod
     def condition(cls, z: Array, targets: Array, hyper: Hyper) -> SharedGP:
-        """Condition on targets (n, J) at z (n, d)."""
+        """Condition on targets (n, J) at z (n, d); with a lower trend where the runs carry none so
+        high (two levels of an input, one input changed at a time)."""
+        while hyper.trend and not carries(z, hyper.trend):
+            hyper = replace(hyper, trend=hyper.trend - 1)
         h = monomials(z, hyper.trend)
         if len(z) < h.shape[1] + 2:
             raise ModelError(
@@ -227,6 +241,8 @@ def log_likelihood(z: Array, targets: Array, share: Array, hyper: Hyper) -> tupl
 def fit_hyper(z: Array, targets: Array, share: Array, trend: int) -> Hyper:
     """Length scales and nugget by maximum restricted likelihood, from fixed starts."""
     d = z.shape[1]
+    told = np.any(targets != 0, axis=0)  # coefficients that are 0 in every run tell nothing
+    targets, share = (targets, share) if told.all() else (targets[:, told], share[told])
     bounds = [tuple(np.log(LENGTHS))] * d + [tuple(np.log(NUGGETS))]
 
     def unpack(theta: Array) -> Hyper:

@@ -29,10 +29,11 @@ from core.archive.store import Archive
 from core.archive.take import take
 from core.network import Network, Quantity
 from core.prior import Prior
+from core.response import CALIBRATED
 from core.rng import stream
 from core.surrogate.artefact import save
 from core.surrogate.compact import compact
-from core.surrogate.model import DEGREE, Surrogate
+from core.surrogate.model import Surrogate
 from core.surrogate.training import train
 
 Array = NDArray[np.float64]
@@ -169,7 +170,7 @@ def polynomial_rms(surrogate: Surrogate, quantity: Quantity, seed: int = 0) -> f
         named = sorted(set(surrogate.named.values()))
         nodes = named or np.unique(np.linspace(0, count - 1, MOST_NODES).astype(int)).tolist()
     direct, _ = surrogate.predict(x, quantity.name, times, nodes)
-    compiled, _ = surrogate.response(quantity.name, times, nodes, DEGREE).evaluate(x)
+    compiled, _ = surrogate.response(quantity.name, times, nodes, CALIBRATED).evaluate(x)
     return float(np.sqrt(np.mean((compiled - direct.reshape(len(x), -1)) ** 2)))
 
 

@@ -14,7 +14,8 @@ the field at 0+ (no time, ``raw``) and the permanent deformation u(t) - u(0+). V
 logarithm of nothing would rule the basis.
 
 Runs without a field ``ceeq`` are of no creeping body: their elongation is a quantity like any
-other, and their deformation, u(t) - u(0), ``raw``.
+other (as one is that is not 0 at first, with elastic stretch in it), and their deformation,
+u(t) - u(0), ``raw``.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from core.errors import ModelError
 Array = NDArray[np.float64]
 Form = Literal["log rate", "log", "raw", "per ceeq"]
 FLOOR = 1e-8
+LEAST = 1e-6  # of the largest value: so much beside 0 is 0, as extrapolation to nodes leaves it
 MEAN_CEEQ, ELASTIC, DEFORMATION = "mean_ceeq", "elastic", "deformation"
 
 
@@ -55,7 +57,8 @@ def forms_of(values: Array, quantity: Quantity) -> tuple[Form, ...]:
     """The forms a quantity's values (n, T, R) allow, best guess first."""
     if quantity.kind == "vector field":
         return ("raw",)
-    if np.all(values[:, 0] == 0) and np.all(values >= 0) and np.all(values[:, 1:].max(-1) > 0):
+    grows = from_nothing(values) and np.all(values >= -LEAST * np.abs(values).max())
+    if grows and np.all(values[:, 1:].max(-1) > 0):
         return ("log rate",) if quantity.kind == "field" else ("log rate", "raw")
     if np.all(values > 0):
         return ("log", "raw")
@@ -66,8 +69,8 @@ def targets_of(archive: Archive, indices: Sequence[int]) -> Iterator[tuple[Targe
     """Targets of every part in turn; where a quantity allows several forms, all of them."""
     declared = archive.declaration
     time = np.array(declared.time_h)
-    names = {quantity.name for quantity in declared.quantities}
-    creeps = "ceeq" in names and bool(names & {"elongation", "displacement"})
+    kinds = {quantity.name: quantity.kind for quantity in declared.quantities}
+    creeps = kinds.get("ceeq") == "field" and bool(kinds.keys() & {"elongation", "displacement"})
     if creeps:
         ceeq = mean_ceeq(archive, indices)
         if np.any(ceeq[:, 1:] <= 0):
@@ -85,11 +88,16 @@ def targets_of(archive: Archive, indices: Sequence[int]) -> Iterator[tuple[Targe
             yield (Target(ELASTIC, "raw", time[:1], values[:, :1].copy()),)
             values -= values[:, :1]
             yield (_target(DEFORMATION, "per ceeq", time, values, ceeq),)
-        elif quantity.name == "elongation" and creeps:
+        elif quantity.name == "elongation" and creeps and from_nothing(values):
             yield (_target("elongation", "per ceeq", time, values, ceeq),)
         else:
             forms = forms_of(values, quantity)
             yield tuple(_target(quantity.name, form, time, values) for form in forms)
+
+
+def from_nothing(values: Array) -> bool:
+    """Whether values (n, T, R) are 0 at the first instant, so that they may go with creep."""
+    return bool(np.abs(values[:, 0]).max() <= LEAST * np.abs(values).max())
 
 
 def _target(name: str, form: Form, time: Array, values: Array, ceeq: Array | None = None) -> Target:

@@ -120,7 +120,7 @@ def _mixture_cdf(model: Model, posterior: Posterior, held: Held) -> float:
     """Σ w_i Φ((y − m_i) / sd_i) over all particles, without the shortcuts of a prediction."""
     declared, w = model.network.quantity(held.quantity), posterior.particles.w
     surrogate = model.part(held.quantity)
-    node = None if declared.kind == "scalar" else [surrogate.named[declared.node or "tip"]]
+    node = None if declared.kind == "scalar" else [declared.node_among(surrogate.named)]
     x = inputs_of(model, posterior, held.quantity)
     mean, sd = surrogate.predict(x, held.quantity, np.array([held.time_h]), node)
     mean, sd = mean.reshape(len(w)), sd.reshape(len(w))

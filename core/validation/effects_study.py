@@ -76,7 +76,8 @@ def one(
         told = diagnose(model, state, given.case, workspace=work)
         moved = compared(told, given, plan_of(plan).horizon_h, work) if told.effects else {}
     except BladetwinError as error:
-        return found | {"outcome": "wrong", "error": str(error)}
+        alarm = condition in CLEAN  # where nothing is, an error is no "adequate"
+        return found | {"outcome": "wrong", "alarm": alarm, "error": str(error)}
     verdict = told.verdict
     return found | {
         "outcome": judged(condition, given.truth, verdict),

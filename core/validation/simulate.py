@@ -168,7 +168,7 @@ def simulate(model: Model, variant: Variant, rotor: int, seed: int) -> Simulated
                 value = value * (1 + declared.numerical * rng.standard_normal(len(which)))
             return value, np.full(len(which), np.nan)
         surrogate = model.part(quantity)
-        nodes = [surrogate.named[declared.node or "tip"]]
+        nodes = [declared.node_among(surrogate.named)]
         node = None if declared.kind == "scalar" else nodes
         if held:
             mean, sd = surrogate.predict(x[which], quantity, np.array([time_h]), node)

@@ -34,6 +34,7 @@ PARTS = ("parameters", "value", "reading")
 WITHIN = {"truths": {68: 0.05, 95: 0.03}, "held": {68: 0.03, 95: 0.02}}
 """How far a share may be from its nominal value, where it rests on `JUDGED` truths or more."""
 JUDGED = 200
+TELLING = ("narrow", "shifted")  # wrong samplers that few truths tell
 
 
 def collected(records: Sequence[Record], kind: str, name: str, key: str) -> tuple[Array, Clusters]:
@@ -84,8 +85,11 @@ def summary(
                 row[f"error_{round(100 * c)}"] = round(error, 4)
             wide = WITHIN[kind]
             near = all(abs(row[f"inside_{c}"] - c / 100) <= w for c, w in wide.items())
-            row["covers"] = near if one.truths >= JUDGED else None
-            row["band_inside"] = one.inside if one.claims else None
+            design = one.design if np.isfinite(one.design) else 1.0
+            row["covers"] = near if one.truths / max(design, 1.0) >= JUDGED else None
+            # where wrong samplers are inside as well the band says nothing
+            blind = kind == "truths" and all(found[name][key].inside for key in TELLING)
+            row["band_inside"] = one.inside if one.claims and not blind else None
             if np.isfinite(one.design):
                 row["design_effect"] = round(one.design, 2)
             if kind == "held":

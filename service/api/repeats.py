@@ -25,6 +25,7 @@ from service.api.visit import visit_of
 from service.ports import Store
 
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
+BOUNDARY = re.compile(r'multipart/[^;]+;.*?boundary="?([^";,\s]+)', re.IGNORECASE)
 STALE_S = 120.0  # a request that has been answering for so long has died with its process
 KEPT = frozenset({"content-type", "location", "retry-after"})
 
@@ -96,9 +97,15 @@ def _secret(start: Message) -> bool:
 
 
 def fingerprint(request: Request, body: bytes) -> str:
-    """SHA-256 of what makes two requests the same."""
-    url = request.url
-    head = [request.method, url.path, url.query, request.headers.get("content-type", "")]
+    """SHA-256 of what makes two requests the same.
+
+    The boundary of a form, which clients choose anew each time, is none of it.
+    """
+    url, kind = request.url, request.headers.get("content-type", "")
+    if (found := BOUNDARY.match(kind)) is not None:
+        body = body.replace(b"--" + found[1].encode("latin-1"), b"--")
+        kind = kind.partition(";")[0]
+    head = [request.method, url.path, url.query, kind]
     return sha256("\x1f".join(head).encode() + b"\x1e" + body).hexdigest()
 
 

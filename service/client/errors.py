@@ -17,9 +17,13 @@ class ProblemError(BladetwinError):
     def __init__(self, response: httpx.Response) -> None:
         self.status = response.status_code
         try:
-            self.problem: Json = response.json()
+            told = response.json()
         except ValueError:
-            self.problem = {"detail": response.text[:500]}
+            told = None
+        self.problem: Json = told if isinstance(told, dict) else {"detail": response.text[:500]}
+        if response.is_redirect:
+            there = response.headers.get("location", "elsewhere")
+            self.problem = {"detail": f"sent on to {there}. To mend it: give that address."}
         self.faults: list[Json] = self.problem.get("faults", [])
         detail = self.problem.get("detail", "")
         request = response.request

@@ -9,17 +9,24 @@ from pathlib import Path
 import httpx
 
 from service.client import answers
-from service.client.steps import Pause, Steps, ask, part, path
+from service.client.steps import Pause, Steps, ask, path, told
 
 
 def models() -> Steps[list[answers.ModelListed]]:
     """Every model by name, version and digest."""
-    return part(ask("GET", path("models")), "items")
+    found: list[answers.ModelListed] = []
+    cursor: str | None = None
+    while True:
+        page = yield from ask("GET", path("models"), params=told(cursor=cursor))
+        found += page["items"]
+        cursor = page["next"]
+        if cursor is None:
+            return found
 
 
-def model(name: str) -> Steps[answers.Model]:
-    """A model: network, quantities, mesh, errors."""
-    return ask("GET", path("models", name))
+def model(name: str, version: str | None = None) -> Steps[answers.Model]:
+    """A model: network, quantities, mesh, errors; version: None is the newest."""
+    return ask("GET", path("models", name), params=told(version=version))
 
 
 def surface(name: str) -> Steps[answers.Surface]:
@@ -61,10 +68,10 @@ def upload_model(
 
     Raises TimeoutError when it takes longer than `patience_s`.
     """
-    told = {"id": name} | ({"leave_out": ",".join(leave_out)} if leave_out else {})
+    fields = {"id": name} | ({"leave_out": ",".join(leave_out)} if leave_out else {})
     text = network.encode() if isinstance(network, str) else network
     parts = {"network": ("network.yaml", text), "runs": ("runs.nc", Path(runs).read_bytes())}
-    form = httpx.Request("POST", "http://service", data=told, files=parts)
+    form = httpx.Request("POST", "http://service", data=fields, files=parts)
     headers = {"content-type": form.headers["content-type"]}
     sent = ask("POST", path("models"), content=form.read(), headers=headers)
     job: answers.Job = (yield from sent)["job"]

@@ -9,10 +9,11 @@ from typing import Any
 import httpx
 
 from service.client import answers
-from service.client.errors import BlockedError
+from service.client.errors import BlockedError, ProblemError
 from service.client.steps import Call, Json, Pause, Steps, ask, head_seq, path, told
 
 Blade = str | Mapping[str, Any]
+LONGEST_S = 20.0  # of one long poll
 
 
 def ready(patience_s: float = 30.0) -> Steps[None]:
@@ -103,14 +104,22 @@ def retry(rotor: str) -> Steps[answers.Standing]:
 
 def wait_for(rotor: str, seq: int, patience_s: float = 120.0) -> Steps[answers.Rotor]:
     """The rotor once everything up to `seq` counts; BlockedError, TimeoutError."""
-    end = time.monotonic() + patience_s
+    end, longest = time.monotonic() + patience_s, LONGEST_S
     while (left := end - time.monotonic()) > 0:
-        params = told(wait_for=seq, timeout=min(20.0, left))
-        answer: answers.Rotor = yield from ask("GET", path("rotors", rotor), params=params)
+        params = told(wait_for=seq, timeout=min(longest, left))
+        try:
+            answer: answers.Rotor = yield from ask("GET", path("rotors", rotor), params=params)
+        except ProblemError as error:  # this service lets nobody wait so long
+            if not longest or [one["field"] for one in error.faults] != ["timeout"]:
+                raise
+            longest = longest / 2 if longest > 0.5 else 0.0
+            continue
         if answer["status"] == "blocked":
             raise BlockedError({**answer})
         if answer["version"] > 0 and answer["applied_seq"] >= seq:
             return answer
+        if not longest:
+            yield Pause(0.2)
     raise TimeoutError(f"rotor {rotor}: {seq} was not applied within {patience_s:g} s")
 
 

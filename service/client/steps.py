@@ -97,10 +97,18 @@ class Walk(Generic[T]):
 
 
 def checked(response: httpx.Response) -> httpx.Response:
-    """The answer; ProblemError where the service refused."""
-    if response.is_error:
+    """The answer; ProblemError where the service refused, or a proxy sends elsewhere."""
+    if not response.is_success:
         raise ProblemError(response)
     return response
+
+
+def wait_s(response: httpx.Response) -> float:
+    """How long a service that has too many requests asks to wait."""
+    try:
+        return min(60.0, max(0.0, float(response.headers["retry-after"])))
+    except (KeyError, ValueError):
+        return 1.0
 
 
 def one(read: Callable[[Any], T], asked: Call) -> Steps[T]:

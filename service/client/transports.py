@@ -10,13 +10,24 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from service.client.steps import Awaiting, Blocking, Call, Json, Pause, Steps, Walk, checked
+from service.client.steps import (
+    Awaiting,
+    Blocking,
+    Call,
+    Json,
+    Pause,
+    Steps,
+    Walk,
+    checked,
+    wait_s,
+)
 from service.client.table import Calls
 from service.sse import Reader
 
 T = TypeVar("T")
 URL = "http://127.0.0.1:8000"
 PATIENCE_S = 90.0
+TRIES = 10  # of a request that comes too soon (429): nothing was done of it
 
 
 def _headers(key: str | None) -> dict[str, str]:
@@ -53,6 +64,15 @@ class Client(Calls, Blocking):
     def close(self) -> None:
         self._http.close()
 
+    def _sent(self, **request: Any) -> httpx.Response:
+        answer = self._http.request(**request)
+        for _ in range(TRIES - 1):
+            if answer.status_code != httpx.codes.TOO_MANY_REQUESTS:
+                break
+            time.sleep(wait_s(answer))
+            answer = self._http.request(**request)
+        return answer
+
     def _run(self, steps: Steps[T]) -> T:
         walk = Walk(steps)
         step = walk.go()
@@ -62,7 +82,7 @@ class Client(Calls, Blocking):
                 step = walk.go()
                 continue
             try:
-                answer = self._http.request(**step.request())
+                answer = self._sent(**step.request())
             except httpx.TransportError as error:
                 step = walk.fail(error)
             else:
@@ -72,7 +92,8 @@ class Client(Calls, Blocking):
     def _pages(self, first: Call) -> Iterator[Json]:
         params = dict(first.params)
         while True:
-            page = checked(self._http.request(first.method, first.path, params=params)).json()
+            answer = self._sent(method=first.method, url=first.path, params=params)
+            page = checked(answer).json()
             yield from page["items"]
             if page["next"] is None:
                 return
@@ -82,7 +103,7 @@ class Client(Calls, Blocking):
         request: Any = asked.request() | {"timeout": asked.silence_s}
         reader = Reader()
         with self._http.stream(**request) as answer:
-            if answer.is_error:
+            if not answer.is_success:
                 answer.read()
             checked(answer)
             for line in answer.iter_lines():
@@ -125,6 +146,15 @@ class AsyncClient(Calls, Awaiting):
     async def close(self) -> None:
         await self._http.aclose()
 
+    async def _sent(self, **request: Any) -> httpx.Response:
+        answer = await self._http.request(**request)
+        for _ in range(TRIES - 1):
+            if answer.status_code != httpx.codes.TOO_MANY_REQUESTS:
+                break
+            await asyncio.sleep(wait_s(answer))
+            answer = await self._http.request(**request)
+        return answer
+
     async def _run(self, steps: Steps[T]) -> T:
         walk = Walk(steps)
         step = walk.go()
@@ -134,7 +164,7 @@ class AsyncClient(Calls, Awaiting):
                 step = walk.go()
                 continue
             try:
-                answer = await self._http.request(**step.request())
+                answer = await self._sent(**step.request())
             except httpx.TransportError as error:
                 step = walk.fail(error)
             else:
@@ -144,7 +174,7 @@ class AsyncClient(Calls, Awaiting):
     async def _pages(self, first: Call) -> AsyncIterator[Json]:
         params = dict(first.params)
         while True:
-            answer = await self._http.request(first.method, first.path, params=params)
+            answer = await self._sent(method=first.method, url=first.path, params=params)
             page = checked(answer).json()
             for item in page["items"]:
                 yield item
@@ -156,7 +186,7 @@ class AsyncClient(Calls, Awaiting):
         request: Any = asked.request() | {"timeout": asked.silence_s}
         reader = Reader()
         async with self._http.stream(**request) as answer:
-            if answer.is_error:
+            if not answer.is_success:
                 await answer.aread()
             checked(answer)
             async for line in answer.aiter_lines():

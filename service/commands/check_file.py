@@ -7,7 +7,7 @@ blades and the readings that are there already. Nothing is posted.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ class Reach:
 
     horizon_h: float
     node_count: int
+    nodes: Mapping[str, int]
 
 
 def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
@@ -43,9 +44,9 @@ def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
             "--file", str(file), f"cannot be read: {error.strerror}", "name another"
         ) from None
     now = twin.rotor(rotor)
-    model = twin.model(now["model"])
+    model = twin.model(now["model"], now["model_version"])
     told: Told = {"rotor": rotor, "file": str(file), "readings": 0, "new": 0, "same": 0}
-    reach = Reach(model["horizon_h"], model["node_count"])
+    reach = Reach(model["horizon_h"], model["node_count"], model["nodes"])
     network, blades = Network.from_json(model["network"]), {one["id"] for one in now["blades"]}
 
     def also(items: Sequence[Item]) -> list[InputError]:

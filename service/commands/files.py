@@ -116,11 +116,11 @@ def pieces(
     if wanted.prediction:
         return _prediction(store, science, rotor, wanted)
     if wanted.form is Form.CSV:
-        return exports.readings_csv(store, log_now(store, rotor), wanted.blade)
+        return exports.readings_csv(store, log_now(store, rotor, wanted.blade), wanted.blade)
     if wanted.form is Form.SENSORTHINGS:
-        return exports.sensorthings(store, log_now(store, rotor), wanted.blade)
+        return exports.sensorthings(store, log_now(store, rotor, wanted.blade), wanted.blade)
     if wanted.form is Form.PARQUET:
-        return [exports.readings_parquet(store, log_now(store, rotor), wanted.blade)]
+        return [exports.readings_parquet(store, log_now(store, rotor, wanted.blade), wanted.blade)]
     if wanted.form is Form.NETCDF:
         return _draws(store, science, rotor, wanted)
     return _field(store, science, rotor, wanted)

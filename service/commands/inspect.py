@@ -47,7 +47,7 @@ def gathered(
     asked: Told = {"quantity": quantity, "time_h": time_h, "node": node, "version": version}
     told["posterior"] = twin.posterior(name, version=version)
     shared = set(told["posterior"]["names"])
-    model = twin.model(rotor["model"])
+    model = twin.model(rotor["model"], rotor["model_version"])
     network = Network.from_json(model["network"])
     quantity = quantity or next(iter(model["outputs"]))
     told["question"] = {

@@ -16,6 +16,7 @@ import typer
 from core.errors import InputError
 from service.commands import Json, opened, say
 from service.commands.convert import convert
+from service.commands.reach import reached
 from service.commands.telling import sentence, steps, table, telling, warn, warnings_of
 from service.settings import Settings
 
@@ -138,14 +139,13 @@ def upload(
     Exit status 1: the service refuses them, or a quantity is not learnt from them.
     """
     from core.archive import Archive
-    from service.client import Client
 
     with tempfile.TemporaryDirectory(prefix="bladetwin-upload-") as scratch:
         file = runs
         if runs.is_dir():
             file = Path(scratch) / "runs.nc"
             Archive.open(runs).to_netcdf(file)
-        with Client(url, key=key) as twin, steps(quiet=as_json) as progress:
+        with reached(url, key) as twin, steps(quiet=as_json) as progress:
             job = twin.upload_model(
                 name, file, network.read_bytes(), leave_out=leave_out or (), progress=progress
             )

@@ -11,6 +11,7 @@ import typer
 
 from core.errors import InputError
 from service.commands import Json, say
+from service.commands.reach import reached
 
 if TYPE_CHECKING:
     from core.archive import Archive
@@ -185,7 +186,6 @@ def _regions(
 ) -> tuple[Regions, list[str]]:
     """Whose posterior weighs the runs, and what a user should know of it."""
     from core.posterior_region import from_readings, prior_regions
-    from service.client import Client
     from service.refining import readings_of
 
     if rotor is not None and readings is not None:
@@ -195,7 +195,7 @@ def _regions(
     words: list[str] = []
     known: Mapping[str, Mapping[str, float]] = {}
     if rotor is not None:
-        with Client(url, key=key) as twin:
+        with reached(url, key) as twin:
             told, body = twin.rotor(rotor), twin.readings_csv(rotor)
         there = [one for one in told["blades"] if not one["retired"]]
         blades = {one["id"] for one in there}
@@ -207,7 +207,7 @@ def _regions(
     else:
         assert readings is not None
         body, blades = readings.read_bytes(), set()
-    found = readings_of(body, network, archive) if body.count(b"\n") > 1 else []
+    found = readings_of(body, network, archive) if len(body.strip().splitlines()) > 1 else []
     if not found:
         words.append("warning: there is no reading: the whole prior counts")
         return prior_regions(network, seed), words

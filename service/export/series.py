@@ -111,22 +111,36 @@ def _npy(values: NDArray[Any]) -> bytes:
     return buffer.getvalue()
 
 
-def angles(blades: Sequence[BladeRecord]) -> list[float]:
-    """Where the blades stand around the rotor's axis [rad]: by slot from 0 on.
+def angles(
+    blades: Sequence[BladeRecord], everyone: Sequence[BladeRecord] | None = None
+) -> list[float]:
+    """Where blades stand around the rotor's axis [rad]: by slot from 0 on.
 
-    By the slots' numbers where all blades have one of their own, else in their order.
+    everyone   the blades of the rotor, those that left included; None: these are all
+    By the slots' numbers where all blades that run have one of their own, else in their order: a
+    blade stands where it stands, whichever of them are shown.
 
     >>> [round(a / np.pi, 3) for a in angles([BladeRecord("A", slot="4"), BladeRecord("B", "2")])]
     [1.5, 0.5]
     >>> [round(a / np.pi, 3) for a in angles([BladeRecord("A", slot="4"), BladeRecord("B")])]
     [0.0, 1.0]
     """
-    given = [blade.slot or "" for blade in blades]
-    numbers = [int(s) for s in given if s.isascii() and s.isdigit() and len(s) <= 3]
-    fit = len(set(numbers)) == len(given) and all(1 <= n <= MOST_SLOTS for n in numbers)
-    places = [n - 1 for n in numbers] if fit else list(range(len(given)))
-    count = max(numbers) if fit else len(given)
-    return [2 * np.pi * place / max(count, 1) for place in places]
+    everyone = blades if everyone is None else everyone
+    numbers = {b.id: n for b in everyone if (n := _number(b.slot)) is not None}
+    running = [b for b in everyone if b.retired_seq is None]
+    fit = all(b.id in numbers for b in (*running, *blades))
+    fit = fit and len({numbers[b.id] for b in running}) == len(running)
+    if not fit:
+        numbers = {b.id: i for i, b in enumerate(everyone, start=1)}
+    count = max(numbers.values(), default=1)
+    return [2 * np.pi * (numbers[b.id] - 1) / count for b in blades]
+
+
+def _number(slot: str | None) -> int | None:
+    """The slot as a number; None: it is called otherwise."""
+    if slot is None or not (slot.isascii() and slot.isdigit() and len(slot) <= 3):
+        return None
+    return int(slot) if 1 <= int(slot) <= MOST_SLOTS else None
 
 
 def turned(values: Array, angle: float) -> Array:

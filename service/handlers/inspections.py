@@ -16,7 +16,7 @@ from core.network import Network
 from core.observation import Covers, Inspection, faults, replaced
 from service.errors import FaultsError, NotFoundError
 from service.handlers.rotors import digest_of_json
-from service.ports import Appended, Event, Json, NewEvent, Store
+from service.ports import Appended, Event, Json, NewEvent, Store, Transaction
 
 SHOWN = 8
 
@@ -155,6 +155,7 @@ def list_inspections(
     """Readings in the order of their arrival, after a sequence number; `newest`: the other way."""
     with store.read() as tx:
         tx.records.rotor(rotor_id)
+        _known(tx, rotor_id, blade)
         events = tx.log.page(rotor_id, "inspection", after, limit, blade, newest)
         overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
     return _listed(events, overruling)
@@ -168,14 +169,22 @@ def all_inspections(store: Store, rotor_id: str, blade: str | None) -> tuple[Log
 
     Entries that come while the pages are read are left out, so that status and readings fit.
     """
-    log = log_now(store, rotor_id)
+    log = log_now(store, rotor_id, blade)
     return log, pages_of(store, log, blade)
 
 
-def log_now(store: Store, rotor_id: str) -> Log:
-    """The rotor's log as it stands."""
+def _known(tx: Transaction, rotor_id: str, blade: str | None) -> None:
+    """NotFoundError: the rotor never had this blade."""
+    if blade is not None and tx.records.blade(rotor_id, blade) is None:
+        remedy = f"GET /v1/rotors/{rotor_id} names its blades"
+        raise NotFoundError(f"blade of rotor {rotor_id}", blade, remedy)
+
+
+def log_now(store: Store, rotor_id: str, blade: str | None = None) -> Log:
+    """The rotor's log as it stands; NotFoundError: the blade is not one of its."""
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
+        _known(tx, rotor_id, blade)
     return Log(rotor.id, rotor.model_id, rotor.head_seq, rotor.created_at)
 
 

@@ -97,10 +97,10 @@ def find_job(store: Store, job_id: str) -> JobRecord:
     return job
 
 
-def find_model(store: Store, model_id: str) -> ModelCard:
-    """The newest version of a model."""
+def find_model(store: Store, model_id: str, version: str | None = None) -> ModelCard:
+    """A version of a model; None: the newest."""
     with store.read() as tx:
-        return tx.records.model(model_id)
+        return tx.records.model(model_id, version)
 
 
 def list_models(store: Store, after: str, limit: int) -> list[ModelCard]:

@@ -26,7 +26,6 @@ from service.ports import (
 )
 
 MOST_TIMES = 2000
-DEFAULT_NODE = {"field": "critical", "vector": "tip"}
 
 
 UNSTATED: Json = {
@@ -167,7 +166,7 @@ def question(
         faults.append(RangeError("probability", probability, "is no probability", remedy))
     number = None
     try:
-        number = _node(card, output.kind, node)
+        number = _node(card, quantity, node)
     except InputError as error:
         faults.append(error)
     try:
@@ -179,12 +178,12 @@ def question(
     return Question(quantity, asked, number, probability, instrument)
 
 
-def _node(card: ModelCard, kind: str, node: str | None) -> int | None:
-    if kind == "scalar":
+def _node(card: ModelCard, quantity: str, node: str | None) -> int | None:
+    if card.outputs[quantity].kind == "scalar":
         if node is not None:
             raise InputError("node", node, "belongs to no scalar quantity", "leave it out")
         return None
-    name = DEFAULT_NODE[kind] if node is None else node
+    name = card.network.quantity(quantity).default_node if node is None else node
     named = ", ".join(sorted(card.nodes))
     remedy = f"use 0 … {card.node_count - 1}, or one of {named}"
     if name in card.nodes:

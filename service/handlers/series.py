@@ -29,11 +29,15 @@ MOST_VALUES = 8_000_000
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Fields that were asked for: a quantity of some blades at rising hours [h]."""
+    """Fields that were asked for: a quantity of some blades at rising hours [h].
+
+    everyone   all blades of the rotor, where the series is of a rotor
+    """
 
     quantity: str
     hours: tuple[float, ...]
     blades: tuple[BladeRecord, ...]
+    everyone: tuple[BladeRecord, ...] = ()
 
 
 def asked(found: Basis, quantity: str | None, times: Sequence[float] | None) -> Series:
@@ -52,20 +56,24 @@ def of_rotor(
     times: Sequence[float] | None,
     names: Sequence[str] | None,
 ) -> Series:
-    """A series of the rotor's blades that run in this version, or of those named."""
+    """A series of the rotor's blades that run in this version, or of those named.
+
+    Where a blade stands in the rotor follows from all of its blades.
+    """
     state = found.state
     with store.read() as tx:
         blades = blades_at(tx.records.blades(state.rotor_id), state.through_seq)
     there = {blade.id: blade for blade in sorted(blades, key=lambda blade: blade.id)}
     if names is None:
-        return _checked(found, quantity, times, [b for b in there.values() if not b.retired_seq])
+        names = [b.id for b in there.values() if not b.retired_seq]
     if twice := sorted(name for name, count in Counter(names).items() if count > 1):
         raise InputError("blades", ", ".join(twice), "is named twice", "name each blade once")
     for name in names:
         if name not in there:
             remedy = f"GET /v1/rotors/{state.rotor_id}/blades lists them"
             raise NotFoundError(f"blade in version {state.version}", name, remedy)
-    return _checked(found, quantity, times, [there[name] for name in sorted(names)])
+    wanted = _checked(found, quantity, times, [there[name] for name in sorted(names)])
+    return replace(wanted, everyone=tuple(there.values()))
 
 
 def _checked(
@@ -111,7 +119,7 @@ def pvd(
     ring   the blades stand around the rotor's axis, else where the model has its one blade
     """
     names = [blade.id for blade in wanted.blades]
-    places = files.angles(wanted.blades) if ring else [None] * len(names)
+    places = files.angles(wanted.blades, wanted.everyone) if ring else [None] * len(names)
 
     def written() -> Iterable[tuple[str, bytes]]:
         yield "field.pvd", files.pvd(names, wanted.hours)

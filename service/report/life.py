@@ -13,6 +13,7 @@ from itertools import accumulate
 from typing import Any
 
 Json = Mapping[str, Any]
+NEVER = 1e12  # h: the order of those that do not pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,4 +77,6 @@ def lives(courses: Json, readings: Sequence[Json], limit: float) -> list[Lives]:
         Lives(b, now.get(b, 0.0), life(courses["before"], i), life(courses["after"], i))
         for i, b in enumerate(courses["blades"])
     ]
-    return sorted(found, key=lambda one: (one.after.median or 1e12, one.blade))
+    return sorted(
+        found, key=lambda one: (NEVER if one.after.median is None else one.after.median, one.blade)
+    )

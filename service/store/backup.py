@@ -13,6 +13,7 @@ PostgreSQL has its own tools; `dump_command` and `restore_command` say how they 
 
 from __future__ import annotations
 
+import errno
 import os
 import shlex
 import sqlite3
@@ -33,6 +34,8 @@ HOLD = (
     "UPDATE delivery SET status = 'dead', not_before = NULL, "
     "last_error = 'held when a backup was restored' WHERE status = 'pending'"
 )
+NO_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS)
+NO_SYNC = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS)
 SIDES = ("-wal", "-shm", "-journal")
 
 
@@ -143,12 +146,15 @@ def _copied(source: Path, target: Path, hold: bool = False) -> Copied:
             os.fsync(written.fileno())
             digest = file_digest(written, "sha256").hexdigest()
         try:
-            os.link(part, target)
+            _named(part, target)
         except FileExistsError:
             raise BackupError(f"{target} is there already", "choose another name") from None
         folder = os.open(target.absolute().parent, os.O_RDONLY)
         try:
             os.fsync(folder)
+        except OSError as error:
+            if error.errno not in NO_SYNC:
+                raise
         finally:
             os.close(folder)
     except OSError as error:
@@ -158,6 +164,20 @@ def _copied(source: Path, target: Path, hold: bool = False) -> Copied:
         for side in ("", *SIDES):
             Path(f"{part}{side}").unlink(missing_ok=True)
     return Copied(str(target), target.stat().st_size, digest, *facts, held)
+
+
+def _named(part: Path, target: Path) -> None:
+    """Give a whole file its name; FileExistsError: it is taken.
+
+    Disks without hard links (exFAT, some network shares) get an empty file of that name first.
+    """
+    try:
+        os.link(part, target)
+    except OSError as error:
+        if error.errno not in NO_LINKS:
+            raise
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+        part.replace(target)
 
 
 def _held(copy: sqlite3.Connection) -> int:

@@ -7,6 +7,8 @@ PostgreSQL runs READ COMMITTED; rows are locked by name where order matters, and
 process says nothing for `SILENT_S` is ended by the server: a frozen process does not hold its locks
 for ever. (Not so right after an `executemany`, which psycopg sends as a pipeline: its last message
 ends the server's timer. Who waits for such locks is told so after twice `SILENT_S`.)
+A server that vanishes without a word (`LIMITS`) is noticed within half a minute, and no thread
+waits longer for it.
 What is said of a failed statement names its parameters nowhere: they are readings and digests.
 `now_s()` is the database's clock, the only clock that leases know.
 """
@@ -31,6 +33,14 @@ from service.errors import StoreAwayError
 WRITE = "bladetwin_write"
 SILENT_S = 30.0
 BUSY_S = 30.0
+# Of a connection whose server vanishes without a word: libpq's names, which an URL may set itself.
+LIMITS = {
+    "connect_timeout": "10",
+    "keepalives_idle": "15",
+    "keepalives_interval": "5",
+    "keepalives_count": "3",
+    "tcp_user_timeout": "30000",
+}
 PAGES = "cache_size=-4000"  # KiB of a connection: emptied by every write of another one
 _WRITERS: WeakKeyDictionary[Pool, RLock] = WeakKeyDictionary()
 
@@ -63,6 +73,8 @@ def open_engine(url: str) -> Engine:
     backend = parsed.get_backend_name()
     if backend == "postgresql":
         parsed = parsed.set(drivername="postgresql+psycopg")
+        given = {name: value for name, value in LIMITS.items() if name not in parsed.query}
+        parsed = parsed.update_query_dict(given)
         engine = create_engine(
             parsed,
             pool_size=20,

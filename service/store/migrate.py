@@ -49,6 +49,8 @@ def migrate(engine: Engine) -> str:
     """
     with transaction(engine, write=True) as connection:
         if not is_sqlite(engine):
+            # another one's migration may take its time: who comes second waits for it
+            connection.execute(text("SET LOCAL lock_timeout = 0"))
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": LOCK})
         found = MigrationContext.configure(connection).get_current_revision()
         if found is not None and found not in revisions():

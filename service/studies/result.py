@@ -12,14 +12,19 @@ import typer
 
 
 def commit() -> str | None:
-    """The checkout's commit, where there is one."""
-    try:
+    """The checkout's commit, where there is one; with ``-dirty`` where files of it are changed."""
+
+    def told(*words: str) -> str:
         done = subprocess.run(
-            ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True, timeout=10
+            ["git", *words], capture_output=True, text=True, check=True, timeout=10
         )
+        return done.stdout.strip()
+
+    try:
+        changed = told("status", "--porcelain", "--untracked-files=no")
+        return told("rev-parse", "HEAD") + ("-dirty" if changed else "")
     except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.strip()
 
 
 def write(result: dict[str, Any], made_by: str | None, out: Path | None) -> None:

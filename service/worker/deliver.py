@@ -69,8 +69,9 @@ def due() -> ColumnElement[bool]:
 
 
 def holds(lease: HookLease) -> ColumnElement[bool]:
-    """The fence: no one has claimed the webhook since."""
-    return and_(w.id == lease.webhook.id, w.fence == lease.fence)
+    """The fence: no one has claimed the webhook since, or made another one under its name."""
+    same = w.fingerprint == lease.webhook.fingerprint
+    return and_(w.id == lease.webhook.id, w.fence == lease.fence, same)
 
 
 def claim_webhook(engine: Engine, owner: str, lease_s: float) -> HookLease | None:
@@ -136,6 +137,8 @@ class Deliverer:
             message = delivery_of(row)
             problem, counts = self.deliver(lease.webhook, message)
             self.record(lease, message, problem, counts=counts)
+            if problem is not None:
+                return  # others have their turn before this receiver is tried again
 
     def deliver(self, webhook: WebhookRecord, message: DeliveryRecord) -> tuple[str | None, bool]:
         """Send a message; what went wrong, if anything, and whether the attempt counts."""
@@ -179,7 +182,11 @@ class Deliverer:
                 raise LostLeaseError(f"webhook {lease.webhook.id}", lease.fence)
             connection.execute(
                 update(t.delivery)
-                .where(d.id == message.number)
+                .where(
+                    d.id == message.number,
+                    d.webhook_id == lease.webhook.id,
+                    d.message_id == message.message_id,
+                )
                 .values(
                     status=status,
                     attempts=attempts,

@@ -206,6 +206,21 @@ def test_a_text_that_is_no_unit_is_refused(text: str) -> None:
         unit(text)
 
 
+@pytest.mark.parametrize(
+    ("given", "wanted"), [("rpm", "rad/s"), ("rad/s", "rpm"), ("Hz", "rad/s"), ("deg/s", "kHz")]
+)
+def test_turns_and_angles_are_not_taken_for_each_other(given: str, wanted: str) -> None:
+    """Both are 1/s without a dimension, and 2 π apart."""
+    with pytest.raises(UnitError, match="turns"):
+        ratio(given, wanted)
+
+
+def test_turns_among_themselves_and_angles_among_themselves_compare() -> None:
+    assert ratio("rpm", "Hz")[0] == pytest.approx(1 / 60)
+    assert ratio("rad/s", "deg/s")[0] == pytest.approx(180 / np.pi)
+    assert ratio("rpm", "1/s")[0] == pytest.approx(1 / 60)
+
+
 def test_temperatures_differ_by_an_offset_and_other_things_do_not_compare() -> None:
     assert ratio("degC", "K") == (1.0, 273.15)
     a, b = ratio("degF", "degC")

@@ -114,6 +114,41 @@ def test_what_was_passed_stays_passed_where_a_quantity_shrinks() -> None:
     assert found.passed[-1] == pytest.approx(1.0)
 
 
+def falling(rates: Array, limit: float) -> Life:
+    """y = 30 − rate t / 10,000 h."""
+    model = growing()
+    formula = {"y": lambda x, t: 30.0 - x[:, 0] * t / 1e4}
+    inputs = (FormulaInput("rate", 0.0, 50.0),)
+    surrogate = FormulaModel(inputs, formula, "falling", horizon_h=HORIZON)
+    return of(rates, limit, Model(model.network, surrogate))
+
+
+def test_a_quantity_that_falls_passes_its_limit_from_above() -> None:
+    rates = np.exp(0.5 * ndtri((np.arange(3000) + 0.5) / 3000))
+    own = 1e4 * (30.0 - 27.0) / rates
+    found = falling(rates, 27.0)
+    for p, hour in found.quantiles.items():
+        exact = float(np.quantile(own, p))
+        if exact > HORIZON:
+            assert hour is None
+        else:
+            assert hour == pytest.approx(exact, rel=3e-3)
+    assert found.quantiles[0.5] is not None
+    assert found.passed[0] == 0.0
+    assert set(falling(np.ones(50), 31.0).quantiles.values()) == {None}, "it never rises to it"
+
+
+def test_one_that_begins_above_its_limit_and_does_not_fall_has_passed_it() -> None:
+    model = growing()
+    formula = {"y": lambda x, t: 2.0 + x[:, 0] * t / 1e4}
+    surrogate = FormulaModel(
+        (FormulaInput("rate", 0.0, 50.0),), formula, "begun", horizon_h=HORIZON
+    )
+    for rates in (np.ones(50), np.zeros(50)):
+        found = of(rates, 1.5, Model(model.network, surrogate))
+        assert set(found.quantiles.values()) == {0.0}
+
+
 def test_the_order_and_number_of_the_hours_do_not_matter() -> None:
     rates = np.exp(0.5 * ndtri((np.arange(777) + 0.5) / 777))
     one = of(rates, 1.5)

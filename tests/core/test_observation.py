@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from itertools import permutations
 
 import numpy as np
 import pytest
 
-from core.observation import Entry, Inspection, effective
+from core.errors import InputError
+from core.network import Network, Parameter, Quantity
+from core.observation import Entry, Inspection, effective, faults
+from core.prior import Prior
 
 
 def log(*readings: str, retracted: str = "") -> list[Entry]:
@@ -43,3 +47,37 @@ def test_a_chain_of_corrections_counts_by_its_last_link_that_stands(
 ) -> None:
     for order in permutations(entries):
         assert "".join(one.id for one in effective(order)) == counting
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """What a reading is held against."""
+
+    nodes: dict[str, int] = field(default_factory=dict)
+    horizon_h: float = 1e5
+    node_count: int = 10
+
+
+NOISE = Prior("log_uniform", 1e-6, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("node", "named", "taken"),
+    [(None, {"critical": 3}, True), (None, {"hot": 3}, False), ("hot", {"hot": 3}, True),
+     ("hot", {"critical": 3}, False), (None, {}, False)],
+)  # fmt: skip
+def test_a_field_is_read_at_a_node_that_is_known(
+    node: str | None, named: dict[str, int], taken: bool
+) -> None:
+    """Without a number: at the quantity's own node, or the critical one; refused where none is."""
+    quantity = Quantity("strain", "1", "field", NOISE, 0.0, 1.0, node=node)
+    parameters = (Parameter("a", "local", Prior("uniform", 0.0, 1.0)),)
+    network = Network("plate", parameters, (quantity,))
+    bare = Inspection("i", "B1", "strain", 5.0, np.array([1e-4]))
+    found = list(faults(bare, network, Mesh(named)))
+    assert bool(found) != taken
+    if not taken:
+        assert isinstance(found[0], InputError)
+        assert "give the number of a node" in found[0].remedy
+    exact = Inspection("j", "B1", "strain", 5.0, np.array([1e-4]), np.array([7]))
+    assert not list(faults(exact, network, Mesh(named)))

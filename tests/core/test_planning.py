@@ -10,6 +10,7 @@ import pytest
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, RotorState, blade_posterior, shared_posterior
 from core.errors import InputError
+from core.model import Model
 from core.observation import Inspection
 from core.planning.ahead import ANOTHER, Candidate, candidates
 from core.planning.worth import Target, worth
@@ -89,6 +90,22 @@ def test_calibrating_with_the_reading_leaves_the_sd_that_was_said(
         posterior = blade_posterior(made.meta, made.arrays.__getitem__, "b1")
         after = predict(MODEL, posterior, "y", [2.0], noise=False).sd["total"][0]
         assert after == pytest.approx(told[blade, 2.0], rel=0.08)
+
+
+def test_what_no_reading_takes_away_stays_in_the_sd() -> None:
+    """A simulation that is 10 % off: the sd now is that of the prediction, and much of it stays."""
+    network = MODEL.network
+    rough = replace(network.quantities[0], numerical=0.1)
+    model = Model(replace(network, quantities=(rough,)), MODEL.surrogate)
+    made = update(model, SPEC, DATA)
+    posterior = blade_posterior(made.meta, made.arrays.__getitem__, "b1")
+    sd = predict(model, posterior, "y", [2.0], noise=False).sd
+    assert sd["surrogate"][0] > 0.1 * sd["total"][0]
+    got = worth(model, made, AIM, ASKED)
+    assert got.sd == pytest.approx(sd["total"][0], rel=0.02)
+    assert all(left >= sd["surrogate"][0] * 0.98 for _, left in (*got.single, *got.grown))
+    parameters = np.sqrt(got.sd**2 - sd["surrogate"][0] ** 2)
+    assert parameters == pytest.approx(sd["parameters"][0], rel=0.02)
 
 
 def test_parameters_are_narrowed_as_exact_normals_say(state: RotorState) -> None:

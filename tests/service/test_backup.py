@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import shlex
 import shutil
 import signal
 import sqlite3
+import stat
 import subprocess
 import sys
 import threading
@@ -383,3 +385,39 @@ def test_a_backup_from_before_webhooks_has_nothing_to_hold(tmp_path: Path) -> No
         tmp_path / "first.db", tmp_path / "new.db", frozenset({"0001"}), hold=True
     )
     assert done.held == 0
+
+
+def test_a_disk_without_hard_links_takes_a_backup_too(
+    sqlite_template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """exFAT, or a network's share: the name is taken first, then the whole file moved to it."""
+
+    def no_links(*given: Any) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    def no_folders(descriptor: int) -> None:
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        real(descriptor)
+
+    real = os.fsync
+    monkeypatch.setattr(os, "link", no_links)
+    monkeypatch.setattr(os, "fsync", no_folders)
+    target = tmp_path / "kept"
+    copied = use.backup_file(sqlite_template, target)
+    assert copied.bytes == target.stat().st_size > 0
+    with pytest.raises(BackupError, match="is there already"):
+        use.backup_file(sqlite_template, target)
+    assert [one.name for one in tmp_path.iterdir()] == ["kept"]
+
+
+def test_another_failure_of_the_name_is_told(
+    sqlite_template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*given: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "link", full)
+    with pytest.raises(BackupError, match="No space left"):
+        use.backup_file(sqlite_template, tmp_path / "kept")
+    assert list(tmp_path.iterdir()) == []

@@ -8,6 +8,7 @@ import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pytest
 
 from core.observation import Inspection
 from service.client import Client
+from service.export.series import angles
 from service.handlers import series
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
@@ -107,7 +109,27 @@ def test_the_blades_of_a_rotor_stand_around_its_axis(
         np.testing.assert_allclose(turned @ out, mean, rtol=1e-12)
         assert mesh.point_data["deformation sd [mm]"].tolist() == said["sd"], "the blade's own axes"
     only = api.get("/v1/rotors/r4/field?quantity=ceeq&times=0.5&blades=C,A_1&format=pvd")
-    assert sorted(collected(only.content, tmp_path / "two")) == [("A_1", 0.5), ("C", 0.5)]
+    two = collected(only.content, tmp_path / "two")
+    assert sorted(two) == [("A_1", 0.5), ("C", 0.5)]
+    for name in ("A_1", "C"):  # where it stands among all, not among those that are shown
+        assert np.array_equal(two[name, 0.5].points, found[name, 0.5].points)
+
+
+def test_a_blade_stands_where_it_stands_whichever_are_shown_or_left() -> None:
+    def half_turns(shown: str, everyone: list[BladeRecord]) -> list[float]:
+        blades = [one for one in everyone if one.id in shown]
+        return [round(a / np.pi, 3) for a in angles(blades, everyone)]
+
+    slots = [BladeRecord(n, slot=s) for n, s in (("A", "1"), ("B", "3"), ("C", "4"))]
+    assert half_turns("ABC", slots) == [0.0, 1.0, 1.5]
+    assert half_turns("B", slots) == [1.0]
+    left = [*slots[:2], replace(slots[2], retired_seq=9)]
+    assert half_turns("AB", left) == [0.0, 1.0], "the slot is there though its blade left"
+    after = [*left, BladeRecord("D", slot="4")]
+    assert half_turns("ABD", after) == [0.0, 1.0, 1.5], "another blade in the same slot"
+    assert half_turns("C", after) == [1.5]
+    named = [BladeRecord("A", slot="one"), *slots[1:], BladeRecord("D")]
+    assert half_turns("AD", named) == [0.0, 1.5]
 
 
 @pytest.mark.parametrize("quantity", ["deformation", "ceeq"])

@@ -15,9 +15,11 @@ from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from sqlalchemy import text
+from starlette.requests import Request
 
 from service.api import repeats
 from service.api.rate import MOST_BUCKETS, Buckets
+from service.api.repeats import fingerprint
 from service.api.scopes import RULES
 from service.bootstrap import make_worker
 from service.client import Client
@@ -73,6 +75,27 @@ def test_the_same_key_with_another_request_is_refused(api: httpx.Client, rotor: 
     for bad in ("", "x" * 256, "a b"):
         refused = api.post(URL, json=READING, headers=repeat(bad))
         assert refused.json()["faults"][0]["field"] == "Idempotency-Key", bad
+
+
+def test_a_form_sent_again_has_another_boundary_and_is_the_same(api: httpx.Client) -> None:
+    """Clients choose it at random; parts of a form that differ are another request."""
+    parts = {"network": ("network.yaml", b"name: n"), "runs": ("runs.nc", b"no runs")}
+    url, fields = "http://twin/v1/models", {"id": "mine"}
+    one, other = (httpx.Request("POST", url, data=fields, files=parts) for _ in range(2))
+    assert one.headers["content-type"] != other.headers["content-type"]
+
+    def mark(request: httpx.Request) -> str:
+        scope = {
+            "type": "http", "method": "POST", "path": "/v1/models", "query_string": b"",
+            "headers": [(k.lower().encode(), v.encode()) for k, v in request.headers.items()],
+            "server": ("twin", 80), "scheme": "http",
+        }  # fmt: skip
+        return fingerprint(Request(scope), request.read())
+
+    assert mark(one) == mark(other)
+    changed = parts | {"runs": ("runs.nc", b"other runs")}
+    assert mark(one) != mark(httpx.Request("POST", url, data=fields, files=changed))
+    assert mark(one) != mark(httpx.Request("POST", url, data=fields | {"id": "b"}, files=parts))
 
 
 def test_a_refused_request_frees_its_key(api: httpx.Client, rotor: str) -> None:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 from hashlib import sha256
 
+import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
@@ -17,6 +20,7 @@ from service.handlers import reads
 from service.handlers.rotors import add_blade, create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, Which
 from service.settings import Settings
+from service.store import engine as engines
 from service.store import migrate as migrations
 from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.tables import metadata
@@ -124,3 +128,26 @@ def test_a_rotor_of_the_first_release_goes_on_after_the_migration(bare_url: str)
     asked = reads.question(found.card, "elongation", [25_000.0], None, 0.95)
     assert reads.predict(store, science, found, asked)["mean"][0] > 0
     store.close()
+
+
+def test_who_comes_second_waits_for_a_long_migration(
+    bare_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Longer than any other lock is waited for."""
+    if not bare_url.startswith("postgresql"):
+        pytest.skip("SQLite has one writer, who is waited for 30 s")
+    monkeypatch.setattr(engines, "SILENT_S", 0.2)  # locks are waited for 0.4 s
+    first, second = open_engine(bare_url), open_engine(bare_url)
+    done: list[str] = []
+    with transaction(first, write=True) as connection:
+        connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": migrations.LOCK})
+        waiting = threading.Thread(target=lambda: done.append(migrations.migrate(second)))
+        waiting.start()
+        for _ in range(15):
+            time.sleep(0.1)
+            connection.execute(text("SELECT 1"))
+        assert waiting.is_alive()
+    waiting.join(60)
+    assert done == [migrations.newest()]
+    for engine in (first, second):
+        engine.dispose()

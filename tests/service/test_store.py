@@ -28,7 +28,7 @@ from service.store import cache
 from service.store import tables as t
 from service.store.cache import OVERHEAD, ArrayCache, Checked
 from service.store.encoding import DamagedArrayError, decode, encode
-from service.store.engine import open_engine, transaction
+from service.store.engine import LIMITS, open_engine, transaction
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore
 from service.store.versions import thin, write_state
@@ -309,3 +309,12 @@ def test_the_readings_of_one_blade_are_found_by_an_index(store: SqlStore) -> Non
     assert "ix_event_rotor_id_blade_kind_seq" in plan
     assert "TEMP B-TREE" not in plan
     assert "Sort" not in plan, "in order as they come"
+
+
+def test_a_server_that_vanishes_is_noticed_unless_the_url_says_otherwise() -> None:
+    """Limits of libpq, for the engine and for who listens beside it."""
+    url = open_engine("postgresql://twin@host/name?connect_timeout=3").url
+    told = dict(url.query)
+    assert told["connect_timeout"] == "3"
+    assert told["tcp_user_timeout"] == LIMITS["tcp_user_timeout"] == "30000"
+    assert LIMITS.keys() <= told.keys()

@@ -628,6 +628,67 @@ def test_a_webhook_deleted_while_it_is_served_is_told_nothing_more(
         assert tx.connection.execute(select(t.delivery)).all() == []
 
 
+def test_a_webhook_made_anew_under_its_name_is_another_one(
+    store: SqlStore, settings: Settings, rotor: str, hook: Callable[..., str],
+    happens: Callable[..., None],
+) -> None:  # fmt: skip
+    """Who still serves the old one, under the same fence, neither sends nor records for the new."""
+    hook()
+    happens(rotor, "e0")
+    old = claim_webhook(store.engine, "old", 30.0)
+    assert old is not None
+    delete_webhook(store, "ops")
+    hook()
+    happens(rotor, "e1")
+    new = claim_webhook(store.engine, "new", 30.0)
+    assert new is not None
+    assert new.fence == old.fence
+    (one,) = listed(store)
+    slow = sender(store, settings)
+    with pytest.raises(LostLeaseError):
+        slow.record(old, one, None, counts=True)
+    slow._give_back(old)
+    assert not slow._beat(old)
+    assert slow._beat(new), "the new one's lease is not given back by the old one"
+    assert listed(store)[0].status == "pending"
+
+
+def test_a_receiver_that_fails_lets_others_have_their_turn(
+    store: SqlStore, settings: Settings, hook: Callable[..., str], happens: Callable[..., None]
+) -> None:
+    """Four rotors have news for a receiver that hangs: one message of them is tried a turn."""
+    names = [f"r{i}" for i in range(4)]
+    for name in names:
+        create_rotor(store, name, "rotor-blade", [BladeRecord("B1")], 64, 7)
+    hook("dead")
+    hook("well")
+    for name in names:
+        happens(name, "e")
+    tried: list[str] = []
+
+    def send(url: str, headers: Any, *rest: Any) -> int:
+        owner = turns[-1]
+        tried.append(owner)
+        if owner == "dead":
+            raise SendError("no answer within 5 s")
+        return 204
+
+    turns: list[str] = []
+    worker = sender(store, settings, send=send)
+    real = worker._serve
+
+    def serve(lease: Any) -> None:
+        turns.append(lease.webhook.id)
+        real(lease)
+
+    worker._serve = serve  # type: ignore[method-assign]
+    for _ in range(2):
+        assert worker.run_once()
+    assert sorted(set(turns)) == ["dead", "well"]
+    assert tried.count("dead") == 1
+    assert tried.count("well") == 4
+
+
 def test_webhooks_need_the_scope_operate_and_a_key_for_all_rotors(
     serving: Serving, key: Callable[..., dict[str, str]], receiver: Receiver
 ) -> None:

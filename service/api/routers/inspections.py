@@ -146,7 +146,7 @@ def get_inspections(
 
 def _file(request: Request, services: Services, r: str, blade: str | None, form: str) -> Response:
     """The readings of a rotor, or of one blade, as the log stands now."""
-    log = use.log_now(services.store, r)
+    log = use.log_now(services.store, r, blade)
     tag = tag_of(request, log.rotor, log.created_at, log.head_seq)
     if (same := unchanged(request, tag)) is not None:
         return same

@@ -8,15 +8,24 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Query
 from fastapi.responses import JSONResponse
 
 from service.api.model_bodies import BODY, Upload, asked_of
 from service.api.services import Cursor, Limit, Name, Wired, moment, page, page_size
 from service.handlers import models as use
+from service.names import ID_PATTERN
 from service.ports import JobRecord, ModelCard
 
 router = APIRouter(prefix="/v1", tags=["models"])
+Version = Annotated[
+    str | None,
+    Query(
+        max_length=100,
+        pattern=ID_PATTERN,
+        description="as a rotor's `model_version` names it; left out: the newest",
+    ),
+]
 
 
 def model_out(card: ModelCard) -> dict[str, Any]:
@@ -64,8 +73,8 @@ def get_models(services: Wired, limit: Limit = None, cursor: Cursor = None) -> d
 
 
 @router.get("/models/{m}", summary="A model: network, quantities, mesh, errors")
-def get_model(m: Name, services: Wired) -> dict[str, Any]:
-    return model_out(use.find_model(services.store, m))
+def get_model(m: Name, services: Wired, version: Version = None) -> dict[str, Any]:
+    return model_out(use.find_model(services.store, m, version))
 
 
 @router.get("/jobs/{id}", summary="How far a job is")

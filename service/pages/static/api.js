@@ -87,7 +87,10 @@ let routes = null;
 
 /** Whether the API has a route, e.g. offers("post", "/v1/rotors/{r}/retry"). */
 export async function offers(method, template) {
-  routes ??= get("/openapi.json").then((document) => document.paths);
+  routes ??= get("/openapi.json").then((document) => document.paths).catch((error) => {
+    routes = null; // asked again the next time
+    throw error;
+  });
   return Boolean((await routes)[template]?.[method]);
 }
 

@@ -4,8 +4,9 @@ import { get, pages, path } from "./api.js";
 import { chart, legend, numbers } from "./chart.js";
 import { corner, marginals } from "./corner.js";
 import { $, asked, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
-import { ago, fixed, hours, hoursOf, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
+import { fixed, hours, hoursOf, inUnit, number, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
+import { since } from "./since.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
 import { kindsOf, readingsTable } from "./reading.js";
 
@@ -92,10 +93,16 @@ function drawFigures(found, mean, sd, bladeSd, life) {
   show(figures, parts);
 }
 
+/** A version in which the blade was not yet, or that is thinned out by now; all else is told. */
+const notThen = (error) => {
+  if (error.status === 404 || error.status === 410) return null;
+  throw error;
+};
+
 async function drawHistory(found, kept, came) {
   const last = found.time_h.at(-1);
   const told = await Promise.all(kept.items.map((v) =>
-    get(`${own}/prediction`, { version: v.version, quantity: found.quantity, times: last, node: found.node }).catch(() => null)));
+    get(`${own}/prediction`, { version: v.version, quantity: found.quantity, times: last, node: found.node }).catch(notThen)));
   const rows = kept.items.map((v, i) => {
     const since = kept.items[i + 1]?.through_seq ?? (kept.next === null ? 0 : null);
     const readings = since === null ? [] : came.items.filter((r) => r.seq > since && r.seq <= v.through_seq);
@@ -122,7 +129,7 @@ async function drawHistory(found, kept, came) {
     { name: `At ${hours(last)}${unit(found.unit) ? ` [${found.unit}]` : ""}`, value: (v) => (v.mean === null ? "blade not in it" : withSd(v.mean, v.sd)), number: true },
     { name: "Moved [sd]", value: (v) => fixed(v.moved, 2), number: true },
     { name: "What came", value: why },
-    { name: "Computed", value: (v) => h("span", { title: moment(v.created_at) }, ago(v.created_at)) },
+    { name: "Computed", value: (v) => since(v.created_at) },
   ];
   show(history, scroll("Versions", table(columns, rows, { caption: "The newest kept versions; moved: change of the mean in sd of the version before" })));
 }
@@ -139,8 +146,8 @@ async function lifeOf(found) {
 
 async function draw() {
   const rest = Promise.all([
-    get(`${own}/prediction`, { quantity: chosen.quantity }), pages(`${url}/inspections`, { blade }, 2000),
-    get(`${own}/draws`, { count: 1000 }), get(`${url}/versions`, { limit: 8 }), get(`${url}/inspections`, { newest: true, limit: 200 })]);
+    get(`${own}/prediction`, { quantity: chosen.quantity }), pages(`${url}/inspections`, { blade, newest: true }, 2000),
+    get(`${own}/draws`, { count: 1000 }), get(`${url}/versions`, { limit: 8 }), get(`${url}/inspections`, { newest: true, limit: 200, blade })]);
   rest.catch(() => {}); // what went wrong is told where it is waited for
   const now = await get(url);
   drawn.version = now.version;
@@ -151,9 +158,11 @@ async function draw() {
   show($("states"), states);
   model ??= await get(path`/v1/models/${now.model}`);
   const [found, all, draws, kept, came] = await rest;
+  drawn.version = Math.min(found.rests_on.version, draws.rests_on.version);
+  if (drawn.version < now.version) redraw(); // these were answered before it was there
   const readings = kindsOf(all.items);
   notices([...warningsOf(now), readings.length === 0 && ["wait", "No reading of this blade yet: what is shown is what the rotor tells of it."],
-    all.more && ["wait", "Only the first 2 000 readings of this blade are drawn."]]);
+    all.more && ["wait", "Only the newest 2 000 readings of this blade are drawn."]]);
   drawControls(found);
   drawBands(found, readings, await lifeOf(found));
   show(list, readings.length ? readingsTable(rotor, readings.slice(-ROWS), { blade: false }) : h("p", { class: "soft" }, "None yet."),

@@ -2,7 +2,7 @@
 
 import uPlot from "./vendor/uPlot.esm.js";
 import { aside, colour, h, s, scroll, table } from "./dom.js";
-import { axis, fixed, hours, labels, plain, unit } from "./format.js";
+import { axis, hours, hoursAlone, labels, plain, unit } from "./format.js";
 
 /** How readings are marked: a shape for each kind, told apart without colour. */
 export const MARKS = {
@@ -38,7 +38,7 @@ export const legend = (entries) =>
 function axes(what, unitName) {
   const common = { stroke: colour("soft"), grid: { stroke: colour("grid"), width: 1 }, ticks: { stroke: colour("line"), width: 1 }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", labelGap: 2 };
   return [
-    { ...common, label: "operating hours [h]", size: 34, labelSize: 20, space: 70, values: (_, ticks) => ticks.map((t) => fixed(t, 0)) },
+    { ...common, label: "operating hours [h]", size: 34, labelSize: 20, space: 70, values: (_, ticks) => labels(ticks) },
     { ...common, label: axis(what, unitName), size: 58, labelSize: 22, values: (_, ticks) => labels(ticks) },
   ];
 }
@@ -132,7 +132,7 @@ export function chart(place, { time, lines, bands = [], marks = [], across = [],
 /** The numbers of a chart as a table that opens. */
 export function numbers(title, time, lines, unitName) {
   const columns = [
-    { name: "Hours [h]", value: (i) => fixed(time[i], 0), number: true },
+    { name: "Hours [h]", value: (i) => hoursAlone(time[i]), number: true },
     ...lines.map((line) => ({ name: axis(line.name, unitName), value: (i) => plain(line.values[i], 4), number: true })),
   ];
   return aside(title, scroll(title, table(columns, time.map((_, i) => i))));

@@ -2,9 +2,10 @@
 
 import { Problem, get, offers, path, post } from "./api.js";
 import { $, h, names, panel, scroll, show, table } from "./dom.js";
-import { ago, fixed } from "./format.js";
+import { fixed } from "./format.js";
 import { keep } from "./live.js";
 import { progress } from "./progress.js";
+import { since } from "./since.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
 import { stateOf, verdictOf } from "./verdict.js";
 
@@ -29,7 +30,7 @@ async function start(event) {
 }
 
 const columns = [
-  { name: "Asked", value: (d) => h("a", { href: path`/rotors/${rotor}/diagnoses/${d.id}` }, ago(d.created_at)), sort: (d) => d.created_at },
+  { name: "Asked", value: (d) => h("a", { href: path`/rotors/${rotor}/diagnoses/${d.id}` }, since(d.created_at)), sort: (d) => d.created_at },
   { name: "State", value: (d) => badge(...stateOf(d)), sort: (d) => d.status },
   { name: "Verdict", value: (d) => (d.verdict ? verdictOf(d.verdict) : d.status === "running" ? progress(d.progress) : "–"), sort: (d) => d.verdict },
   { name: "Effects", value: (d) => d.names?.join(", ") || "–" },

@@ -124,6 +124,8 @@ function standing(history, now) {
   ];
 }
 
+let next = 0;
+
 async function draw() {
   const [d, canReport, canAdopt, canBackOut, canCancel] = await Promise.all([get(url),
     offers("get", `${TEMPLATE}/report`), offers("post", `${TEMPLATE}/adoption`), offers("delete", `${TEMPLATE}/adoption`), offers("delete", TEMPLATE)]);
@@ -150,7 +152,8 @@ async function draw() {
       claimed && canBackOut && inForce ? button("Back out", () => confirm("Take the effect out of this rotor's model again?") && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
     claimed || history.length ? panel("In the model", standing(history, now)) : null,
     done ? h("div", { class: "columns halves" }, result(d.result, unitName)) : null);
-  if (going) setTimeout(redraw, 1000);
+  clearTimeout(next);
+  if (going) next = setTimeout(redraw, 1000);
 }
 
 const redraw = keep(draw);

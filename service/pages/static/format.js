@@ -42,7 +42,9 @@ export const unit = (name) => (!name || name === "1" ? "" : name);
 export const inUnit = (text, name) => (unit(name) ? `${text}${NBSP}${name}` : text);
 export const axis = (what, name) => `${what} [${unit(name) || "1"}]`;
 
-export const hours = (value) => (value === null || value === undefined ? "–" : `${fixed(value, 0)}${NBSP}h`);
+/** Hours without their unit: no decimals from a hundred on, three digits below. */
+export const hoursAlone = (value) => (Math.abs(value) >= 100 || Number.isInteger(value) ? fixed(value, 0) : plain(value, 3));
+export const hours = (value) => (value === null || value === undefined ? "–" : `${hoursAlone(value)}${NBSP}h`);
 
 /** Hours, to a thousandth of the last one or finer: of 50 000 h to 10 h, of 12 h to 0.01 h. */
 export function hoursOf(value, last) {

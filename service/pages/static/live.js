@@ -1,10 +1,18 @@
 // A page that stays true: it is drawn again when its rotor has news, and says when it is out of date.
 
-import { Problem, forgetKey, headers, key, path, typeKey } from "./api.js";
-import { $, show } from "./dom.js";
+import { Problem, forgetKey, get, headers, key, path, typeKey } from "./api.js";
+import { $ } from "./dom.js";
 import { failed, notices } from "./states.js";
 
+const AWAY = "away";
+const AGAIN_MS = 30_000;
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
+
+/** Until the page is looked at. */
+const seen = () =>
+  document.hidden
+    ? new Promise((done) => document.addEventListener("visibilitychange", done, { once: true }))
+    : null;
 
 /** The state of the page's connection, in the top bar. */
 export function told(text) {
@@ -36,17 +44,37 @@ async function* frames(body) {
 /** The version that the page shows: an event that tells of it is no news. */
 export const drawn = { version: -1 };
 
+/** Where a rotor's log and posterior stand, as text; null: it did not answer. */
+async function stands(rotor) {
+  const now = await get(path`/v1/rotors/${rotor}`).catch(() => null);
+  return now && JSON.stringify([now.head_seq, now.applied_seq, now.version, now.health]);
+}
+
 /**
  * Follow a rotor's events: `news(event, data)` for each; goes on after the last one when the
- * connection was lost. (EventSource cannot send a key; the stream is the same.)
+ * connection was lost. (EventSource cannot send a key; the stream is the same.) A page that nobody
+ * looks at lets its stream go: a browser has six connections to a server, for all of its tabs. What
+ * no event tells of (entries that no worker takes) is looked for now and then: `news("changed")`.
  */
 export async function follow(rotor, news) {
   let last = null;
   let wait = 500;
+  let known = await stands(rotor);
+  setInterval(async () => {
+    if (document.hidden) return;
+    const now = await stands(rotor);
+    if (now !== null && known !== null && now !== known) news("changed", {});
+    known = now ?? known;
+  }, AGAIN_MS);
   for (;;) {
+    while (document.hidden) await seen();
+    const stop = new AbortController();
+    const hide = () => document.hidden && stop.abort();
+    document.addEventListener("visibilitychange", hide);
     try {
       const more = last === null ? {} : { "Last-Event-ID": last };
-      const answer = await fetch(path`/v1/rotors/${rotor}/events`, { headers: headers(more) });
+      const sent = { headers: headers(more), signal: stop.signal };
+      const answer = await fetch(path`/v1/rotors/${rotor}/events`, sent);
       if (answer.status === 404) return;
       if (!answer.ok) throw new Problem(answer.status, "", "");
       told("live");
@@ -58,6 +86,8 @@ export async function follow(rotor, news) {
       }
     } catch (error) {
       if (!(error instanceof TypeError || error instanceof Problem || error.name === "AbortError")) throw error;
+    } finally {
+      document.removeEventListener("visibilitychange", hide);
     }
     told("not live: connecting");
     await pause(wait);
@@ -75,6 +105,7 @@ export function keep(draw, { everyS = 0 } = {}) {
   let again = false;
   let shown = false;
   let retry = 0;
+  let was = null; // what the top bar said before the service was away
   const redraw = async () => {
     clearTimeout(retry);
     if (busy) {
@@ -87,6 +118,9 @@ export function keep(draw, { everyS = 0 } = {}) {
         again = false;
         await draw();
         shown = true;
+        $("page").style.visibility = "";
+        if (was !== null && $("live").textContent === AWAY) told(was);
+        was = null;
         document.body.dataset.state = "ready";
       } while (again);
     } catch (error) {
@@ -97,9 +131,12 @@ export function keep(draw, { everyS = 0 } = {}) {
       } else {
         const [kind, title, detail] = failed(error);
         notices([[kind, title, detail, shown ? "What is shown below is what was known before." : null]]);
-        if (error.status === 0) told("away");
+        if (error.status === 0) {
+          was ??= $("live").textContent;
+          told(AWAY);
+        }
       }
-      if (!shown) show($("page"));
+      if (!shown) $("page").style.visibility = "hidden"; // what is drawn later is drawn into it
       document.body.dataset.state = "failed";
       const passing = error.status === 0 || error.status === 409 || error.status >= 500 || error.status === 429;
       if (passing) retry = setTimeout(redraw, error.status === 429 ? 5000 : 2000);

@@ -2,9 +2,10 @@
 
 import { Problem, get, offers, path, post } from "./api.js";
 import { $, facts, h, panel, scroll, show, table } from "./dom.js";
-import { ago, fixed, number, plain, seconds } from "./format.js";
+import { fixed, number, plain, seconds } from "./format.js";
 import { keep } from "./live.js";
 import { progress } from "./progress.js";
+import { since } from "./since.js";
 import { badge, notices } from "./states.js";
 
 const link = (rotor) => (rotor ? h("a", { href: path`/rotors/${rotor}` }, rotor) : "–");
@@ -74,7 +75,7 @@ async function draw() {
         { name: "Rotor", value: (j) => link(j.rotor) },
         { name: "State", value: (j) => badge("wait", j.status) },
         { name: "Progress", value: (j) => progress(j.progress) },
-        { name: "Asked", value: (j) => ago(j.created_at) },
+        { name: "Asked", value: (j) => since(j.created_at) },
         { name: "Attempts", value: (j) => fixed(j.attempts, 0), number: true },
       ], found.jobs))
     : h("p", { class: "soft" }, "No job is queued or running."));

@@ -2,7 +2,7 @@
 
 import { path } from "./api.js";
 import { h, scroll, table } from "./dom.js";
-import { fixed, moment, plain, unit, words } from "./format.js";
+import { fixed, hoursAlone, moment, plain, unit, words } from "./format.js";
 import { badge } from "./states.js";
 
 const KINDS = {
@@ -36,7 +36,7 @@ export function readingsTable(rotor, items, { blade = true, caption = null } = {
     { name: "Reading", value: (r) => h("span", {}, h("span", {}, r.id), r.replaces ? h("span", { class: "soft" }, ` replaces ${r.replaces}`) : null), sort: (r) => r.id },
     blade ? { name: "Blade", value: (r) => h("a", { href: path`/rotors/${rotor}/blades/${r.blade}` }, r.blade), sort: (r) => r.blade } : null,
     { name: "Quantity", value: (r) => words(r.quantity), sort: (r) => r.quantity },
-    { name: "Hours [h]", value: (r) => fixed(r.time_h, 0), sort: (r) => r.time_h, number: true },
+    { name: "Hours [h]", value: (r) => hoursAlone(r.time_h), sort: (r) => r.time_h, number: true },
     { name: "Value", value: (r) => `${told(r)} ${unit(r.unit)}`, number: true },
     { name: "State", value: (r) => badge(...KINDS[r.kind]), sort: (r) => r.kind },
     { name: "Instrument", value: (r) => r.instrument ?? "–", sort: (r) => r.instrument },

@@ -2,7 +2,7 @@
 
 import { get, path } from "./api.js";
 import { $, aside, asked, colour, facts, h, names, panel, remember, s, scroll, select, show, table } from "./dom.js";
-import { fixed, inUnit, labels, moment, number, plain, withSd, words } from "./format.js";
+import { fixed, hoursAlone, inUnit, labels, moment, number, plain, withSd, words } from "./format.js";
 import { ORDERS, heat } from "./heat.js";
 import { drawn, follow, keep } from "./live.js";
 import { ticks } from "./scale.js";
@@ -72,7 +72,7 @@ function largest(items, units) {
   return scroll("Largest residuals", table([
     { name: "Blade", value: (r) => h("a", { href: path`/rotors/${names.r}/blades/${r.blade}` }, r.blade), sort: (r) => r.blade },
     { name: "Quantity", value: (r) => words(r.quantity), sort: (r) => r.quantity },
-    { name: "Hours", value: (r) => fixed(r.time_h, 0), sort: (r) => r.time_h, number: true },
+    { name: "Hours", value: (r) => hoursAlone(r.time_h), sort: (r) => r.time_h, number: true },
     { name: "Campaign", value: (r) => r.campaign ?? "–", sort: (r) => r.campaign },
     { name: "Instrument", value: (r) => r.instrument ?? "–", sort: (r) => r.instrument },
     { name: "Read", value: (r) => inUnit(plain(r.y, 4), units[r.quantity]), number: true },
@@ -81,7 +81,10 @@ function largest(items, units) {
   ], rows));
 }
 
+let later = 0;
+
 async function draw() {
+  clearTimeout(later);
   const [now, told] = await Promise.all([get(url), readAll()]);
   const model = await get(path`/v1/models/${now.model}`);
   const units = Object.fromEntries(Object.entries(model.outputs).map(([q, o]) => [q, o.unit]));
@@ -91,6 +94,7 @@ async function draw() {
   show($("states"), badges(statesOf(now)), told.alarms ? badge("bad", number(told.alarms, "alarm")) : null);
   notices([...warningsOf(now), told.error && ["bad", "Residuals could not be computed.", told.error],
     told.pending && ["wait", told.as_of ? "Residuals of the newest version are being computed." : "Residuals are being computed.", "A process of the role diagnose does it; this page shows them when they are there."]]);
+  if (told.pending) later = setTimeout(redraw, 5000); // without alarms no event tells of them
   if (!told.as_of) {
     show($("page"), panel(null, h("p", {}, "No residuals yet.")));
     return;

@@ -2,10 +2,11 @@
 
 import { get, offers, pages, path } from "./api.js";
 import { $, asked, facts, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
-import { ago, decimals, fixed, hours, inUnit, moment, number, plain, unit, withSd, words } from "./format.js";
+import { decimals, fixed, hours, inUnit, number, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { ring } from "./ring.js";
 import { span } from "./scale.js";
+import { since } from "./since.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
 
 const rotor = names.r;
@@ -14,7 +15,7 @@ const chosen = { quantity: asked("quantity"), time_h: asked("time_h"), limit: as
 const state = h("div");
 const glance = h("div");
 const list = h("div");
-let sorted = [0, true];
+let sorted = ["Blade", true]; // a column by its name: which ones there are changes
 let model = null;
 let shownControls = "";
 const controls = h("div", { class: "controls" });
@@ -92,12 +93,13 @@ function drawBlades(found, blades) {
     chosen.limit ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
     { name: "Readings", value: (b) => `${b.readings.counting}${b.readings.overruled ? ` (+${b.readings.overruled} void)` : ""}`, sort: (b) => b.readings.counting, number: true },
     { name: "Last at", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
-    { name: "Received", value: (b) => (b.readings.last ? h("span", { title: moment(b.readings.last.received_at) }, ago(b.readings.last.received_at)) : "never"), sort: (b) => b.readings.last?.received_at },
+    { name: "Received", value: (b) => (b.readings.last ? since(b.readings.last.received_at) : "never"), sort: (b) => b.readings.last?.received_at },
     blades.some((b) => b.lot) ? { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot } : null,
   ].filter(Boolean);
   const made = table(columns, blades, {
-    caption: `Predicted ${words(found.quantity)} at ${hours(found.time_h)}; sd of the blade itself, without a reading's noise`, sorted });
-  made.addEventListener("sorted", (event) => { sorted = event.detail; });
+    caption: `Predicted ${words(found.quantity)} at ${hours(found.time_h)}; sd of the blade itself, without a reading's noise`,
+    sorted: [Math.max(0, columns.findIndex((c) => c.name === sorted[0])), sorted[1]] });
+  made.addEventListener("sorted", (event) => { sorted = [columns[event.detail[0]].name, event.detail[1]]; });
   show(list, scroll("Blades", made));
 }
 
@@ -105,7 +107,7 @@ function drawState(rotorNow) {
   const posterior = rotorNow.posterior;
   show(state, facts([
     ["Version", posterior ? `${posterior.version}, through entry ${posterior.through_seq} of ${rotorNow.head_seq}` : "none yet"],
-    posterior && ["Computed", h("span", { title: moment(posterior.created_at) }, ago(posterior.created_at))],
+    posterior && ["Computed", since(posterior.created_at)],
     ["Backlog", number(rotorNow.head_seq - rotorNow.applied_seq, "entry", "entries")],
     ["Health", rotorNow.health ? `${rotorNow.health.status}${rotorNow.health.ess ? `, ${fixed(rotorNow.health.ess, 0)} effective nodes` : ""}` : "–"],
     ["Model", h("a", { href: path`/models/${rotorNow.model}` }, `${rotorNow.model} ${rotorNow.model_version.slice(0, 8)}`)],

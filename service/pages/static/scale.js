@@ -26,7 +26,7 @@ export function apart(share) {
 /** Whether dark writing is read better than light on a colour of the scale. */
 export const dark = (share) => share > 0.5;
 
-/** Least and greatest of some numbers; a span of nothing is widened. */
+/** Least and greatest of some numbers; a span of nothing, or of rounding alone, is widened. */
 export function span(values) {
   let low = Infinity;
   let high = -Infinity;
@@ -35,7 +35,8 @@ export function span(values) {
     if (value > high) high = value;
   }
   if (!(low <= high)) return [0, 1];
-  return low === high ? [low - Math.abs(low || 1) * 0.05, high + Math.abs(high || 1) * 0.05] : [low, high];
+  const nothing = high - low <= 1e-12 * Math.max(Math.abs(low), Math.abs(high)); // rounding alone
+  return nothing ? [low - Math.abs(low || 1) * 0.05, high + Math.abs(high || 1) * 0.05] : [low, high];
 }
 
 export const share = (value, [low, high]) => (value - low) / (high - low);
@@ -44,8 +45,8 @@ export const share = (value, [low, high]) => (value - low) / (high - low);
 export function ticks([low, high], count = 5) {
   const raw = (high - low) / count;
   const size = 10 ** Math.floor(Math.log10(raw));
-  const step = size * [1, 2, 2.5, 5, 10].find((k) => k * size >= raw - 1e-12);
+  const step = size * [1, 2, 2.5, 5, 10].find((k) => k * size >= raw * (1 - 1e-9));
   const out = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) out.push(k * step);
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step && out.length < 100; k += 1) out.push(k * step);
   return out;
 }

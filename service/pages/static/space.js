@@ -149,8 +149,8 @@ function drawMisfit(scan, found) {
 
 /** Nodes of the scans of a quantity, and the scans. */
 async function scanned(quantity) {
-  const all = await pages(path`/v1/rotors/${rotor}/inspections`, { blade }, 2000);
-  const of = all.items.filter((r) => r.quantity === quantity && r.status === "counts").slice(-20);
+  const all = await pages(path`/v1/rotors/${rotor}/inspections`, { blade, newest: true }, 2000);
+  const of = all.items.filter((r) => r.quantity === quantity && r.status === "counts").slice(0, 20).reverse();
   return Promise.all(of.map(async (r) => (r.nodes ? r : get(path`/v1/rotors/${rotor}/inspections/${r.id}`))));
 }
 

@@ -182,3 +182,50 @@ def test_a_flipped_sign_would_not_pass() -> None:
     shared = shared_posterior(state.meta, state.arrays.__getitem__).particles
     assert abs(shared.mean[0] - mean[0]) > np.sqrt(cov[0, 0])
     assert abs(state.meta["log_evidence"] - evidence) > 1
+
+
+def alone() -> Model:
+    """y = Σ c_j(t) l_j with two local parameters and nothing that blades share."""
+
+    def formula(x: np.ndarray, t: float) -> np.ndarray:
+        return np.asarray(SLOPES[0] * x[:, 0] + SLOPES[1] * t * x[:, 1])
+
+    parameters = tuple(Parameter(f"l{j}", "local", Prior.gaussian(-1.0 + j, 0.6)) for j in range(2))
+    inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in parameters)
+    quantity = Quantity("y", "1", "scalar", Prior("log_uniform", 0.01, 1.0), -50.0, 50.0)
+    return Model(
+        Network("alone", parameters, (quantity,)), FormulaModel(inputs, {"y": formula}, "alone")
+    )
+
+
+@pytest.mark.parametrize("told", [0, 1, 3])
+def test_blades_that_share_nothing_each_have_their_own_exact_posterior(told: int) -> None:
+    """Of three blades `told` have readings, of known noise: not even a noise is shared."""
+    model, sigma = alone(), 0.15
+    data = readings(told, [0.0, 0.5, 1.0], seed=told, sigma=sigma)
+    spec = RotorSpec("r", ("b0", "b1", "b2"), particles=6400, seed=3)
+    state = update(model, spec, data)
+    assert state.meta["sealed"]
+    evidence = 0.0
+    for b in range(3):
+        own = [r for r in data if r.blade == f"b{b}"]
+        mean, cov = np.array([-1.0, 0.0]), 0.36 * np.eye(2)
+        if own:
+            design = np.array([[SLOPES[0], SLOPES[1] * r.time_h] for r in own])
+            spread = design @ cov @ design.T + sigma**2 * np.eye(len(own))
+            miss = np.array([r.values[0] for r in own]) - design @ mean
+            gain = cov @ design.T @ np.linalg.inv(spread)
+            evidence -= 0.5 * miss @ np.linalg.solve(spread, miss)
+            evidence -= 0.5 * np.linalg.slogdet(2 * np.pi * spread)[1]
+            mean, cov = mean + gain @ miss, cov - gain @ design @ cov
+        posterior = blade_posterior(state.meta, state.arrays.__getitem__, f"b{b}")
+        for j in range(2):
+            i, sd = posterior.names.index(f"l{j}"), np.sqrt(cov[j, j])
+            tolerance = 4 * sd / np.sqrt(posterior.particles.ess) + 0.06 * sd
+            assert abs(posterior.particles.mean[i] - mean[j]) < tolerance
+            got = np.sqrt(posterior.particles.covariance[i, i])
+            assert got == pytest.approx(sd, rel=0.08)
+    assert state.meta["log_evidence"] == pytest.approx(evidence, abs=0.06)
+    more = [*data, Inspection("late", "b2", "y", 0.7, np.array([0.2]), sigma=sigma)]
+    again = update(model, spec, more, state, quick=True)
+    assert again.meta["health"]["ess_ratio"] > 0.5

@@ -19,6 +19,7 @@ from core.model import Model
 from core.network import Network, Parameter, rotor_blade_network
 from core.observation import Inspection
 from core.prior import Prior
+from core.surrogate import driven
 from core.surrogate.driven import Driven
 from core.surrogate.formula import FormulaInput, FormulaModel
 
@@ -40,6 +41,30 @@ RNG = np.random.default_rng(1)
 def points(model: Driven, n: int) -> np.ndarray:
     low, high = np.array([(i.low, i.high) for i in model.inputs]).T
     return low + RNG.random((n, len(low))) * (high - low)
+
+
+def test_many_are_answered_whatever_is_still_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour that is kept and one that is new, where the new one makes all that is kept go."""
+    x, worn = points(WORN, driven.MANY), replace(WORN)
+    whole = worn.predict(x, "elongation", np.array([9e3, 5e4]))
+    monkeypatch.setattr(driven, "KEPT", 0)
+    worn = replace(WORN)
+    worn.predict(x, "elongation", np.array([5e4]))
+    again = worn.predict(x, "elongation", np.array([9e3, 5e4]))
+    assert np.array_equal(again[0], whole[0])
+    assert np.array_equal(again[1], whole[1])
+
+
+@pytest.mark.parametrize(
+    ("quantity", "nodes", "shape"),
+    [("elongation", None, ()), ("ceeq", [CRITICAL], (1,)), ("deformation", [TIP, 7], (2, 3))],
+)
+def test_many_at_the_start_are_nothing_in_the_right_shape(
+    quantity: str, nodes: list[int] | None, shape: tuple[int, ...]
+) -> None:
+    mean, sd = WORN.predict(points(WORN, driven.MANY), quantity, np.array([0.0]), nodes)
+    assert mean.shape == sd.shape == (driven.MANY, 1, *shape)
+    assert not mean.any()
 
 
 @pytest.mark.parametrize(

@@ -160,3 +160,12 @@ def test_what_cannot_be_followed_is_refused() -> None:
     cooled[0] = [[0.7, 1.0, 0.0, 3.0], [1.3, 0.8, 0.0, -3.0]]
     with pytest.raises(RangeError, match="longer runs"):
         follow(np.array([0.0, 4e4, 5e4]), cooled, "elongation")
+
+
+@pytest.mark.parametrize("form", ["raw", "log"])
+def test_a_quantity_that_does_not_grow_with_creep_is_refused_with_its_name(form: Any) -> None:
+    parts = {**BLADE.parts, "elongation": replace(BLADE.parts["elongation"], form=form)}
+    other = replace(BLADE, parts=parts)
+    with pytest.raises(InputError, match=f"elongation.*learnt as '{form}'"):
+        Followed.of(other, "elongation", None)
+    Followed.of(other, "ceeq", [CRITICAL])

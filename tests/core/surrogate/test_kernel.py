@@ -152,3 +152,38 @@ def test_a_trend_that_the_runs_cannot_carry_is_refused() -> None:
     z = points(7)
     with pytest.raises(ModelError, match="7 runs do not carry a trend of 6 terms"):
         SharedGP.condition(z, targets(z), Hyper((1.0, 1.0), 1e-6, 2))
+
+
+def star(levels: tuple[float, ...] = (-1.0, -0.5, 0.5, 1.0)) -> Array:
+    """One input changed at a time, about the middle."""
+    axes = [np.eye(2)[j] * level for j in range(2) for level in levels]
+    return np.array([np.zeros(2), *axes])
+
+
+@pytest.mark.parametrize(
+    "z",
+    [
+        star((-1.0, -0.6, -0.3, 0.2, 0.5, 0.8, 1.0)),
+        np.column_stack([points(14)[:, 0], [-1, 1] * 7]),
+    ],
+    ids=["one at a time", "two levels"],
+)
+def test_runs_that_carry_no_trend_so_high_get_a_lower_one(z: Array) -> None:
+    """Where products and squares cannot be told apart from the rest: no error, and no worse."""
+    c = targets(z)
+    made = SharedGP.condition(z, c, Hyper((0.9, 2.3), 1e-6, 2))
+    assert made.hyper.trend == 1
+    (mean,), v = made.mean_and_variance(z)
+    np.testing.assert_allclose(mean, c, atol=1e-3)
+    assert np.all(np.isfinite(v))
+    lower = SharedGP.condition(z, c, Hyper((0.9, 2.3), 1e-6, 1))
+    np.testing.assert_array_equal(made.beta, lower.beta)
+
+
+def test_coefficients_that_are_nothing_in_every_run_do_not_count() -> None:
+    z = points(20)
+    c, share = targets(z), np.array([0.5, 0.5])
+    with_nothing = np.column_stack([c, np.zeros(20)])
+    found = fit_hyper(z, with_nothing, np.array([0.5, 0.5, 0.0]), 1)
+    assert found == fit_hyper(z, c, share, 1)
+    assert found != Hyper((0.7, 0.7), 1e-5, 1)

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from core.archive import Archive, Input, Mesh, Quantity, Run
 from core.errors import ModelError
-from core.surrogate.targets import FLOOR, forms_of, invert, mean_ceeq, targets_of
+from core.surrogate.fitting import hyper_of, reduced
+from core.surrogate.targets import FLOOR, Target, forms_of, invert, mean_ceeq, targets_of
 
 Array = NDArray[np.float64]
 TIME_H = np.array([0.0, 10.0, 1000.0, 8000.0])
@@ -16,8 +17,11 @@ FIELD = Quantity("q", "1", "field")
 MESH = Mesh("two", np.zeros((2, 3)), np.zeros((1, 8), int), np.zeros((2, 3)), {"tip": 1})
 
 
-def small(path: Path, ceeq: Array, quantities: tuple[Quantity, ...]) -> Archive:
-    """One run per row of ceeq (n, T, 2); u = (3, 0, 5 + 40 mean CEEQ) at both nodes."""
+def small(path: Path, ceeq: Array, quantities: tuple[Quantity, ...], **given: Array) -> Archive:
+    """One run per row of ceeq (n, T, 2); u = (3, 0, 5 + 40 mean CEEQ) at both nodes.
+
+    given   values (n, …) of a quantity in place of these
+    """
     made = Archive.create(
         path,
         inputs=[Input("a", 0.0, 1.0)],
@@ -32,6 +36,7 @@ def small(path: Path, ceeq: Array, quantities: tuple[Quantity, ...]) -> Archive:
         displacement = np.tile([3.0, 0.0, 5.0], (4, 2, 1))
         displacement[:, :, 2] += 40 * mean[:, None]
         values = {"ceeq": field, "displacement": displacement, "elongation": 40 * mean}
+        values |= {name: rows[k] for name, rows in given.items()}
         kept = {q.name: values[q.name] for q in quantities}
         made.write(k, Run({"a": k / len(ceeq)}, kept))
     return made
@@ -50,6 +55,50 @@ def test_growing_positive_and_signed_quantities_get_their_forms() -> None:
     assert forms_of(growing - 0.1, FIELD) == ("raw",)
     assert forms_of(growing, LONGER) == ("log rate", "raw")
     assert forms_of(growing, MOVED) == ("raw",)
+
+
+def test_rounding_beside_nothing_is_nothing() -> None:
+    """Values that a program carried to the nodes: a little below 0, and not quite 0 at first."""
+    growing = 1e-3 * np.abs(np.random.default_rng(1).random((2, 4, 3)))
+    growing[:, 0] = 1e-10
+    growing[0, 1, 2] = -2e-10
+    assert forms_of(growing, FIELD) == ("log rate",)
+    growing[0, 1, 2] = -2e-5
+    assert forms_of(growing, FIELD) == ("raw",)
+
+
+def test_a_curve_of_creep_strain_is_no_field_that_the_rest_goes_with(tmp_path: Path) -> None:
+    ceeq = np.cumsum(np.full((3, 4, 2), 1e-3), axis=1)
+    ceeq[:, 0] = 0
+    curve = Quantity("ceeq", "1", "scalar")
+    archive = small(tmp_path, ceeq, (curve, LONGER), ceeq=ceeq.mean(axis=2))
+    found = {t[0].name: t[0].form for t in targets_of(archive, range(3))}
+    assert found == {"ceeq": "log rate", "elongation": "log rate"}
+
+
+def test_an_elongation_with_elastic_stretch_in_it_is_learnt_by_itself(tmp_path: Path) -> None:
+    ceeq = np.cumsum(np.full((3, 4, 2), 1e-3), axis=1)
+    ceeq[:, 0] = 0
+    stretched = 40 * ceeq.mean(axis=2) + 0.5
+    archive = small(tmp_path, ceeq, (CEEQ, LONGER), elongation=stretched)
+    found = {t[0].name: t[0] for t in targets_of(archive, range(3))}
+    assert found["elongation"].form == "log"
+    back = invert("log", found["elongation"].values, TIME_H)
+    np.testing.assert_allclose(back[:, :, 0], stretched)
+
+
+def test_a_part_that_is_the_same_in_every_run_does_not_disturb_the_others() -> None:
+    rng = np.random.default_rng(4)
+    z = rng.uniform(-1, 1, (24, 2))
+    shape = np.array([1.0, 2.0, 0.5])
+    moved = (np.sin(2 * z[:, 0]) + 0.3 * z[:, 1])[:, None, None] * TIME_H[None, :, None] * shape
+    still = np.tile(np.array([3.0, 0.0, 5.0]), (24, 4, 1))
+    alone = {"moved": reduced(Target("moved", "raw", TIME_H, moved), 1)}
+    for rest in (still, still * (1 + 1e-8 * rng.normal(size=still.shape))):
+        both = alone | {"still": reduced(Target("still", "raw", TIME_H, rest), 1)}
+        found, plain = hyper_of(z, both), hyper_of(z, alone)
+        assert found.trend == plain.trend
+        np.testing.assert_allclose(found.lengths, plain.lengths, rtol=1e-3)
 
 
 def test_targets_lead_back_to_the_quantities(tmp_path: Path) -> None:
