@@ -274,5 +274,6 @@ class _Walk:
             change = y1 - np.where(begun > 0, y0, 0.0)
             k, strain = what.scales(after) * np.abs(change), y1
         doubt = now.doubt + np.abs(k) * np.sqrt(v)[:, None]
-        doubt = doubt + EXTRAPOLATED * np.abs(change) * (after > memory.last)
+        beyond = np.clip((np.exp(after) - np.exp(memory.last)) / hours, 0.0, 1.0)
+        doubt = doubt + EXTRAPOLATED * np.abs(change) * beyond
         return _Memory(mean_ceeq, strain, now.total + change, doubt)

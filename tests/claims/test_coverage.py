@@ -22,7 +22,8 @@ KEPT = [
 ]
 # studies that missed .68 ± .05 or .95 ± .03, kept as they came out: of two shared parameters at a
 # standard error of .031 one is missed by chance one time in four, both one in fifty (beside
-# fourteen finite-element truths the noise has .919 ± .023, T1T .738 ± .057); ranks are inside their bands
+# fourteen finite-element truths the noise has .919 ± .023, T1T .738 ± .057); ranks are inside
+# their bands
 MISSED = {("rotor-100", 200, 7), ("fe", 210, 11), ("fe-nu-six-outages", 210, 12)}
 # forty claims and twenty bands of one study; each half of its rotors misses others
 AMONG_MANY = {

@@ -18,7 +18,10 @@ from service.sampling import Served
 
 Answer = Callable[[httpx.Request], httpx.Response]
 URL = "http://twin"
-SLOWER = httpx.Response(429, headers={"Retry-After": "2"}, json={"detail": "too many"})
+
+
+def slower() -> httpx.Response:
+    return httpx.Response(429, headers={"Retry-After": "2"}, json={"detail": "too many"})
 
 
 def client(answer: Answer) -> Client:
@@ -57,7 +60,7 @@ def busy(times: int, asked: list[str]) -> Answer:
 
     def answer(request: httpx.Request) -> httpx.Response:
         asked.append(request.method)
-        return SLOWER if len(asked) <= times else httpx.Response(200, json={"id": "r1"})
+        return slower() if len(asked) <= times else httpx.Response(200, json={"id": "r1"})
 
     return answer
 

@@ -17,8 +17,8 @@ FIELD = Quantity("q", "1", "field")
 MESH = Mesh("two", np.zeros((2, 3)), np.zeros((1, 8), int), np.zeros((2, 3)), {"tip": 1})
 
 
-def small(path: Path, ceeq: Array, quantities: tuple[Quantity, ...], **given: Array) -> Archive:
-    """One run per row of ceeq (n, T, 2); u = (3, 0, 5 + 40 mean CEEQ) at both nodes.
+def small(path: Path, field: Array, quantities: tuple[Quantity, ...], **given: Array) -> Archive:
+    """One run per row of the field of CEEQ (n, T, 2); u = (3, 0, 5 + 40 mean CEEQ) at both nodes.
 
     given   values (n, …) of a quantity in place of these
     """
@@ -31,14 +31,14 @@ def small(path: Path, ceeq: Array, quantities: tuple[Quantity, ...], **given: Ar
         command="",
         quantities=quantities,
     )
-    for k, field in enumerate(ceeq):
-        mean = field.mean(axis=1)
+    for k, ceeq in enumerate(field):
+        mean = ceeq.mean(axis=1)
         displacement = np.tile([3.0, 0.0, 5.0], (4, 2, 1))
         displacement[:, :, 2] += 40 * mean[:, None]
-        values = {"ceeq": field, "displacement": displacement, "elongation": 40 * mean}
+        values = {"ceeq": ceeq, "displacement": displacement, "elongation": 40 * mean}
         values |= {name: rows[k] for name, rows in given.items()}
         kept = {q.name: values[q.name] for q in quantities}
-        made.write(k, Run({"a": k / len(ceeq)}, kept))
+        made.write(k, Run({"a": k / len(field)}, kept))
     return made
 
 
