@@ -11,6 +11,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, cast
 
 from service import tracing
+from service.arenas import share_arenas
 from service.errors import KeysMissingError, SchemaError
 from service.handlers.keys import list_keys
 from service.handlers.models import register_builtins
@@ -141,6 +142,7 @@ def serve(settings: Settings) -> None:
     """API and workers until SIGTERM or SIGINT; returns when all have ended."""
     from service.api.server import server as make_server
 
+    share_arenas()
     configure_logs(settings.log_level)
     tracing.begin(settings, "api", owner_name())
     store = make_store(settings)
@@ -190,6 +192,7 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
     others go first."""
     if with_parent:
         end_with_parent()
+    share_arenas()
     configure_logs(settings.log_level)
     owner = owner or owner_name()
     tracing.begin(settings, role, owner)

@@ -2,7 +2,8 @@
 
 SQLite runs in WAL mode with a busy timeout of 30 s and full synchronisation; a transaction that
 writes begins with ``BEGIN IMMEDIATE``, so that two writers queue instead of failing half-way.
-Of the pool's connections those used last are used next, so that few of them fill their caches.
+Of the pool's connections those used last are used next, so that few of them fill their caches, and
+of SQLite's `KEPT` stay open.
 PostgreSQL runs READ COMMITTED; rows are locked by name where order matters, and a transaction whose
 process says nothing for `SILENT_S` is ended by the server: a frozen process does not hold its locks
 for ever. (Not so right after an `executemany`, which psycopg sends as a pipeline: its last message
@@ -42,6 +43,7 @@ LIMITS = {
     "tcp_user_timeout": "30000",
 }
 PAGES = "cache_size=-4000"  # KiB of a connection: emptied by every write of another one
+KEPT = 8  # SQLite's connections that stay open; a burst opens more, for as long as it lasts
 _WRITERS: WeakKeyDictionary[Pool, RLock] = WeakKeyDictionary()
 
 
@@ -95,8 +97,8 @@ def open_engine(url: str) -> Engine:
     engine = create_engine(
         parsed.set(drivername="sqlite+pysqlite"),
         connect_args={"isolation_level": None, "timeout": BUSY_S, "check_same_thread": False},
-        pool_size=20,
-        max_overflow=40,
+        pool_size=KEPT,
+        max_overflow=60 - KEPT,
         pool_use_lifo=True,
         hide_parameters=True,
     )

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import gc
+import platform
+import subprocess
+import sys
 import weakref
 from collections.abc import Iterator
 
@@ -38,3 +41,33 @@ def test_cycles_that_come_later_still_go(collector: None) -> None:
     del one, two
     gc.collect()
     assert seen() is None
+
+
+def test_threads_share_two_arenas() -> None:
+    """In a process of its own: 32 threads that allocate hold so many heaps of glibc's."""
+    if platform.libc_ver()[0] != "glibc":
+        pytest.skip("not glibc")
+    code = (
+        "import ctypes, sys, threading\n"
+        "from service.arenas import share_arenas\n"
+        "if sys.argv[1] == 'shared': assert share_arenas()\n"
+        "libc = ctypes.CDLL(None)\n"
+        "barrier = threading.Barrier(32)\n"
+        "def work():\n"
+        "    barrier.wait()\n"
+        "    kept = [bytearray(5000) for _ in range(200)]\n"
+        "    barrier.wait()\n"
+        "threads = [threading.Thread(target=work) for _ in range(32)]\n"
+        "[one.start() for one in threads]\n"
+        "[one.join() for one in threads]\n"
+        "libc.malloc_stats()\n"
+    )
+
+    def arenas(how: str) -> int:
+        done = subprocess.run(
+            [sys.executable, "-c", code, how], capture_output=True, text=True, check=True
+        )
+        return done.stderr.count("Arena ")
+
+    assert arenas("shared") <= 2
+    assert arenas("own") > 2, "the control"
