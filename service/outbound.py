@@ -126,6 +126,26 @@ def resolve(host: str, port: int) -> list[Address]:
     return [ipaddress.ip_address(str(one[4][0]).partition("%")[0]) for one in found]
 
 
+def looked_up(host: str, port: int, seconds: float) -> list[Address]:
+    """`resolve`, and SendError where it takes longer: the system's lookup has no limit of ours."""
+    found: list[list[Address] | SendError] = []
+
+    def look() -> None:
+        try:
+            found.append(resolve(host, port))
+        except SendError as error:
+            found.append(error)
+
+    looking = threading.Thread(target=look, name="lookup", daemon=True)
+    looking.start()
+    looking.join(max(0.0, seconds))
+    if not found:
+        raise SendError(f"{host} has no address within {seconds:.3g} s")
+    if isinstance(found[0], SendError):
+        raise found[0]
+    return found[0]
+
+
 @lru_cache(maxsize=1)
 def _tls() -> ssl.SSLContext:
     return ssl.create_default_context()
@@ -174,7 +194,7 @@ def post(
     end = time.monotonic() + timeout_s
     try:
         target = target_of(url, allowed)
-        addresses = resolve(target.host, target.port)
+        addresses = looked_up(target.host, target.port, end - time.monotonic())
         for address in addresses:
             judge(target, address, allowed)
     except InputError as error:

@@ -63,6 +63,8 @@ KINDS: dict[Role, tuple[Kind, ...]] = {
 }
 FOREVER = 1e12  # s
 AHEAD = 10.0
+SLACK_S = 60.0  # that clocks of machines may differ by
+LONGEST_S = 3600.0  # of a pause, where nobody says otherwise
 
 
 def pending() -> ColumnElement[bool]:
@@ -90,6 +92,11 @@ def passed(since: ColumnElement[float], seconds: float) -> ColumnElement[bool]:
 def over(until: ColumnElement[float], lease_s: float) -> ColumnElement[bool]:
     """A lease has run out, or is longer than one that is given now."""
     return or_(until <= now_s(), until > now_s() + AHEAD * lease_s)
+
+
+def rested(until: ColumnElement[float], longest_s: float) -> ColumnElement[bool]:
+    """A pause is over, or is longer than any that is given now: it is from another clock."""
+    return or_(until.is_(None), until <= now_s(), until > now_s() + longest_s + SLACK_S)
 
 
 def unheld(lease_s: float) -> ColumnElement[bool]:

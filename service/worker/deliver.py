@@ -33,7 +33,7 @@ from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.store.webhooks import delivery_of, prune, webhook_of
-from service.worker.claiming import over
+from service.worker.claiming import LONGEST_S, over, rested
 from service.worker.heartbeat import heartbeats
 from service.worker.wake import open_wake
 
@@ -55,7 +55,7 @@ class HookLease:
     owner: str
 
 
-def due() -> ColumnElement[bool]:
+def due(longest_s: float = LONGEST_S) -> ColumnElement[bool]:
     """A delivery that may be sent now: pending, rested, and nothing of its rotor before it."""
     earlier = t.delivery.alias("earlier")
     first = ~exists().where(
@@ -64,8 +64,7 @@ def due() -> ColumnElement[bool]:
         earlier.c.status == "pending",
         earlier.c.id < d.id,
     )
-    rested = or_(d.not_before.is_(None), d.not_before <= now_s())
-    return and_(d.status == "pending", rested, first)
+    return and_(d.status == "pending", rested(d.not_before, longest_s), first)
 
 
 def holds(lease: HookLease) -> ColumnElement[bool]:
@@ -74,10 +73,12 @@ def holds(lease: HookLease) -> ColumnElement[bool]:
     return and_(w.id == lease.webhook.id, w.fence == lease.fence, same)
 
 
-def claim_webhook(engine: Engine, owner: str, lease_s: float) -> HookLease | None:
+def claim_webhook(
+    engine: Engine, owner: str, lease_s: float, longest_s: float = LONGEST_S
+) -> HookLease | None:
     """Take the webhook that was served longest ago and has something to be sent; None: nothing."""
     free = or_(w.lease_until.is_(None), over(w.lease_until, lease_s))
-    work = exists().where(d.webhook_id == w.id, due())
+    work = exists().where(d.webhook_id == w.id, due(longest_s))
     first = select(w.id).where(free, work).order_by(w.served_at.nulls_first(), w.id).limit(1)
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
@@ -114,7 +115,8 @@ class Deliverer:
     def run_once(self) -> bool:
         """Serve one webhook; False: there was nothing to be sent."""
         lease_s = self.settings.lease_s
-        lease = claim_webhook(self.engine, self.owner, lease_s)
+        longest_s = self.settings.webhook_retry_max_s
+        lease = claim_webhook(self.engine, self.owner, lease_s, longest_s)
         if lease is None:
             return False
         try:
@@ -129,7 +131,8 @@ class Deliverer:
         for _ in range(MOST):
             if self._stop.is_set():
                 return
-            query = select(t.delivery).where(d.webhook_id == lease.webhook.id, due())
+            now = due(self.settings.webhook_retry_max_s)
+            query = select(t.delivery).where(d.webhook_id == lease.webhook.id, now)
             with transaction(self.engine, write=False) as connection:
                 row = connection.execute(query.order_by(d.id).limit(1)).mappings().first()
             if row is None:

@@ -20,7 +20,7 @@ from service.ports import Json
 from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.worker import claiming
-from service.worker.claiming import Role, over
+from service.worker.claiming import LONGEST_S, Role, over, rested
 
 c = t.job.c
 LONG = (DIAGNOSE, TRAIN)
@@ -56,17 +56,21 @@ def runs() -> ColumnElement[bool]:
 
 
 @lru_cache(maxsize=32)
-def _oldest(lease_s: float, role: Role, conditions: tuple[object, ...]) -> Select[str]:
+def _oldest(
+    lease_s: float, role: Role, longest_s: float, conditions: tuple[object, ...]
+) -> Select[str]:
     """The job that waits longest, built once (as `service.worker.claiming` does)."""
     free = or_(c.lease_until.is_(None), over(c.lease_until, lease_s))
-    rested = or_(c.not_before.is_(None), c.not_before <= now_s())
-    first = select(c.id).where(c.status.in_(("queued", "running")), takes(role), free, rested)
+    now = rested(c.not_before, longest_s)
+    first = select(c.id).where(c.status.in_(("queued", "running")), takes(role), free, now)
     return first.order_by(c.created_at).limit(1)
 
 
-def claim_job(engine: Engine, owner: str, lease_s: float, role: Role = "all") -> JobLease | None:
+def claim_job(
+    engine: Engine, owner: str, lease_s: float, role: Role = "all", longest_s: float = LONGEST_S
+) -> JobLease | None:
     """Take the oldest job of the role's kinds that nobody alive holds."""
-    first = _oldest(lease_s, role, (takes, over, claiming.AHEAD))
+    first = _oldest(lease_s, role, longest_s, (takes, over, claiming.AHEAD))
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
             return None

@@ -62,7 +62,13 @@ class Jobs:
 
     def run_once(self) -> bool:
         """Claim a job and finish it; False: there was none."""
-        lease = claim_job(self.store.engine, self.owner, self.settings.lease_s, self.role)
+        lease = claim_job(
+            self.store.engine,
+            self.owner,
+            self.settings.lease_s,
+            self.role,
+            self.settings.retry_max_s,
+        )
         if lease is None:
             return False
         with tracing.span(

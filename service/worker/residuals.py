@@ -28,7 +28,7 @@ from service.store.engine import now_s, transaction
 from service.store.log import lock_rotor, read_entries
 from service.store.outbox import post
 from service.store.unit_of_work import SqlStore
-from service.worker.claiming import over
+from service.worker.claiming import LONGEST_S, over, rested
 from service.worker.diagnosing import MOST_PARTICLES, plain
 from service.worker.heartbeat import heartbeats
 from service.worker.jobs import StoppedError
@@ -58,11 +58,13 @@ def owned(owner: str) -> ColumnElement[bool]:
     return r.owner == owner
 
 
-def claim_residuals(engine: Engine, owner: str, lease_s: float) -> Claim | None:
+def claim_residuals(
+    engine: Engine, owner: str, lease_s: float, longest_s: float = LONGEST_S
+) -> Claim | None:
     """The rotor whose residuals are oldest behind a sealed version, and held by nobody alive."""
     free = or_(r.lease_until.is_(None), over(r.lease_until, lease_s))
-    rested = or_(r.not_before.is_(None), r.not_before <= now_s())
-    behind = or_(r.rotor_id.is_(None), (r.version < c.version) & free & rested)
+    now = rested(r.not_before, longest_s)
+    behind = or_(r.rotor_id.is_(None), (r.version < c.version) & free & now)
     sealed = (
         c.provisional_since.is_(None) & (c.applied_seq > 0) & (c.applied_seq >= t.rotor.c.head_seq)
     )
@@ -121,7 +123,9 @@ class Residuals:
 
     def run_once(self) -> bool:
         """Claim a rotor and compute its residuals; False: none is behind."""
-        claim = claim_residuals(self.store.engine, self.owner, self.settings.lease_s)
+        claim = claim_residuals(
+            self.store.engine, self.owner, self.settings.lease_s, self.settings.retry_max_s
+        )
         if claim is None:
             return False
         try:

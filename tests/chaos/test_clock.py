@@ -6,14 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from sqlalchemy import true
+from sqlalchemy import true, update
 
 from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.errors import LostLeaseError
 from service.handlers.webhooks import create_webhook
 from service.settings import Settings
-from service.store.engine import transaction
+from service.store import tables as t
+from service.store.engine import now_s, transaction
 from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.check import check
@@ -75,6 +76,40 @@ def test_a_dead_workers_webhook_is_taken_over_though_the_clock_was_set_back(
     assert claim_webhook(engine, "other", LEASE_S) is None
     clock.ahead = -HOUR
     assert claim_webhook(engine, "other", LEASE_S) is not None
+
+
+@pytest.mark.parametrize(("ahead_s", "sent"), [(100.0, False), (12 * HOUR, True)])
+def test_a_pause_from_a_clock_that_was_ahead_does_not_keep_a_message(
+    store: SqlStore, rotor: str, tmp_path: Path, ahead_s: float, sent: bool
+) -> None:
+    """No pause that is given now is so long; a shorter one holds."""
+    key = tmp_path / "key"
+    key.write_text("7d" * 32)
+    url = "http://127.0.0.1:9/"
+    create_webhook(store, str(key), "127.0.0.0/8", "ops", url=url, events=None, rotors=None)
+    with transaction(store.engine, write=True) as connection:
+        note(connection, rotor, "blocked", {"error": "e", "event": None})
+        connection.execute(update(t.delivery).values(not_before=now_s() + ahead_s))
+    assert (claim_webhook(store.engine, "any", LEASE_S) is not None) is sent
+
+
+@pytest.mark.parametrize(("ahead_s", "taken"), [(100.0, False), (12 * HOUR, True)])
+def test_a_pause_from_a_clock_that_was_ahead_does_not_keep_a_job_or_residuals(
+    store: SqlStore, twin: Worker, rotor: str, reading: Make, post: Post, ahead_s: float,
+    taken: bool,
+) -> None:  # fmt: skip
+    with store.write() as tx:
+        tx.records.put_job("j1", "diagnose", {})
+        tx.connection.execute(update(t.job).values(not_before=now_s() + ahead_s))
+    assert (claim_job(store.engine, "any", LEASE_S, "diagnose", 60.0) is not None) is taken
+    post(rotor, reading("a"))
+    twin.drain()
+    claim = claim_residuals(store.engine, "first", LEASE_S)
+    assert claim is not None
+    with transaction(store.engine, write=True) as connection:
+        values = {"not_before": now_s() + ahead_s, "lease_until": None, "owner": None}
+        connection.execute(update(t.residual).values(**values))
+    assert (claim_residuals(store.engine, "any", LEASE_S, 60.0) is not None) is taken
 
 
 def test_a_dead_workers_residuals_are_taken_over_though_the_clock_was_set_back(

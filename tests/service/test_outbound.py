@@ -7,6 +7,8 @@ import shutil
 import socket
 import ssl
 import subprocess
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -197,3 +199,20 @@ def test_a_name_without_an_address_is_told(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(outbound.socket, "getaddrinfo", nothing)
     with pytest.raises(SendError, match=r"plant\.example has no address"):
         send("https://plant.example/x")
+
+
+def test_a_name_that_is_looked_up_for_long_takes_no_longer_than_a_message_may(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done = threading.Event()
+
+    def slow(*words: Any, **given: Any) -> Any:
+        done.wait(30)
+        return []
+
+    monkeypatch.setattr(outbound.socket, "getaddrinfo", slow)
+    begun = time.monotonic()
+    with pytest.raises(SendError, match=r"plant\.example has no address within 0\.2 s"):
+        outbound.post("https://plant.example/x", {}, b"", timeout_s=0.2, allowed=())
+    assert time.monotonic() - begun < 10
+    done.set()
