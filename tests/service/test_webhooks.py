@@ -465,7 +465,7 @@ def test_without_heads_a_refused_one_would_be_overtaken(
     sender(store, pausing).drain()
     assert [error for _, error in told(receiver)] == ["e0"], "e1 waits for it"
 
-    def anything() -> Any:
+    def anything(longest_s: float = 0.0) -> Any:
         rested = t.delivery.c.not_before.is_(None)
         return (t.delivery.c.status == "pending") & rested
 
