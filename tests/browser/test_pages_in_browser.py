@@ -431,6 +431,81 @@ def test_a_service_that_is_away_is_told_and_the_page_comes_back(watched: Watched
     expect(page.get_by_role("columnheader", name="Margin")).to_be_visible()
 
 
+def test_a_page_whose_first_drawing_fails_is_drawn_when_the_service_answers(
+    watched: Watched,
+) -> None:
+    """Blades, rotors and fields build their places once, before anything is there to show."""
+    for path in ("/rotors/r1/blades/B1", "/rotors/r1", "/rotors/r1/residuals"):
+        page = watched.page
+        page.route("**/v1/**", lambda route: route.abort())
+        watched.open(path, state="failed")
+        expect(page.locator("#notice")).to_contain_text("The service is away.")
+        expect(page.locator("#live")).to_have_text("away")
+        assert not page.locator("#page").is_visible()
+        page.unroute("**/v1/**")
+        page.wait_for_selector("body[data-state=ready]", state="attached")
+        expect(page.locator("#page")).to_be_visible()
+        expect(page.locator("#page").locator("h2, p").first).to_be_visible()
+        expect(page.locator("#live")).not_to_have_text("away")
+    watched.open("/rotors/r1/blades/B1")
+    assert page.locator("canvas").first.is_visible()
+
+
+def test_a_table_outlives_the_column_that_it_is_sorted_by(watched: Watched) -> None:
+    page = watched.open("/rotors/r1")
+    limit = page.get_by_role("spinbutton", name="Limit")
+    limit.fill("0.4")
+    limit.press("Enter")
+    table = page.get_by_role("region", name="Blades")
+    table.get_by_role("button", name="Margin").click()
+    expect(table.locator("th[aria-sort=ascending]")).to_have_text(re.compile("Margin"))
+    limit.fill("")
+    limit.press("Enter")
+    expect(page.get_by_role("columnheader", name="Margin")).to_have_count(0)
+    expect(table.locator("th[aria-sort=ascending]")).to_have_text(re.compile("Blade"))
+    table.get_by_role("button", name="Received").click()
+    limit.fill("0.4")
+    limit.press("Enter")
+    expect(page.get_by_role("columnheader", name="Margin")).to_be_visible()
+    expect(table.locator("th[aria-sort=ascending]")).to_have_text(re.compile("Received"))
+    assert watched.errors == []
+
+
+SEEN = """hidden => {
+    Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
+    document.dispatchEvent(new Event("visibilitychange"));
+}"""
+
+
+def test_a_page_that_nobody_looks_at_lets_its_stream_go(watched: Watched) -> None:
+    """A browser has six connections to a server: six such pages would keep out a seventh."""
+    page = watched.open("/rotors/r1")
+    expect(page.locator("#live")).to_have_text("live")
+    ended: list[str] = []
+    page.on("requestfailed", lambda request: ended.append(request.url))
+    page.evaluate(SEEN, True)
+    expect(page.locator("#live")).to_have_text("not live: connecting")
+    assert any(url.endswith("/v1/rotors/r1/events") for url in ended)
+    page.wait_for_timeout(1500)
+    expect(page.locator("#live")).to_have_text("not live: connecting")
+    page.evaluate(SEEN, False)
+    expect(page.locator("#live")).to_have_text("live")
+
+
+def test_scales_of_next_to_nothing_have_ticks_and_an_end(watched: Watched) -> None:
+    page = watched.open("/rotors/r1")
+    told = page.evaluate(
+        """async () => {
+            const { span, ticks } = await import("/assets/scale.js");
+            const next = [600, 600.0000000000001];
+            return [ticks(next).length, ticks(span(next)).length, ticks([0, 1e-13]).length,
+                    ticks([0, 50000]).length];
+        }"""
+    )
+    assert told[0] <= 100
+    assert all(3 <= count <= 11 for count in told[1:])
+
+
 def test_what_is_not_there_is_told_and_draws_nothing(watched: Watched) -> None:
     for path in ("/rotors/none", "/rotors/r1/blades/none", "/models/none"):
         page = watched.open(path, state="failed")
