@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -88,9 +89,12 @@ def test_a_service_that_stays_busy_is_told_of(monkeypatch: pytest.MonkeyPatch) -
 def test_the_awaited_client_waits_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     pauses: list[float] = []
-    real = asyncio.sleep
+    real, here = asyncio.sleep, threading.current_thread()
 
     async def sleep(seconds: float) -> None:
+        if threading.current_thread() is not here:  # another server of these tests
+            await real(seconds)
+            return
         pauses.append(seconds)
         await real(0)
 
