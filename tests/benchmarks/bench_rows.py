@@ -87,12 +87,12 @@ def main() -> None:
         engine = filled(folder)
         cases = [(threads, computing) for computing in (0, 1) for threads in (1, 8, 32)]
         heads = [f"{n} thread(s){' + 1 computing' if c else ''}" for n, c in cases]
-        print(f"{'':26}" + "".join(f"{head:>24}" for head in heads))
+        print(f"{'':26}" + "".join(f"{head:>28}" for head in heads))
         for name, ask in WAYS.items():
             for interval in (0.005, SWITCH_S):
                 sys.setswitchinterval(interval)
                 told = [measured(engine, ask, n, c, seconds) for n, c in cases]
-                print(f"{name + f', {1e3 * interval:g} ms':26}" + "".join(f"{x:>24}" for x in told))
+                print(f"{name + f', {1e3 * interval:g} ms':26}" + "".join(f"{x:>28}" for x in told))
         engine.dispose()
 
 
