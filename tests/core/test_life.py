@@ -50,17 +50,22 @@ def of(rates: Array, limit: float, model: Model | None = None) -> Life:
     return life(model or growing(), belief(rates), "y", limit, HOURS)
 
 
-def test_quantiles_are_those_of_the_particles_own_hours() -> None:
-    """Each rate has its hour, (limit / rate)^1.25 · 10,000; a skewed belief of 3,000 rates."""
-    rates = np.exp(0.5 * ndtri((np.arange(3000) + 0.5) / 3000))
-    own = 1e4 * (1.5 / rates) ** 1.25
-    found = of(rates, 1.5)
+def assert_quantiles(found: Life, own: Array) -> None:
+    """Those of the particles' own hours; none beyond the horizon."""
     for p, hour in found.quantiles.items():
         exact = float(np.quantile(own, p))
         if exact > HORIZON:
             assert hour is None
         else:
             assert hour == pytest.approx(exact, rel=3e-3)
+
+
+def test_quantiles_are_those_of_the_particles_own_hours() -> None:
+    """Each rate has its hour, (limit / rate)^1.25 · 10,000; a skewed belief of 3,000 rates."""
+    rates = np.exp(0.5 * ndtri((np.arange(3000) + 0.5) / 3000))
+    own = 1e4 * (1.5 / rates) ** 1.25
+    found = of(rates, 1.5)
+    assert_quantiles(found, own)
     assert found.quantiles[0.975] is None
     assert found.quantiles[0.84] is not None
     assert found.passed[-1] == pytest.approx(np.mean(own <= HORIZON), abs=1e-3)
@@ -127,12 +132,7 @@ def test_a_quantity_that_falls_passes_its_limit_from_above() -> None:
     rates = np.exp(0.5 * ndtri((np.arange(3000) + 0.5) / 3000))
     own = 1e4 * (30.0 - 27.0) / rates
     found = falling(rates, 27.0)
-    for p, hour in found.quantiles.items():
-        exact = float(np.quantile(own, p))
-        if exact > HORIZON:
-            assert hour is None
-        else:
-            assert hour == pytest.approx(exact, rel=3e-3)
+    assert_quantiles(found, own)
     assert found.quantiles[0.5] is not None
     assert found.passed[0] == 0.0
     assert set(falling(np.ones(50), 31.0).quantiles.values()) == {None}, "it never rises to it"
