@@ -80,6 +80,9 @@ class SqlRecords:
         else:
             asked = {"model": model_id, "version": version}
             text = self._connection.execute(_VERSION, asked).scalar()
+        if text is None and version is not None:
+            remedy = f"GET /v1/models/{model_id} is the newest one, or GET /v1/models lists all"
+            raise NotFoundError(f"model {model_id} of version", version, remedy)
         if text is None:
             raise NotFoundError("model", model_id, "GET /v1/models lists those that exist")
         return _card(text)

@@ -177,3 +177,13 @@ def test_a_run_that_takes_too_long_is_not_begun_again(error: Exception, times: i
     with pytest.raises(ModelError):
         served(np.array([1.0]))
     assert len(evaluated) == times
+
+
+def test_a_version_of_a_model_is_given_by_its_name(api: httpx.Client, rotor: str) -> None:
+    """The one that a rotor has, though a newer one may be there."""
+    now = api.get("/v1/rotors/r1").json()
+    twin = Client(http=api)
+    assert twin.model(now["model"], now["model_version"])["version"] == now["model_version"]
+    with pytest.raises(ProblemError, match=r"model rotor-blade of version 'none'") as found:
+        twin.model("rotor-blade", "none")
+    assert found.value.status == 404
