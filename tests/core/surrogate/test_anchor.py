@@ -166,3 +166,16 @@ def test_an_anchor_that_does_not_fit_is_refused() -> None:
     with pytest.raises(InputError, match="fine surrogate's runs"):
         Driven(WIDE, (WEAR,), wider, FIXED, ANCHOR)
     assert rotor_blade_network().parameter("t1t_rate").prior.low >= 0.8
+
+
+def test_a_correction_that_has_nothing_to_do_with_the_place_adds_its_own_error() -> None:
+    """Where v(0) > 2 c the variance of E_D / E_0 is above that of E_D alone: it is not capped."""
+    rng, wide = np.random.default_rng(3), BIASED
+    start = wide.low + rng.random((400, len(wide.low))) * (wide.high - wide.low)
+    middle = wide.low + rng.random((400, 1, len(wide.low))) * (wide.high - wide.low)
+    assert ANCHOR is not None
+    share = ANCHOR._share(wide, start, middle)[:, 0]
+    v, v0, c = wide.process.covariance(wide.scaled(middle[:, 0]), wide.scaled(start))
+    np.testing.assert_allclose(share**2, (v + v0 - 2 * c) / v, rtol=1e-9)
+    assert np.mean(share > 1) > 0.5
+    np.testing.assert_allclose(ANCHOR._share(wide, start, start[:, None]), 0.0, atol=1e-5)

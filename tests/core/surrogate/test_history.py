@@ -169,3 +169,20 @@ def test_a_quantity_that_does_not_grow_with_creep_is_refused_with_its_name(form:
     with pytest.raises(InputError, match=f"elongation.*learnt as '{form}'"):
         Followed.of(other, "elongation", None)
     Followed.of(other, "ceeq", [CRITICAL])
+
+
+def test_beyond_the_runs_the_doubt_grows_with_what_grows_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Up to the last instant nothing of it; beyond, its share of what grew there."""
+    horizon = float(TIMES[-1])
+    edges, held = np.array([0.0, horizon, 1.5 * horizon]), np.repeat(X[:, None], 2, axis=1)
+    mean, sd = follow(edges, held, "elongation")
+    monkeypatch.setattr(history, "EXTRAPOLATED", 0.0)
+    plain, before = follow(edges, held, "elongation")
+    np.testing.assert_array_equal(mean, plain)
+    np.testing.assert_allclose(sd[:, 0], before[:, 0], rtol=1e-9)
+    grown = mean[:, 1] - mean[:, 0]
+    rest = np.sqrt(sd[:, 1] ** 2 - before[:, 1] ** 2)
+    assert np.all(rest > 0.012 * grown)
+    assert np.all(sd[:, 1] < before[:, 1] + 1.01 * 0.012 * grown)
