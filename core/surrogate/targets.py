@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,17 +128,3 @@ def invert(form: Form, g: Array, time_h: Array, ceeq: Array | None = None) -> Ar
         return np.asarray(np.exp(g) * time_h[:, None])
     assert ceeq is not None
     return g * ceeq[:, :, None]
-
-
-def part_names(quantity: str) -> tuple[str, ...]:
-    """The parts a quantity is put together from.
-
-    >>> part_names("deformation")
-    ('mean_ceeq', 'deformation')
-    """
-    table: dict[str, Any] = {
-        "displacement": (MEAN_CEEQ, ELASTIC, DEFORMATION),
-        DEFORMATION: (MEAN_CEEQ, DEFORMATION),
-        "elongation": (MEAN_CEEQ, "elongation"),
-    }
-    return tuple(table.get(quantity, (quantity,)))

@@ -8,11 +8,9 @@ const AWAY = "away";
 const AGAIN_MS = 30_000;
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
-/** Until the page is looked at. */
-const seen = () =>
-  document.hidden
-    ? new Promise((done) => document.addEventListener("visibilitychange", done, { once: true }))
-    : null;
+/** Until the page is hidden or shown. */
+const turned = () =>
+  new Promise((done) => document.addEventListener("visibilitychange", done, { once: true }));
 
 /** The state of the page's connection, in the top bar. */
 export function told(text) {
@@ -67,7 +65,7 @@ export async function follow(rotor, news) {
     known = now ?? known;
   }, AGAIN_MS);
   for (;;) {
-    while (document.hidden) await seen();
+    while (document.hidden) await turned();
     const stop = new AbortController();
     const hide = () => document.hidden && stop.abort();
     document.addEventListener("visibilitychange", hide);
