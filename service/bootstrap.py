@@ -11,7 +11,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, cast
 
 from service import tracing
-from service.arenas import share_arenas
+from service.arenas import give_back, share_arenas
 from service.errors import KeysMissingError, SchemaError
 from service.handlers.keys import list_keys
 from service.handlers.models import register_builtins
@@ -143,6 +143,7 @@ def serve(settings: Settings) -> None:
     from service.api.server import server as make_server
 
     share_arenas()
+    give_back()
     configure_logs(settings.log_level)
     tracing.begin(settings, "api", owner_name())
     store = make_store(settings)
@@ -193,6 +194,7 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
     if with_parent:
         end_with_parent()
     share_arenas()
+    give_back()
     configure_logs(settings.log_level)
     owner = owner or owner_name()
     tracing.begin(settings, role, owner)

@@ -5,7 +5,8 @@ which only grows, so that those through an entry hold for ever, and an update re
 To read and check the readings of a rotor anew costs some 25 µs for each (SQL, JSON, digest):
 without memory an update takes the longer the longer its rotor is in service, and a worker that
 cares for many rotors would do little else. States are large, so few of them are kept; readings are
-kept packed (`packing`), up to a number of bytes.
+kept packed (`packing`), up to a number of bytes, but for those of the rotor seen last: rotors have
+their inspections in bursts.
 
 A database that was restored, or whose place a replica took that had not heard of the last commits,
 goes on from an earlier moment and may come to the same numbers by another way. So what a memory
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from core.observation import Entry
 from service.ports import Event, RotorState
@@ -78,37 +79,52 @@ def mark(events: Sequence[Event], before: Mark | None) -> Mark | None:
 class Memories:
     """The rotors that a worker saw last; used by one thread.
 
-    states       how many are kept with their state, and whatever readings they have
-    readings_mb  size of the readings that are kept of further ones, MiB
+    states       how many are kept with their state
+    readings_mb  size of the readings that are kept of all but the last one, MiB
     """
 
     def __init__(self, states: int, readings_mb: float) -> None:
         self._most, self._limit = states, int(readings_mb * 2**20)
-        self._states: OrderedDict[str, Memory] = OrderedDict()
-        self._readings: OrderedDict[str, Readings] = OrderedDict()
+        self._last: str | None = None
+        self._states: OrderedDict[str, Memory] = OrderedDict()  # those before the last: no entries
+        self._readings: OrderedDict[str, Readings] = OrderedDict()  # of all but the last
         self._bytes = 0
 
     def get(self, rotor_id: str) -> Memory | None:
         """What is remembered of a rotor; None: nothing."""
-        if (whole := self._states.get(rotor_id)) is not None:
-            return whole
-        rest = self._readings.get(rotor_id)
-        return None if rest is None else rest.memory()
+        if rotor_id == self._last:
+            return self._states[rotor_id]
+        if (rest := self._readings.get(rotor_id)) is None:
+            return None
+        memory, state = rest.memory(), self._states.get(rotor_id)
+        if state is None:
+            return memory
+        return replace(state, entries=memory.entries, chunks=memory.chunks)
 
     def put(self, rotor_id: str, memory: Memory) -> None:
         """Remember a rotor as the one seen last; what is beyond a limit is forgotten."""
         self.forget(rotor_id)
-        self._states[rotor_id] = memory
+        if self._last is not None:
+            self._pack(self._last)
+        self._states[rotor_id], self._last = memory, rotor_id
         while len(self._states) > self._most:
-            name, old = self._states.popitem(last=False)
-            rest = Readings(old.through, old.last, packed(old.entries, old.chunks))
-            self._readings[name] = rest
-            self._bytes += rest.nbytes
+            self._states.popitem(last=False)
         while self._bytes > self._limit:
-            self._bytes -= self._readings.popitem(last=False)[1].nbytes
+            name, oldest = self._readings.popitem(last=False)
+            self._bytes -= oldest.nbytes
+            self._states.pop(name, None)
+
+    def _pack(self, rotor_id: str) -> None:
+        whole = self._states[rotor_id]
+        rest = Readings(whole.through, whole.last, packed(whole.entries, whole.chunks))
+        self._readings[rotor_id] = rest
+        self._bytes += rest.nbytes
+        self._states[rotor_id] = replace(whole, entries=[], chunks=())
 
     def forget(self, rotor_id: str) -> None:
         """All that is remembered of a rotor."""
+        if rotor_id == self._last:
+            self._last = None
         self._states.pop(rotor_id, None)
         rest = self._readings.pop(rotor_id, None)
         self._bytes -= 0 if rest is None else rest.nbytes

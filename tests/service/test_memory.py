@@ -46,8 +46,13 @@ def test_states_beyond_the_limit_go_and_their_readings_stay() -> None:
         kept.put(name, whole[name])
     kept.put("a", whole["a"])  # seen again: b is the oldest
     kept.put("c", whole["c"])
-    assert kept.get("a") is whole["a"]
     assert kept.get("c") is whole["c"]
+    other = kept.get("a")
+    assert other is not None
+    assert (other.version, other.through, other.sha256) == (7, 3, {"a": "sha"})
+    assert other.state is whole["a"].state
+    assert [entry.seq for entry in other.entries] == [0, 1, 2]
+    assert packed(other.entries, other.chunks)[0] is other.chunks[0]
     rest = kept.get("b")
     assert rest is not None
     assert (rest.version, rest.through, rest.state, rest.last) == (NO_VERSION, 3, None, None)
@@ -67,6 +72,22 @@ def test_readings_beyond_the_limit_go_the_oldest_first() -> None:
     kept.put("f", memory(1))
     assert kept.get("e") is None, "too many for the limit"
     assert kept.get("f") is not None
+
+
+def test_only_the_last_rotor_is_kept_as_objects() -> None:
+    """Readings count for the limit whether or not their rotor's state is kept."""
+    kept = Memories(states=8, readings_mb=2 * HUNDRED / 2**20)
+    for name in "abcd":
+        kept.put(name, memory(100))
+    assert [kept.get(name) is not None for name in "abcd"] == [False, True, True, True]
+    seen = [kept.get(name) for name in "bcd"]
+    assert all(one is not None and one.state is not None for one in seen)
+    kept.put("b", memory(500))
+    kept.put("c", memory(1))
+    assert kept.get("b") is None, "too many for the limit: its state goes with them"
+    kept.forget("c")
+    kept.put("e", memory(1))  # there is no last one to pack
+    assert [kept.get(name) is not None for name in "cde"] == [False, False, True]
 
 
 def test_what_is_forgotten_frees_its_room() -> None:

@@ -71,3 +71,31 @@ def test_threads_share_two_arenas() -> None:
 
     assert arenas("shared") <= 2
     assert arenas("own") > 2, "the control"
+
+
+def test_free_pages_are_given_back() -> None:
+    """In a process of its own: one block in a hundred stays, so no arena shrinks from its end."""
+    if platform.libc_ver()[0] != "glibc":
+        pytest.skip("not glibc")
+    code = (
+        "import sys, time\n"
+        "from service.arenas import give_back, share_arenas\n"
+        "def held():\n"
+        "    return int(open('/proc/self/statm').read().split()[1]) * 4096 / 2**20\n"
+        "assert share_arenas()\n"
+        "before = held()\n"
+        "blocks = [bytearray(20_000) for _ in range(5_000)]\n"
+        "blocks = blocks[::100]\n"
+        "if sys.argv[1] == 'given': assert give_back(0.05)\n"
+        "time.sleep(0.5)\n"
+        "print(held() - before)\n"
+    )
+
+    def held(how: str) -> float:
+        done = subprocess.run(
+            [sys.executable, "-c", code, how], capture_output=True, text=True, check=True
+        )
+        return float(done.stdout)
+
+    assert held("given") < 20.0
+    assert held("kept") > 60.0, "the control"
