@@ -22,8 +22,9 @@ The declaration is data: it is written to JSON, posted over HTTP and stored with
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -153,15 +154,26 @@ class Network:
                 raise InputError(
                     f"bias {one.name}", one.quantity, "is read at many nodes", "use a scalar one"
                 )
-            prior, s = self.parameter(one.name).prior, one.shape.values
-            least = 1 + min(float(a * v) for a in (prior.low, prior.high) for v in s)
-            if one.how == "times" and least < LEAST_GAIN:
-                raise InputError(
-                    f"bias {one.name}",
-                    (prior.low, prior.high),
-                    f"lets its gain fall to {least:.3g}, below {LEAST_GAIN}",
-                    "narrow the amplitude",
-                )
+        for q in self.quantities:
+            self._check_biases(q)
+
+    def _check_biases(self, quantity: Quantity) -> None:
+        """Gains of the biases that may concern one reading, and a ``paper`` discrepancy's, add up
+        to no less than `LEAST_GAIN`. (What a ``gp`` adds is known once there is a model.)"""
+        own = [b for b in self.biases if b.how == "times" and b.quantity == quantity.name]
+        if not own:
+            return
+        paper = self._least_paper(quantity) if quantity.discrepancy.kind == "paper" else 0.0
+        total = 1 + paper + least_gain(own, self)
+        if total < LEAST_GAIN:
+            name = " + ".join(b.name for b in own)
+            with_it = ", with the discrepancy," if paper else ""
+            raise InputError(
+                f"bias {name}",
+                [(p.low, p.high) for p in (self.parameter(b.name).prior for b in own)],
+                f"lets the gain{with_it} fall to {total:.3g}, below {LEAST_GAIN}",
+                "narrow the amplitude",
+            )
 
     def _check_amplitude(self, name: str, moved: str) -> None:
         """An amplitude is a parameter of its own, shared or dormant, on a plain scale."""
@@ -184,15 +196,20 @@ class Network:
 
     def _check_gain(self, quantity: Quantity) -> None:
         """1 + theta1 − theta2 psi must stay above LEAST_GAIN everywhere in the priors."""
-        psi, theta = self.psi_of(quantity).prior, quantity.discrepancy.theta
-        corners = [theta.low - t * p for t in (theta.low, theta.high) for p in (psi.low, psi.high)]
-        if 1 + min(corners) < LEAST_GAIN:
+        theta, least = quantity.discrepancy.theta, 1 + self._least_paper(quantity)
+        if least < LEAST_GAIN:
             raise InputError(
                 f"discrepancy of {quantity.name}",
                 (theta.low, theta.high),
-                f"lets 1 + theta1 - theta2 psi fall to {1 + min(corners):.3g}, below {LEAST_GAIN}",
+                f"lets 1 + theta1 - theta2 psi fall to {least:.3g}, below {LEAST_GAIN}",
                 "give theta a smaller sd",
             )
+
+    def _least_paper(self, quantity: Quantity) -> float:
+        """The least theta1 − theta2 psi in the priors."""
+        psi, theta = self.psi_of(quantity).prior, quantity.discrepancy.theta
+        corners = [theta.low - t * p for t in (theta.low, theta.high) for p in (psi.low, psi.high)]
+        return min(corners)
 
     def psi_of(self, quantity: Quantity) -> Parameter:
         """The shared parameter in a ``paper`` discrepancy."""
@@ -273,6 +290,32 @@ class Network:
             raise InputError(
                 "network", str(error), "does not fit the schema", "see Network"
             ) from error
+
+
+def least_gain(biases: Sequence[Bias], network: Network) -> float:
+    """The least that biases ``times`` add to the gain of one reading, over their priors (≤ 0).
+
+    A reading has one instrument, one campaign and one blade: of biases that name different ones of
+    these only some add up.
+    """
+    least = 0.0
+    readers = product(
+        sorted({b.instrument for b in biases}, key=str),
+        sorted({b.campaign for b in biases}, key=str),
+        sorted({None, *(name for b in biases for name in b.blades or ())}, key=str),
+    )
+    for instrument, campaign, blade in readers:
+        added = 0.0
+        for b in biases:
+            names = ((b.instrument, instrument), (b.campaign, campaign))
+            if any(own not in (None, given) for own, given in names):
+                continue
+            if b.blades is not None and blade not in b.blades:
+                continue
+            prior = network.parameter(b.name).prior
+            added += min(float(a * v) for a in (prior.low, prior.high) for v in b.shape.values)
+        least = min(least, added)
+    return least
 
 
 def _parameter(told: Mapping[str, Any]) -> Parameter:

@@ -21,16 +21,24 @@ Array = NDArray[np.float64]
 
 
 def cut_mass(mean: Array | float, sd: Array | float, low: float, high: float) -> Array:
-    """Mass of N(mean, sd²) between the bounds."""
-    return np.asarray(ndtr((high - mean) / sd) - ndtr((low - mean) / sd), float)
+    """Mass of N(mean, sd²) between the bounds.
+
+    Of bounds above the mean by the tails above them: below 1 there is no room for the difference.
+
+    >>> float(cut_mass(1.0, 0.1, 2.0, 3.0) / cut_mass(-1.0, 0.1, -3.0, -2.0))
+    1.0
+    """
+    a, b = (low - mean) / sd, (high - mean) / sd
+    return np.asarray(np.where(a > 0, ndtr(-a) - ndtr(-b), ndtr(b) - ndtr(a)), float)
 
 
 def cut_quantile(
     p: Array, mean: Array | float, sd: Array | float, low: float, high: float
 ) -> Array:
     """Quantile of N(mean, sd²) cut at the bounds."""
-    below = ndtr((low - mean) / sd) + p * cut_mass(mean, sd, low, high)
-    return np.asarray(np.clip(mean + sd * ndtri(below), low, high))
+    mass, a = cut_mass(mean, sd, low, high), (low - mean) / sd
+    z = np.where(a > 0, -ndtri(ndtr(-a) - p * mass), ndtri(ndtr(a) + p * mass))
+    return np.asarray(np.clip(mean + sd * z, low, high))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +66,14 @@ class Prior:
             )
         if self.kind == "normal" and not self.sd > 0:
             raise InputError("prior sd", self.sd, "is not positive", "give sd > 0")
+        if self.kind == "normal" and not cut_mass(self.mean, self.sd, self.low, self.high) > 0:
+            raise InputError(
+                "prior mean",
+                self.mean,
+                f"lies too far from {self.low:g} … {self.high:g}: nothing of N(mean, {self.sd:g}²) "
+                "is left there",
+                "move the bounds or widen sd",
+            )
         if self.kind not in ("uniform", "log_uniform", "normal"):
             raise InputError(
                 "prior kind", self.kind, "is not known", "use uniform, log_uniform or normal"

@@ -120,6 +120,13 @@ class Quantity:
     def __post_init__(self) -> None:
         if "@" in self.name or "." in self.name:
             raise InputError("quantity", self.name, "holds a . or @", "choose another name")
+        if not self.sigma_obs.low > 0:
+            raise InputError(
+                f"sigma_obs of {self.name}",
+                self.sigma_obs.low,
+                "is no standard deviation",
+                "give bounds above 0",
+            )
 
     @property
     def default_node(self) -> str:

@@ -161,8 +161,8 @@ def diagnosed(
         )
         told["conditions"] = [one.to_json() for one in held]
         told["reasons"] += [
-            f"it does not hold at {one.input} = {one.value:g}: an error of {one.before.rmse:.3g} "
-            f"becomes {one.after.rmse:.3g} there when no reading of it is known"
+            f"it does not hold at {one.input} = {one.value:g}: {one.fault} there when no reading "
+            "of it is known"
             for one in held
             if not one.holds
         ]

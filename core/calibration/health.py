@@ -32,6 +32,7 @@ FLOOR = 0.3  # share of the nodes that carries a sealed posterior
 QUICK_FLOOR = 0.1  # and a provisional one
 TILT = 0.3  # nat of error in a sealed posterior's differences between nodes that is too much
 IMPROBABLE = -20.0  # log probability below which residuals are no noise
+TRUSTED = 0.5  # nat of error in the log density of a stored posterior that is the prior
 STARTS = 256
 
 
@@ -147,6 +148,11 @@ def verdict(
         reasons.append(
             f"the blades' messages are known to {health['message_tilt_nat']:g} nat between nodes, "
             f"{TILT:g} is allowed: too many local parameters for the readings' noise"
+        )
+    if sealed and not health.get("prior_error_nat", 0.0) <= TRUSTED:
+        reasons.append(
+            f"the stored posterior that is the prior is known to {health['prior_error_nat']:g} "
+            f"nat, {TRUSTED:g} is allowed"
         )
     met = not reasons
     for one in contradicted:

@@ -69,9 +69,9 @@ def provisional(
     Touched blades get fewer draws for now.
     """
     (log_p, columns), old, unread = found, previous.arrays, step.unread(previous)
-    log_w = log_p - old["shared/log_q"] + old["shared/tilt"]
-    beta = tempering(log_w)
-    log_w = beta * log_w
+    whole = log_p - old["shared/log_q"] + old["shared/tilt"]
+    beta = tempering(whole)
+    log_w = beta * whole
     unit, key = old["shared/unit"], bytes.fromhex(previous.meta["placement"])
     own = {"shared/log_p": log_p, "shared/log_w": log_w - log_sum_exp(log_w)}
     kept = {"shared/unit", "shared/x", "shared/log_q", "shared/tilt"}
@@ -89,4 +89,15 @@ def provisional(
     before = previous.meta["health"].get("contradicted", [])
     bad += [one for one in before if one["blade"] in unread]
     error = step.message_error(unit, previous)
-    return step.state(own, arrays, key, log_w, error, bad, sealed=False, thin=thin, tempered=beta)
+    return step.state(
+        own,
+        arrays,
+        key,
+        log_w,
+        error,
+        bad,
+        sealed=False,
+        thin=thin,
+        tempered=beta,
+        untempered=whole,
+    )

@@ -214,9 +214,10 @@ class Step:
         sealed: bool,
         thin: set[str],
         tempered: float = 1.0,
+        untempered: Array | None = None,
         surface: float | None = None,
     ) -> RotorState:
-        """The value with its description."""
+        """The value with its description; of tempered weights the evidence is of those before."""
         for value in own.values():
             value.flags.writeable = False
         nodes = len(log_w)
@@ -224,6 +225,9 @@ class Step:
         carried |= {"tempered": round(tempered, 4)}
         if surface is not None:
             carried |= {"surface_error_nat": round(surface, 4)}
+        if self.prior is not None:
+            carried |= {"prior_error_nat": round(self.prior["error_nat"], 4)}
+        whole = log_w if untempered is None else untempered
         meta: dict[str, Any] = {
             "algorithm_version": ALGORITHM,
             "model": self.model.digest,
@@ -239,7 +243,7 @@ class Step:
             "shared": list(self.space.names),
             "local": [p.name for p in locals_of(self.model)],
             "blades": list(self.rotor.blades),
-            "log_evidence": log_sum_exp(log_w) - float(np.log(nodes)),
+            "log_evidence": log_sum_exp(whole) - float(np.log(nodes)),
             "health": verdict(carried, contradicted, sealed=sealed),
             "arrays": sorted(arrays),
         }

@@ -119,5 +119,5 @@ def _base(model: Model) -> Answers:
 def _physics(model: Model) -> Physics:
     answers = model.surrogate
     if isinstance(answers, Driven):
-        return Physics(answers, dict(answers.fixed))
-    return Physics(_base(model), {})
+        return Physics.of(model.network, answers, dict(answers.fixed))
+    return Physics.of(model.network, _base(model), {})

@@ -17,6 +17,7 @@ from core.diagnosis.grammar import Facts
 from core.diagnosis.scores import Scores
 from core.errors import InputError
 from core.model import Answers
+from core.network import Network
 from core.observation import Inspection
 from core.surrogate import Surrogate
 from core.surrogate.driven import Driven
@@ -29,10 +30,29 @@ Held = dict[tuple[object, ...], Array]
 
 @dataclass(frozen=True, slots=True)
 class Physics:
-    """What answers for effects: a surrogate, and values of the inputs that the network lacks."""
+    """What answers for effects.
+
+    rest    values of the inputs that the network lacks
+    fields  by each quantity that is read at a node, the one where a reading names none
+    """
 
     answers: Answers
     rest: Mapping[str, float]
+    fields: Mapping[str, int]
+
+    @staticmethod
+    def of(network: Network, answers: Answers, rest: Mapping[str, float]) -> Physics:
+        """For the quantities of a network."""
+        read_at = [q for q in network.quantities if q.kind == "field"]
+        there = {q.name: q.default_node for q in read_at if q.default_node in answers.named}
+        return Physics(answers, rest, {q: answers.named[node] for q, node in there.items()})
+
+    def asked(self, reading: Inspection) -> tuple[str, list[int] | None]:
+        """Quantity and nodes of a reading."""
+        if reading.nodes is not None:
+            return reading.quantity, [int(n) for n in reading.nodes]
+        node = self.fields.get(reading.quantity)
+        return reading.quantity, None if node is None else [node]
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +125,7 @@ def _follow(
     names = [i.name for i in base.inputs]
     x = _inputs(physics, seen, blades, names)
     if not isinstance(base, Surrogate):
-        flat = _at_once(base, x, names.index(effect.input), effect, hours, reading)
+        flat = _at_once(physics, base, x, effect, hours, _given(reading))
         return flat.reshape(len(blades), points, *flat.shape[1:])
     clock = [facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades]
     offset = np.repeat(clock, points)
@@ -116,7 +136,7 @@ def _follow(
     what = (
         Followed.mixed(base, mixing)
         if mixing is not None
-        else Followed.of(base, *_asked(base, reading))
+        else Followed.of(base, *physics.asked(_given(reading)))
     )
 
     def held(middle: Array) -> Array:
@@ -148,7 +168,7 @@ def _follow(
         return np.asarray(mean)
 
     key = (tuple(blades), hours.tobytes(), None if mixing is None else mixing.tobytes())
-    asked = (*key, "" if reading is None else repr(_asked(base, reading)))
+    asked = (*key, "" if reading is None else repr(physics.asked(reading)))
     if asked not in known:
         known[asked] = along(steps, held)
     out = np.zeros((len(x), len(hours), what.curves.forms.shape[2]))
@@ -172,23 +192,25 @@ def _inputs(physics: Physics, seen: Scores, blades: Sequence[int], names: Sequen
     return x
 
 
-def _asked(base: Answers, reading: Inspection | None) -> tuple[str, list[int] | None]:
+def _given(reading: Inspection | None) -> Inspection:
     assert reading is not None
-    if reading.nodes is not None:
-        return reading.quantity, [int(n) for n in reading.nodes]
-    field = reading.quantity == "ceeq"
-    return reading.quantity, [base.named["critical"]] if field else None
+    return reading
 
 
 def _at_once(
-    base: Answers, x: Array, j: int, effect: Moving, hours: Array, reading: Inspection | None
+    physics: Physics,
+    base: Answers,
+    x: Array,
+    effect: Moving,
+    hours: Array,
+    reading: Inspection,
 ) -> Array:
     """The same for a model without a memory: constant effects only, as the others mean nothing."""
-    assert reading is not None
+    j = [i.name for i in base.inputs].index(effect.input)
     changed = x.copy()
     s = np.ones(len(x)) if float(effect.course.at(0.0)) == 1.0 else np.zeros(len(x))
     changed[:, j] = effect.moved(x[:, j], s)
-    quantity, nodes = _asked(base, reading)
+    quantity, nodes = physics.asked(reading)
     after, _ = base.predict(changed, quantity, hours, nodes)
     before, _ = base.predict(x, quantity, hours, nodes)
     return np.asarray((after - before).reshape(len(x), len(hours), -1))

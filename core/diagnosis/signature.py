@@ -65,7 +65,7 @@ def signatures(
     """
     if isinstance(model.surrogate, Stacked):
         raise InputError("model", model.network.name, "is stacked", "diagnose its parts")
-    physics = physics or Physics(model.surrogate, {})
+    physics = physics or Physics.of(model.network, model.surrogate, {})
     held: Held = {}
 
     def course(cell: Cell) -> Moving | None:

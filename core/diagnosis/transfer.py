@@ -21,6 +21,7 @@ from core.observation import Inspection
 
 LEAST, MOST = 3, 8  # values of a known input, between which it is a condition
 WORSE = 1.02  # of the error before, from which on an effect does not hold there
+COVERED = 0.8  # of the readings inside 95 % bands, below which they are not to be trusted there
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +35,28 @@ class Condition:
     after: Scored
 
     @property
+    def fault(self) -> str | None:
+        """Why the effects do not hold there; None: they do.
+
+        Their error is larger than without them; or their 95 % bands hold fewer readings than those
+        without, and less than `COVERED`: a mean that came nearer under a band that shrank more.
+        """
+        before, after = self.before, self.after
+        if after.rmse > WORSE * before.rmse:
+            return f"an error of {before.rmse:.3g} becomes {after.rmse:.3g}"
+        if after.within_95 < min(COVERED, before.within_95):
+            held = f"{100 * before.within_95:.0f} % of the readings in 95 % bands become"
+            return f"{held} {100 * after.within_95:.0f} %"
+        return None
+
+    @property
     def holds(self) -> bool:
-        """Whether the error with the effects is no larger than without."""
-        return self.after.rmse <= WORSE * self.before.rmse
+        """Whether error and bands with the effects are no worse than without."""
+        return self.fault is None
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON, without the single z."""
-        told = {name: getattr(self, name) for name in ("input", "value", "holds")}
+        told = {name: getattr(self, name) for name in ("input", "value", "holds", "fault")}
         return {**told, "blades": list(self.blades), **_both(self.before, self.after)}
 
 

@@ -243,7 +243,7 @@ def _answers(
             )
             f[:, i] = gain[:, 0] * y[:, at] + offset[:, 0]
             sd = gain[:, 0] * np.hypot(s[:, at], declared.numerical * y[:, at])
-            v[:, i] = sd**2 + sigma_delta[0] ** 2 + (left[0] * f[:, i]) ** 2
+            v[:, i] = sd**2 + sigma_delta[0] ** 2 + (left[0] * gain[:, 0] * y[:, at]) ** 2
             if noise:
                 name = one.instrument if declared.by_instrument else None
                 own = noise_of(model, posterior, quantity, name) if one.sigma is None else one.sigma

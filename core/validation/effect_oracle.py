@@ -113,6 +113,26 @@ def _left(information: Array, j: int, cell: Cell) -> float:
     return 0.5 * float(information[0, 0] - across**2 / (1.0 + information[j, j]))
 
 
+def by_rotor(
+    model: Model,
+    plan: Plan,
+    condition: str,
+    seed: int,
+    particles: int,
+    size: float,
+    workspace: Workspace | None = None,
+) -> list[Possible]:
+    """On each of the rotors that a study plants a condition in, `MOST_ROTORS` at most."""
+    effect = effect_of(condition, plan)
+    rotors = (
+        plan.with_effect(effect, size if plan.scaled else None) if effect else range(plan.rotors)
+    )
+    return [
+        possible(model, made(plan, condition, n, seed, particles, size), seed, workspace)
+        for n in range(min(len(rotors), MOST_ROTORS))
+    ]
+
+
 def bounds(
     plan: Plan,
     conditions: Sequence[str],
@@ -125,13 +145,7 @@ def bounds(
     model, work = rotor_blade_wide(), Workspace()
     found: dict[str, dict[str, float | list[str]]] = {}
     for done, condition in enumerate(conditions):
-        effect = effect_of(condition, plan)
-        scaled = size if plan.scaled else None
-        rotors = plan.with_effect(effect, scaled) if effect else range(plan.rotors)
-        every = [
-            possible(model, made(plan, condition, n, seed, particles, size), seed, work)
-            for n in range(min(len(rotors), MOST_ROTORS))
-        ]
+        every = by_rotor(model, plan, condition, seed, particles, size, work)
         found[condition] = {
             **{
                 what: round(float(np.mean([getattr(one, what) for one in every])), 3)

@@ -25,7 +25,7 @@ from core.calibration.online import Workspace, update
 from core.diagnosis.verdict import judge
 from core.errors import BladetwinError, InputError
 from core.model import Model, rotor_blade_wide
-from core.validation.effect_oracle import possible
+from core.validation.effect_oracle import by_rotor
 from core.validation.effect_plans import Plan
 from core.validation.effect_plans import plan as plan_of
 from core.validation.effect_sets import CLEAN, NAMED, OUTSIDE, effect_of, made
@@ -166,13 +166,18 @@ def bounds(
     plan: str,
     progress: Callable[[int], None] | None = None,
 ) -> dict[str, list[dict[str, Any]]]:
-    """Of each of these points the chance of an alarm that an oracle has."""
-    work, chosen = Workspace(), plan_of(plan)
+    """Of each of these points the chance of an alarm that an oracle has, on average over rotors.
+
+    A larger effect is scaled from fewer rotors (`effect_plans`), so that one rotor's chance would
+    compare sizes of different rotors.
+    """
+    model, work, chosen = _model(), Workspace(), plan_of(plan)
     out: dict[str, list[dict[str, Any]]] = {}
     for done, (condition, size) in enumerate(asked):
-        given = made(chosen, condition, 0, seed, particles, size)
-        alarm = possible(_model(), given, seed, work).alarm
-        out.setdefault(condition, []).append({"size": size, "alarm": round(alarm, 3)})
+        every = by_rotor(model, chosen, condition, seed, particles, size, work)
+        alarm = float(np.mean([one.alarm for one in every]))
+        told = {"size": size, "rotors": len(every), "alarm": round(alarm, 3)}
+        out.setdefault(condition, []).append(told)
         if progress is not None:
             progress(done + 1)
     return out

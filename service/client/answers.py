@@ -557,6 +557,7 @@ class FoundWidened(TypedDict):
 
 
 class FoundCondition(TypedDict):
+    fault: NotRequired[str | None]
     input: str
     value: float
     holds: bool

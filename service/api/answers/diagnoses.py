@@ -155,6 +155,8 @@ FOUND = having(
     ),
     conditions=each(
         having(
+            ("fault",),
+            fault=maybe(TEXT),
             input=TEXT,
             value=NUMBER,
             holds=YES,

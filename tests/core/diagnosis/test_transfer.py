@@ -90,6 +90,18 @@ def test_a_condition_that_is_forecast_worse_does_not_hold() -> None:
     assert replace(one, after=one.before).holds
 
 
+def test_bands_that_shrink_more_than_the_error_do_not_hold() -> None:
+    """A forecast that came nearer, and is too sure of it; bands that held as little before do."""
+    found = held(0.4)[3.0]
+    one = replace(found, before=replace(found.before, within_95=1.0))
+    assert one.after.within_95 > 0.8
+    assert one.fault is None
+    sure = replace(one.after, within_95=0.69)
+    assert replace(one, after=sure).fault == "100 % of the readings in 95 % bands become 69 %"
+    assert replace(one, after=sure).to_json()["holds"] is False
+    assert replace(one, before=replace(one.before, within_95=0.6), after=sure).holds
+
+
 def test_two_values_or_too_many_are_no_conditions() -> None:
     two = {b: {"load": float(k % 2)} for k, b in enumerate(BLADES)}
     assert conditions(two, BLADES) == []

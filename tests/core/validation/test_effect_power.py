@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import InputError
-from core.validation import effect_plans
+from core.validation import effect_oracle, effect_plans, effect_sets
 from core.validation import effect_power as study
 from service.studies.power import power_plot
 
@@ -60,6 +60,23 @@ def test_a_large_offset_alarms_and_no_offset_does_not(
     assert 0.2 < rows["campaign"][0]["error"] < 0.3, "one set tells little"
     power_plot(rows, {"campaign": [{"size": 4.0, "alarm": 0.99}]}, tmp_path / "power.png")
     assert (tmp_path / "power.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_an_oracle_would_notice_is_a_mean_over_the_rotors_of_a_size(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[int] = []
+
+    def seen(model: object, given: effect_sets.Set, *_: object) -> effect_oracle.Possible:
+        asked.append(int(given.case.spec.id.removeprefix("set")))
+        return effect_oracle.Possible(2.0 * asked[-1], None, 0.0)
+
+    monkeypatch.setattr(effect_oracle, "possible", seen)
+    rotors = min(effect_plans.plan("fleet-100").rotors, effect_oracle.MOST_ROTORS)
+    (told,) = study.bounds([("campaign", 1.0)], 3, 200, "fleet-100")["campaign"]
+    assert asked == list(range(rotors))
+    alarms = [effect_oracle.Possible(2.0 * n, None, 0.0).alarm for n in asked]
+    assert told == {"size": 1.0, "rotors": rotors, "alarm": round(sum(alarms) / rotors, 3)}
 
 
 def test_a_set_that_cannot_be_calibrated_counts_as_silent(monkeypatch: pytest.MonkeyPatch) -> None:
