@@ -85,6 +85,7 @@ def test_only_the_last_rotor_is_kept_as_objects() -> None:
     kept.put("b", memory(500))
     kept.put("c", memory(1))
     assert kept.get("b") is None, "too many for the limit: its state goes with them"
+    assert list(kept._states) == ["c"], "no state stays that could not be used"
     kept.forget("c")
     kept.put("e", memory(1))  # there is no last one to pack
     assert [kept.get(name) is not None for name in "cde"] == [False, False, True]

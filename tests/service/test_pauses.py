@@ -43,10 +43,17 @@ def test_cycles_that_come_later_still_go(collector: None) -> None:
     assert seen() is None
 
 
-def test_threads_share_two_arenas() -> None:
-    """In a process of its own: 32 threads that allocate hold so many heaps of glibc's."""
+def in_its_own(code: str, how: str) -> subprocess.CompletedProcess[str]:
+    """A program that is told how, in a process of its own with glibc; skips where there is none."""
     if platform.libc_ver()[0] != "glibc":
         pytest.skip("not glibc")
+    return subprocess.run(
+        [sys.executable, "-c", code, how], capture_output=True, text=True, check=True
+    )
+
+
+def test_threads_share_two_arenas() -> None:
+    """In a process of its own: 32 threads that allocate hold so many heaps of glibc's."""
     code = (
         "import ctypes, sys, threading\n"
         "from service.arenas import share_arenas\n"
@@ -64,10 +71,7 @@ def test_threads_share_two_arenas() -> None:
     )
 
     def arenas(how: str) -> int:
-        done = subprocess.run(
-            [sys.executable, "-c", code, how], capture_output=True, text=True, check=True
-        )
-        return done.stderr.count("Arena ")
+        return in_its_own(code, how).stderr.count("Arena ")
 
     assert arenas("shared") <= 2
     assert arenas("own") > 2, "the control"
@@ -75,8 +79,6 @@ def test_threads_share_two_arenas() -> None:
 
 def test_free_pages_are_given_back() -> None:
     """In a process of its own: one block in a hundred stays, so no arena shrinks from its end."""
-    if platform.libc_ver()[0] != "glibc":
-        pytest.skip("not glibc")
     code = (
         "import sys, time\n"
         "from service.arenas import give_back, share_arenas\n"
@@ -92,10 +94,7 @@ def test_free_pages_are_given_back() -> None:
     )
 
     def held(how: str) -> float:
-        done = subprocess.run(
-            [sys.executable, "-c", code, how], capture_output=True, text=True, check=True
-        )
-        return float(done.stdout)
+        return float(in_its_own(code, how).stdout)
 
     assert held("given") < 20.0
     assert held("kept") > 60.0, "the control"

@@ -180,6 +180,10 @@ def test_a_surprising_reading_tempers_the_shared_level_until_it_is_sealed(
     health = state.meta["health"]
     assert 0.2 <= health["tempered"] < 1.0
     assert health["ess_ratio"] == pytest.approx(quickly.QUICK_ESS, abs=0.01)
+    part = {name: state.arrays[f"shared/{name}"] for name in ("log_p", "log_q", "tilt")}
+    whole = part["log_p"] - part["log_q"] + part["tilt"]
+    evidence = float(np.logaddexp.reduce(whole)) - np.log(len(whole))
+    assert state.meta["log_evidence"] == pytest.approx(evidence, abs=1e-9), "of p, not of p^beta"
     exact = update(MODEL, SPEC, readings)
     assert exact.meta["health"]["tempered"] == 1.0
     assert update(MODEL, SPEC, readings, state).digest == exact.digest
