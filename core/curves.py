@@ -24,6 +24,7 @@ from core.prior import Prior
 Array = NDArray[np.float64]
 # fractional parts of roots: golden, 2, 3, 7, 11, 13, 17
 IRRATIONAL = tuple(float(v) for v in (0.6180339887498949, *(np.sqrt([2, 3, 7, 11, 13, 17]) % 1.0)))
+SPAN = 128  # hours at once: 4 MB for each array of 4,000 particles
 ENOUGH = 4000  # particles that a prediction rests on; more move a quantile by < 0.02 sd
 
 
@@ -122,6 +123,15 @@ class Curves:
     def width(self) -> Array:
         """sd of both."""
         return np.asarray(np.hypot(self.sd, self.left))
+
+
+def spans(time: Array) -> list[Array]:
+    """Hours (T,) in parts of at most `SPAN`: what is held of (particles, hours) at once.
+
+    >>> [len(part) for part in spans(np.arange(200.0))]
+    [128, 72]
+    """
+    return [time[i : i + SPAN] for i in range(0, time.size, SPAN)]
 
 
 def checked_times(model: Model, quantity: str, times: Sequence[float] | Array) -> Array:

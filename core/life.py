@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from core.calibration.state import Posterior
-from core.curves import checked_times, curves, thinned
+from core.curves import checked_times, curves, spans, thinned
 from core.errors import InputError
 from core.model import Model
 from core.prediction import QUANTILES
@@ -99,7 +99,7 @@ def life(
         z = np.where(one.width > 0, z, np.where(beyond, np.inf, -np.inf))
         return np.asarray(np.clip(w @ ndtr(z) / w.sum(), 0.0, 1.0))
 
-    passed = np.maximum.accumulate(share(time))
+    passed = np.maximum.accumulate(np.concatenate([share(at) for at in spans(time)]))
     hours = crossings(time, passed, np.array(levels, float), share)
     found = {
         float(p): None if np.isnan(h) else float(h) for p, h in zip(levels, hours, strict=True)

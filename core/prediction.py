@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.state import Posterior
-from core.curves import checked_times, curves, instrument_of, noise_of, thinned
+from core.curves import checked_times, curves, instrument_of, noise_of, spans, thinned
 from core.errors import InputError
 from core.mixture import mixture_quantiles
 from core.model import Model
@@ -106,7 +106,6 @@ def predict(
     thin = thinned(posterior)
     w = thin.particles.w
     time = checked_times(model, quantity, times)
-    one = curves(model, thin, quantity, time, node, component, known, reader)
     if instrument is None and noise and sigma is None:
         instrument = instrument_of(thin, declared)
     own_noise = np.zeros(len(w))
@@ -115,23 +114,30 @@ def predict(
             own_noise = noise_of(model, thin, quantity, instrument)
         else:
             own_noise += sigma
-    by_parameters, by_discrepancy = split_variance(one.model, one.mean - one.model, w)
-    parts = {
-        "parameters": np.sqrt(by_parameters),
-        "surrogate": np.sqrt(w @ one.sd**2),
-        "discrepancy": np.sqrt(by_discrepancy + w @ one.left**2),
-        "noise": np.full(time.size, np.sqrt(w @ own_noise**2)),
-    }
-    parts["total"] = np.sqrt(sum(v**2 for v in parts.values()))
     tail = (1 - probability) / 2
     p = np.array([tail, 1 - tail, *levels])
-    q = mixture_quantiles(one.mean, np.hypot(one.width, own_noise[:, None]), w, p)
+
+    def told(at: Array) -> tuple[Array, dict[str, Array], Array]:
+        one = curves(model, thin, quantity, at, node, component, known, reader)
+        by_parameters, by_discrepancy = split_variance(one.model, one.mean - one.model, w)
+        parts = {
+            "parameters": np.sqrt(by_parameters),
+            "surrogate": np.sqrt(w @ one.sd**2),
+            "discrepancy": np.sqrt(by_discrepancy + w @ one.left**2),
+            "noise": np.full(at.size, np.sqrt(w @ own_noise**2)),
+        }
+        parts["total"] = np.sqrt(sum(v**2 for v in parts.values()))
+        q = mixture_quantiles(one.mean, np.hypot(one.width, own_noise[:, None]), w, p)
+        return w @ one.mean, parts, q
+
+    means, sds, qs = zip(*map(told, spans(time)), strict=True)
+    q = np.concatenate(qs, axis=1)
     return Prediction(
         quantity,
         declared.unit,
         time,
-        w @ one.mean,
-        parts,
+        np.concatenate(means),
+        {name: np.concatenate([sd[name] for sd in sds]) for name in sds[0]},
         q[0],
         q[1],
         probability,

@@ -28,6 +28,8 @@ from __future__ import annotations
 from core.errors import BladetwinError
 from core.errors import FaultsError as FaultsError
 
+MOST_FAULTS = 1000  # that one answer tells; who looks for them stops a little later
+
 
 class NotFoundError(BladetwinError):
     """`what` (a noun) called `name` does not exist."""

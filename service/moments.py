@@ -5,6 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import overload
 
+LAST_S = 253402300799.0  # 9999-12-31T23:59:59Z: no later moment can be written
+
 
 @overload
 def moment(seconds: float) -> str: ...
@@ -25,7 +27,8 @@ def moment(seconds: float | None) -> str | None:
 
 
 def seconds_of(text: str) -> float:
-    """A moment as seconds since 1970; ValueError without an offset, or before 1970.
+    """A moment as seconds since 1970; ValueError without an offset, before 1970
+    or after 9999.
 
     >>> seconds_of("1970-01-02T01:00:00.250+01:00")
     86400.25
@@ -36,4 +39,6 @@ def seconds_of(text: str) -> float:
     seconds = at.timestamp()
     if seconds < 0:
         raise ValueError("a moment of the log is not before 1970")
+    if seconds > LAST_S:
+        raise ValueError("no moment after 9999 can be written")
     return seconds

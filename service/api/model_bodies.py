@@ -99,6 +99,9 @@ async def _upload(request: Request) -> Upload:
     except HTTPException as error:
         text = f"the body is no form (multipart): {error.detail}"
         raise RequestError(400, "invalid-form", text) from None
+    except (LookupError, UnicodeError):
+        text = "the body is no form (multipart): its charset is not known. To mend it: use UTF-8"
+        raise RequestError(400, "invalid-form", text) from None
     try:
         texts = {name: await _content(form, name) for name in FIELDS if name in form}
         return await run_in_threadpool(_checked, form, texts)
@@ -108,7 +111,7 @@ async def _upload(request: Request) -> Upload:
 
 async def _content(form: FormData, name: str) -> bytes:
     found = form[name]
-    return await found.read() if isinstance(found, UploadFile) else found.encode()
+    return await found.read() if isinstance(found, UploadFile) else found.encode("utf-8", "replace")
 
 
 def _checked(form: FormData, told: dict[str, bytes]) -> Upload:

@@ -16,10 +16,10 @@ from fastapi.responses import JSONResponse
 
 from core.errors import InputError
 from service.api.visit import visit_of
+from service.errors import MOST_FAULTS as MOST_FAULTS
 from service.tokens import redacted
 
 LONGEST = 200
-MOST_FAULTS = 1000  # that one answer tells; who reads a body stops a little later
 MOST_READINGS = 100_000  # of one body
 Fault = dict[str, Any]
 

@@ -14,6 +14,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from core.errors import InputError, ModelError
@@ -42,6 +43,7 @@ from service.errors import (
 )
 
 log = logging.getLogger("bladetwin.api")
+SENTENCES = 5  # faults that the detail tells; `faults` has them all
 
 
 async def _refused(request: Request, error: Any) -> JSONResponse:
@@ -75,11 +77,16 @@ def missing(request: Request, error: NotFoundError) -> JSONResponse:
 
 
 async def _conflict(request: Request, error: Any) -> JSONResponse:
+    names = error.name.split(", ")
     faults = [
         fault(f"{error.what}.id", name, "exists with another content", error.remedy)
-        for name in error.name.split(", ")
+        for name in names[: MOST_FAULTS + 1]
     ]
-    return problem(request, 409, "conflict", str(error), faults)
+    detail = str(error)
+    if len(names) > SENTENCES:
+        shown = f"{', '.join(names[:SENTENCES])} and {len(names) - SENTENCES} more"
+        detail = str(ConflictError(error.what, shown, error.remedy))
+    return problem(request, 409, "conflict", detail, bounded(faults))
 
 
 async def _not_adoptable(request: Request, error: Any) -> JSONResponse:
@@ -192,6 +199,11 @@ class LastResort:
             if scope["type"] != "http" or started:
                 raise
             request = Request(scope)
+            if isinstance(error, ClientDisconnect):
+                log.info("%s %s: the client hung up in its body", request.method, request.url.path)
+                detail = "the connection ended before the body did; nothing was done."
+                await problem(request, 400, "incomplete", detail)(scope, receive, send)
+                return
             if isinstance(error, StoreAwayError):
                 await away(request, error)(scope, receive, send)
                 return
@@ -203,6 +215,7 @@ class LastResort:
 def _sentence(faults: Sequence[Fault]) -> str:
     first = "; ".join(
         f"{one['field']} = {one['value']!r}: {one['problem']}. To mend it: {one['remedy']}"
-        for one in faults[:5]
+        for one in faults[:SENTENCES]
     )
-    return first if len(faults) <= 5 else f"{first}; and {len(faults) - 5} more"
+    more = len(faults) - SENTENCES
+    return first if more <= 0 else f"{first}; and {more} more"

@@ -10,7 +10,9 @@ SHA-256: it is the caller's choice, and may be what it should not be.
 
 from __future__ import annotations
 
+import logging
 import re
+from contextlib import suppress
 from hashlib import sha256
 
 from starlette.concurrency import run_in_threadpool
@@ -22,7 +24,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.access import FirstAnswer
 from service.api.problems import fault, problem
 from service.api.visit import visit_of
+from service.errors import StoreAwayError
 from service.ports import Store
+
+log = logging.getLogger("bladetwin.api")
 
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
 BOUNDARY = re.compile(r'multipart/[^;]+;.*?boundary="?([^";,\s]+)', re.IGNORECASE)
@@ -82,11 +87,15 @@ class Repeats:
         try:
             await self.app(scope, receive, kept)
         except BaseException:
-            await run_in_threadpool(self._end, named, None, b"")
+            with suppress(StoreAwayError):
+                await run_in_threadpool(self._end, named, None, b"")
             raise
         start = messages[0] if messages else None
         body = b"".join(message.get("body", b"") for message in messages[1:])
-        await run_in_threadpool(self._end, named, start, body)
+        try:
+            await run_in_threadpool(self._end, named, start, body)
+        except StoreAwayError as error:  # what was done is done, and its answer is the truth
+            log.error("the answer to an Idempotency-Key was not kept: %s", error)
         for message in messages:
             await send(message)
 

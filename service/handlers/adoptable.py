@@ -13,19 +13,21 @@ Each rule raises AdoptionError, with what to do.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from core.errors import BladetwinError
-from core.observation import Inspection, effective
+from core.observation import Entry, effective
 from service.adopted import Adopted
 from service.entries import entries_of
 from service.errors import AdoptionError
 from service.ports import (
     BladeRecord,
-    Event,
     JobRecord,
     Json,
     ModelCard,
     RotorRecord,
     Science,
+    Store,
     Transaction,
 )
 
@@ -98,12 +100,20 @@ def models_of(
 
 
 def readings_since(
-    tx: Transaction, rotor: RotorRecord, job: JobRecord, result: Json, head: int
+    tx: Transaction,
+    rotor: RotorRecord,
+    job: JobRecord,
+    result: Json,
+    head: int,
+    ahead: Sequence[Entry] = (),
 ) -> int:
-    """How many readings count that the diagnosis did not see; AdoptionError: its own do not."""
+    """How many readings count that the diagnosis did not see; AdoptionError: its own do not.
+
+    ahead   the first of the log's entries, where they were read before (`read_ahead`)
+    """
     through = int(result["rests_on"]["through_seq"])
     anew = f"ask for a new diagnosis: POST /v1/rotors/{rotor.id}/diagnoses"
-    then, now = _readings(tx, rotor.id, through, head)
+    then, now = _readings(tx, rotor.id, through, head, ahead)
     gone = sorted(name for name, reading in then.items() if now.get(name) != reading)
     if gone:
         shown = ", ".join(gone[:5]) + ("…" if len(gone) > 5 else "")
@@ -150,21 +160,33 @@ def concerns(effect: Json, blade: BladeRecord) -> bool:
     return bool(runs and whom in ("all", "instrument", "campaign"))
 
 
+def read_ahead(store: Store, rotor_id: str) -> list[Entry]:
+    """The entries of a rotor's log as it stands, read and checked before anybody waits for it."""
+    with store.read() as tx:
+        head = tx.records.rotor(rotor_id).head_seq
+    ahead: list[Entry] = []
+    last = 0
+    while last < head:
+        with store.read() as tx:
+            page = tx.log.entries(rotor_id, last, head, PAGE)
+        if not page:
+            break
+        ahead += entries_of(page)
+        last = page[-1].seq
+    return ahead
+
+
 def _readings(
-    tx: Transaction, rotor_id: str, through: int, head: int
+    tx: Transaction, rotor_id: str, through: int, head: int, ahead: Sequence[Entry]
 ) -> tuple[dict[str, str], dict[str, str]]:
     """The readings that counted as of an entry, and those that count now: id -> digest."""
-    events: list[Event] = []
-    last = 0
+    known = list(ahead)
+    last = known[-1].seq if known else 0
     while last < head:
         page = tx.log.entries(rotor_id, last, head, PAGE)
         if not page:
             break
-        events += page
+        known += entries_of(page)
         last = page[-1].seq
-
-    def counting(until: int) -> tuple[Inspection, ...]:
-        return effective(entries_of([e for e in events if e.seq <= until]))
-
-    then, now = ({r.id: r.digest() for r in counting(until)} for until in (through, head))
-    return then, now
+    then = effective(entry for entry in known if entry.seq <= through)
+    return {r.id: r.digest() for r in then}, {r.id: r.digest() for r in effective(known)}

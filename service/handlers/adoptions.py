@@ -9,11 +9,20 @@ What a diagnosis must be to enter: `service.handlers.adoptable`.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from core.observation import Entry
 from service.adopted import ADOPTION, BACK_OUT, adopted_at, entries
 from service.errors import AdoptionError, NotFoundError
-from service.handlers.adoptable import claimed, holding, models_of, readings_since, told_effects
+from service.handlers.adoptable import (
+    claimed,
+    holding,
+    models_of,
+    read_ahead,
+    readings_since,
+    told_effects,
+)
 from service.handlers.diagnoses import found_in
 from service.handlers.rotors import digest_of_json
 from service.ports import Event, JobRecord, Json, NewEvent, Science, Store, Transaction
@@ -39,15 +48,23 @@ def adopt(store: Store, science: Science, rotor_id: str, diagnosis: str) -> Chan
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
     science.vary(card, rotor.network)  # loads the model before anybody waits for a lock
+    ahead = read_ahead(store, rotor_id)
     with store.write() as tx:
-        return adopt_in(tx, science, job, job.result)
+        return adopt_in(tx, science, job, job.result, ahead)
 
 
 def adopt_in(
-    tx: Transaction, science: Science, job: JobRecord, result: Json | None, *, unasked: bool = False
+    tx: Transaction,
+    science: Science,
+    job: JobRecord,
+    result: Json | None,
+    ahead: Sequence[Entry],
+    *,
+    unasked: bool = False,
 ) -> Change:
     """The same inside a writing transaction.
 
+    ahead     the first of the log's entries, read before the transaction (`read_ahead`)
     unasked   by the rotor's own option `adopt`, with the result that is being written
     """
     assert job.rotor_id is not None
@@ -64,7 +81,7 @@ def adopt_in(
     card = tx.records.model(rotor.model_id, rotor.model_version)
     network = with_more(now.network, adds)
     models = models_of(science, card, now, network, job, result)
-    since = readings_since(tx, rotor, job, result, head)
+    since = readings_since(tx, rotor, job, result, head, ahead)
     body: Json = {
         "number": now.count + 1,
         "diagnosis": job.id,

@@ -22,6 +22,7 @@ from service.ports import (
     StateRecord,
     Store,
     Surface,
+    Which,
 )
 
 MOST_DRAWS = 4000
@@ -30,20 +31,24 @@ NO_READINGS = BladeReadings(0, 0, None, None, None)
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """Blades of a version with the readings of each, and where the log ends."""
+    """Blades of a version with its readings of each, and where the log ends."""
 
     blades: tuple[BladeRecord, ...]
     readings: dict[str, BladeReadings]
     head_seq: int
 
 
-def glance(store: Store, found: Basis, after: str, limit: int) -> Glance:
-    """Blades of the version in the order of their names, after one name."""
+def glance(store: Store, found: Basis, which: Which, after: str, limit: int) -> Glance:
+    """Blades of the version in the order of their names, after one name.
+
+    Readings are those of the version asked for; of the newest one, those that wait as well.
+    """
     rotor_id = found.state.rotor_id
     with store.read() as tx:
         blades = blades_at(tx.records.blades(rotor_id), found.state.through_seq)
-        readings = tx.blade_readings(rotor_id)
         head = tx.records.rotor(rotor_id).head_seq
+        through = head if which.newest else found.state.through_seq
+        readings = tx.blade_readings(rotor_id, through)
     shown = [blade for blade in sorted(blades, key=lambda b: b.id) if blade.id > after]
     return Glance(tuple(shown[:limit]), readings, head)
 
@@ -141,11 +146,15 @@ def field(store: Store, science: Science, found: Basis, quantity: str, time_h: f
     """Mean and sd of a field at every node, to seven digits."""
     blade = found.blade
     assert blade is not None
-    with store.read() as tx:
-        get = tx.states.reader(found.state)
-        bands = science.field(
-            found.card, found.state.meta, get, blade.id, quantity, time_h, known=blade.known
-        )
+    bands = science.field(
+        found.card,
+        found.state.meta,
+        found.arrays(store),
+        blade.id,
+        quantity,
+        time_h,
+        known=blade.known,
+    )
     return {
         "blade": blade.id,
         "quantity": quantity,

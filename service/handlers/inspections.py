@@ -10,11 +10,12 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from heapq import nsmallest
 
 from core.errors import InputError
 from core.network import Network
 from core.observation import Covers, Inspection, faults, replaced
-from service.errors import FaultsError, NotFoundError
+from service.errors import MOST_FAULTS, FaultsError, NotFoundError
 from service.handlers.rotors import digest_of_json
 from service.ports import Appended, Event, Json, NewEvent, Store, Transaction
 
@@ -77,12 +78,15 @@ def faults_here(store: Store, rotor_id: str, items: Sequence[Item]) -> list[Inpu
 def faults_of(
     items: Sequence[Item], network: Network, model: Covers, blades: Collection[str], rotor_id: str
 ) -> list[InputError]:
-    """Everything that keeps readings out of a rotor with these blades, each by its place."""
+    """What keeps readings out of a rotor with these blades, each by its place; where that is more
+    than `MOST_FAULTS`, not much more than these."""
     found: list[InputError] = []
+    known = ", ".join(nsmallest(SHOWN, blades)) + ("…" if len(blades) > SHOWN else "")
     for item in items:
+        if len(found) > MOST_FAULTS:
+            break
         where, reading = item.where, item.reading
         if reading.blade not in blades:
-            known = ", ".join(sorted(blades)[:SHOWN]) + ("…" if len(blades) > SHOWN else "")
             found.append(
                 InputError(
                     f"{where}blade",

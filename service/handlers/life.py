@@ -53,19 +53,18 @@ def life(
     """The distribution of the time to the limit, as plain lists."""
     blade = found.blade
     assert blade is not None
-    with store.read() as tx:
-        told = science.life(
-            found.card,
-            found.state.meta,
-            tx.states.reader(found.state),
-            blade.id,
-            asked.quantity,
-            limit,
-            asked.times,
-            asked.node,
-            component=component,
-            known=blade.known,
-        )
+    told = science.life(
+        found.card,
+        found.state.meta,
+        found.arrays(store),
+        blade.id,
+        asked.quantity,
+        limit,
+        asked.times,
+        asked.node,
+        component=component,
+        known=blade.known,
+    )
     return {
         "blade": blade.id,
         "quantity": asked.quantity,

@@ -66,15 +66,9 @@ def plan(store: Store, science: Science, found: Basis, target: PlanTarget, count
     with store.read() as tx:
         blades = [b for b in tx.records.blades(rotor) if runs(b, through)]
         readings = counting(tx, rotor, through)
-        told = science.plan(
-            found.card,
-            found.state.meta,
-            tx.states.reader(found.state),
-            blades,
-            readings,
-            target,
-            count,
-        )
+    told = science.plan(
+        found.card, found.state.meta, found.arrays(store), blades, readings, target, count
+    )
     aim = {
         "blade": target.blade,
         "quantity": target.quantity,

@@ -15,6 +15,7 @@ from service.handlers.moments import summary
 from service.handlers.rotors import state_of
 from service.ports import (
     BladeRecord,
+    Get,
     Json,
     ModelCard,
     Prediction,
@@ -52,6 +53,10 @@ class Basis:
     state: StateRecord
     card: ModelCard
     blade: BladeRecord | None
+
+    def arrays(self, store: Store) -> Get:
+        """The version's arrays, for what computes on them outside of a transaction."""
+        return store.arrays(self.state.rotor_id, self.state.version)
 
     def to_json(self) -> Json:
         state = self.state
@@ -198,19 +203,18 @@ def predict(store: Store, science: Science, found: Basis, asked: Question) -> Js
     """Bands by source of the blade that the basis names, as plain lists."""
     blade = found.blade
     assert blade is not None
-    with store.read() as tx:
-        bands: Prediction = science.predict(
-            found.card,
-            found.state.meta,
-            tx.states.reader(found.state),
-            blade.id,
-            asked.quantity,
-            asked.times,
-            asked.node,
-            asked.probability,
-            instrument=asked.instrument,
-            known=blade.known,
-        )
+    bands: Prediction = science.predict(
+        found.card,
+        found.state.meta,
+        found.arrays(store),
+        blade.id,
+        asked.quantity,
+        asked.times,
+        asked.node,
+        asked.probability,
+        instrument=asked.instrument,
+        known=blade.known,
+    )
     return {
         "blade": blade.id,
         "quantity": asked.quantity,

@@ -52,11 +52,12 @@ def digest_of_json(data: object) -> tuple[str, str]:
     return text, sha256(text.encode()).hexdigest()
 
 
-def check_network(store: Store, science: Science, model_id: str, network: Json | None) -> None:
-    """Refuse a network that the model cannot be varied to, before a rotor asks for it."""
+def check_network(store: Store, science: Science, model_id: str, network: Json | None) -> ModelCard:
+    """The model's newest version; refuses a network that it cannot be varied to."""
     with store.read() as tx:
         card = _registered(tx, model_id)
     science.vary(card, network)
+    return card
 
 
 def _registered(tx: Transaction, model_id: str) -> ModelCard:
@@ -99,11 +100,13 @@ def create_rotor(
     seed: int,
     network: Json | None = None,
     adopt: Adopt = "never",
+    card: ModelCard | None = None,
 ) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool]:
     """A new rotor, or the one that is there with the same content; whether it is new.
 
-    network   what it varies of the model's network, already checked (`check_network`)
+    network   what it varies of the model's network
     adopt     whether a diagnosis that names an effect is adopted by itself
+    card      the version that the network was checked against (`check_network`); None: the newest
     """
     names = [blade.id for blade in blades]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -113,7 +116,7 @@ def create_rotor(
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
     digest = digest_of_rotor(rotor_id, model_id, ordered, particles, seed, network, adopt)
     with store.write() as tx:
-        card = _registered(tx, model_id)
+        card = _registered(tx, model_id) if card is None else card
         check_known(card.network, [(f"blades[{i}].", blade) for i, blade in enumerate(blades)])
         rotor = RotorRecord(
             rotor_id,
@@ -132,6 +135,32 @@ def create_rotor(
     if not new and stored.digest != digest:
         raise ConflictError("rotor", rotor_id, "choose a new id")
     return stored, ordered, new
+
+
+def created_before(
+    store: Store,
+    rotor_id: str,
+    model_id: str,
+    blades: Sequence[BladeRecord],
+    particles: int | None,
+    seed: int,
+    network: Json | None,
+    adopt: Adopt,
+) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool] | None:
+    """What `create_rotor` gives again for a rotor that is there, whatever models and settings have
+    come since; None: there is none of this content.
+
+    particles   None: left to the service, which may have another number now
+    """
+    try:
+        with store.read() as tx:
+            stored = tx.records.rotor(rotor_id)
+    except NotFoundError:
+        return None
+    ordered = tuple(sorted(blades, key=lambda blade: blade.id))
+    count = stored.particles if particles is None else particles
+    digest = digest_of_rotor(rotor_id, model_id, ordered, count, seed, network, adopt)
+    return (stored, ordered, False) if digest == stored.digest else None
 
 
 def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:

@@ -6,9 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from core.errors import RangeError
 from service.handlers.reads import Basis, Question
 from service.handlers.rotors import blades_at
 from service.ports import BladeRecord, Json, Science, Store
+
+MOST_ROWS = 20_000
 
 
 def running(store: Store, found: Basis, after: str, count: int) -> list[BladeRecord]:
@@ -18,6 +21,16 @@ def running(store: Store, found: Basis, after: str, count: int) -> list[BladeRec
         blades = blades_at(tx.records.blades(state.rotor_id), state.through_seq)
     there = sorted((b for b in blades if not b.retired_seq), key=lambda blade: blade.id)
     return [blade for blade in there if blade.id > after][:count]
+
+
+def check_rows(asked: Question, blades: int) -> None:
+    """RangeError: more rows than one answer should hold."""
+    count = len(asked.times) * blades
+    if count > MOST_ROWS:
+        problem = f"hours of {blades} blades are {count} rows, more than {MOST_ROWS}"
+        most = max(MOST_ROWS // len(asked.times), 1)
+        remedy = f"ask for fewer `times`, or for limit={most} and follow `next`"
+        raise RangeError("times", len(asked.times), problem, remedy)
 
 
 def rows(
@@ -34,24 +47,23 @@ def rows(
            probability asked for
     """
     out: list[Json] = []
-    with store.read() as tx:
-        get = tx.states.reader(found.state)
-        for blade in blades:
-            bands = science.predict(
-                found.card,
-                found.state.meta,
-                get,
-                blade.id,
-                asked.quantity,
-                asked.times,
-                asked.node,
-                asked.probability,
-                instrument=asked.instrument,
-                known=blade.known,
-            )
-            parts = [np.asarray(part) for part in (bands.mean, bands.lower, bands.upper)]
-            along = [(p if component is None else p[:, component]).tolist() for p in parts]
-            for time, value, lower, upper in zip(asked.times, *along, strict=True):
-                row = {"time": time, "value": value, "lower": lower, "upper": upper}
-                out.append({"blade": blade.id} | row)
+    get = found.arrays(store)
+    for blade in blades:
+        bands = science.predict(
+            found.card,
+            found.state.meta,
+            get,
+            blade.id,
+            asked.quantity,
+            asked.times,
+            asked.node,
+            asked.probability,
+            instrument=asked.instrument,
+            known=blade.known,
+        )
+        parts = [np.asarray(part) for part in (bands.mean, bands.lower, bands.upper)]
+        along = [(p if component is None else p[:, component]).tolist() for p in parts]
+        for time, value, lower, upper in zip(asked.times, *along, strict=True):
+            row = {"time": time, "value": value, "lower": lower, "upper": upper}
+            out.append({"blade": blade.id} | row)
     return out

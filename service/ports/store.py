@@ -151,7 +151,10 @@ class Transaction(Protocol):
     @property
     def blobs(self) -> Blobs: ...
     def gauges(self) -> Gauges: ...
-    def blade_readings(self, rotor_id: str) -> dict[str, BladeReadings]: ...
+    def blade_readings(self, rotor_id: str, through: int) -> dict[str, BladeReadings]:
+        """By blade, what the entries up to `through` say of its readings."""
+        ...
+
     def operations(self, limit: int) -> Operations: ...
 
 
@@ -168,5 +171,13 @@ class Store(Protocol):
 
         Its writing transactions begin with the guard, which raises where they must not go on, and
         end with the request's row of the audit trail.
+        """
+        ...
+
+    def arrays(self, rotor_id: str, version: int) -> Get:
+        """A lazy reader of a version's arrays, each in a short transaction of its own.
+
+        What takes long reads so: no snapshot is held while it computes. GoneError where the version
+        is thinned out meanwhile.
         """
         ...

@@ -42,7 +42,7 @@ LIMITS = {
     "keepalives_count": "3",
     "tcp_user_timeout": "30000",
 }
-PAGES = "cache_size=-4000"  # KiB of a connection: emptied by every write of another one
+PAGES = "cache_size=-500"  # KiB of a connection: emptied by every write of another one
 KEPT = 8  # SQLite's connections that stay open; a burst opens more, for as long as it lasts
 _WRITERS: WeakKeyDictionary[Pool, RLock] = WeakKeyDictionary()
 

@@ -20,25 +20,37 @@ e, c, j = t.entry.c, t.cursor.c, t.job.c
 UNFINISHED = ("queued", "running")
 
 
-def _gone(rotor_id: str) -> Select[Any]:
+def _gone(rotor_id: str, through: int) -> Select[Any]:
     """Ids of what was retracted."""
-    return select(e.replaces).where(e.rotor_id == rotor_id, e.kind == "retraction")
+    return select(e.replaces).where(
+        e.rotor_id == rotor_id, e.seq <= through, e.kind == "retraction"
+    )
 
 
-def _replaced(rotor_id: str) -> Select[Any]:
+def _replaced(rotor_id: str, through: int) -> Select[Any]:
     """Ids of what is replaced, `core.observation.replaced` in SQL: up the chain of each correction
     that stands, through those that are retracted."""
-    own = (e.rotor_id == rotor_id, e.kind == "inspection", e.replaces.is_not(None))
+    own = (
+        e.rotor_id == rotor_id,
+        e.seq <= through,
+        e.kind == "inspection",
+        e.replaces.is_not(None),
+    )
+    gone = _gone(rotor_id, through)
     first = select(e.event_id.label("tip"), e.replaces.label("above"))
-    chain = first.where(*own, e.event_id.not_in(_gone(rotor_id))).cte("chain", recursive=True)
+    chain = first.where(*own, e.event_id.not_in(gone)).cte("chain", recursive=True)
     further = select(chain.c.tip, e.replaces).join(t.entry, e.event_id == chain.c.above)
-    chain = chain.union(further.where(*own, e.event_id.in_(_gone(rotor_id))))
+    chain = chain.union(further.where(*own, e.event_id.in_(gone)))
     return select(chain.c.above).where(chain.c.above != chain.c.tip)
 
 
-def read_blade_readings(connection: Connection, rotor_id: str) -> dict[str, BladeReadings]:
-    """By blade: how many readings count, how many do not, and the one that counts and came last."""
-    overruled = or_(e.event_id.in_(_gone(rotor_id)), e.event_id.in_(_replaced(rotor_id)))
+def read_blade_readings(
+    connection: Connection, rotor_id: str, through: int
+) -> dict[str, BladeReadings]:
+    """By blade, of the entries up to `through`: how many readings count, how many do not, and the
+    one that counts and came last."""
+    gone, over = _gone(rotor_id, through), _replaced(rotor_id, through)
+    overruled = or_(e.event_id.in_(gone), e.event_id.in_(over))
     per_blade = (
         select(
             e.blade,
@@ -46,7 +58,7 @@ def read_blade_readings(connection: Connection, rotor_id: str) -> dict[str, Blad
             func.sum(case((overruled, 0), else_=1)).label("counting"),
             func.max(case((overruled, None), else_=e.seq)).label("last_seq"),
         )
-        .where(e.rotor_id == rotor_id, e.kind == "inspection")
+        .where(e.rotor_id == rotor_id, e.seq <= through, e.kind == "inspection")
         .group_by(e.blade)
         .subquery()
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import Any
 
@@ -18,6 +18,7 @@ from service.store import tables as t
 from service.store.engine import now_s
 from service.store.gathered import Gathered
 from service.store.log import notify
+from service.store.parts import json_parts
 
 ROTOR = (
     *(column for column in t.rotor.c),
@@ -25,6 +26,7 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
 UNFINISHED = ("queued", "running")
+LISTED = ("verdict", "names")
 BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
 BLADE_NAMES = [column.name for column in BLADE]
 # Nearly every request asks these: a statement is built and understood once.
@@ -117,12 +119,14 @@ class SqlRecords:
         return _job(row)
 
     def jobs_of(self, rotor_id: str, kind: str, before: str | None, limit: int) -> list[JobRecord]:
-        """Jobs of a rotor whose ids lie below one, the greatest first."""
-        query = select(t.job).where(t.job.c.rotor_id == rotor_id, t.job.c.kind == kind)
+        """Jobs of a rotor whose ids lie below one, the greatest first; of a result `LISTED`."""
+        columns = [column for column in t.job.c if column.name not in ("result", "kept")]
+        query = select(*columns, json_parts(t.job.c.result, *LISTED).label("parts"))
+        query = query.where(t.job.c.rotor_id == rotor_id, t.job.c.kind == kind)
         if before is not None:
             query = query.where(t.job.c.id < before)
         query = query.order_by(t.job.c.id.desc()).limit(limit)
-        return [_job(row) for row in self._connection.execute(query).mappings()]
+        return [_listed(row) for row in self._connection.execute(query).mappings()]
 
     def unfinished(self, rotor_id: str, kind: str) -> list[JobRecord]:
         """Jobs of a rotor that are queued or running, the oldest first."""
@@ -225,7 +229,7 @@ def _card(text: str) -> ModelCard:
     return ModelCard.from_json(json.loads(text))
 
 
-def _job(row: RowMapping) -> JobRecord:
+def _job(row: RowMapping | dict[str, Any]) -> JobRecord:
     return JobRecord(
         id=row["id"],
         kind=row["kind"],
@@ -239,6 +243,13 @@ def _job(row: RowMapping) -> JobRecord:
         rotor_id=row["rotor_id"],
         progress=_read(row["progress"]),
     )
+
+
+def _listed(row: RowMapping) -> JobRecord:
+    values = json.loads(row["parts"] or "[]")
+    parts = dict(zip(LISTED, values, strict=False))
+    told = parts if any(value is not None for value in values) else None
+    return replace(_job({**row, "result": None}), result=told)
 
 
 def _rotor(row: Row[Any]) -> RotorRecord:

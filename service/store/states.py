@@ -214,6 +214,7 @@ class SqlStates:
         asked = {"rotor": rotor_id, "version": version, "name": name}
         row = self._connection.execute(_ARRAY, asked).one_or_none()
         if row is None or not row.dtype:
+            self.get(rotor_id, version)  # GoneError: it was thinned out meanwhile
             raise ModelError(f"rotor {rotor_id}, version {version}: no array {name!r} is stored")
         return Encoded(**row._mapping)
 

@@ -37,7 +37,7 @@ class SqlAudit:
             at=now_s(),
             key_id=act.key_id,
             who=act.who,
-            address=act.address,
+            address=None if act.address is None else _text(act.address)[:LONGEST_NAME],
             request_id=redacted(act.request_id),
             what=act.what,
             path=_text(redacted(act.path))[:LONGEST_PATH],

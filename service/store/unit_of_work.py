@@ -49,8 +49,8 @@ class SqlTransaction:
     def gauges(self) -> Gauges:
         return read_gauges(self.connection)
 
-    def blade_readings(self, rotor_id: str) -> dict[str, BladeReadings]:
-        return read_blade_readings(self.connection, rotor_id)
+    def blade_readings(self, rotor_id: str, through: int) -> dict[str, BladeReadings]:
+        return read_blade_readings(self.connection, rotor_id, through)
 
     def operations(self, limit: int) -> Operations:
         return read_operations(self.connection, limit)

@@ -10,14 +10,16 @@ others take the short jobs.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from json import dumps
 from time import monotonic
 
 from core.errors import BladetwinError, FaultsError, InputError, ModelError
+from core.observation import Entry
 from service import tracing
 from service.errors import AdoptionError, LostLeaseError, NotFoundError, StoreAwayError
+from service.handlers.adoptable import read_ahead
 from service.handlers.adoptions import adopt_in
 from service.handlers.diagnoses import KIND as DIAGNOSE
 from service.handlers.models import TRAIN
@@ -134,10 +136,20 @@ class Jobs:
             found = diagnose(
                 self.store, self.science, lease.rotor_id, lease.request, told, lease.kept
             )
-            return lambda tx: self.concluded(tx, lease, found)
+            ahead = self.ahead_of(lease.rotor_id, found)
+            return lambda tx: self.concluded(tx, lease, found, ahead)
         raise NotFoundError("kind of job", lease.kind, "run a worker of the release that wrote it")
 
-    def concluded(self, tx: SqlTransaction, lease: JobLease, found: Json) -> Json:
+    def ahead_of(self, rotor_id: str, found: Json) -> Sequence[Entry]:
+        """The rotor's entries so far, where its option may adopt what was found."""
+        with self.store.read() as tx:
+            option = tx.records.rotor(rotor_id).adopt
+        wanted = option == "effect" and found["verdict"] == "effect"
+        return read_ahead(self.store, rotor_id) if wanted else ()
+
+    def concluded(
+        self, tx: SqlTransaction, lease: JobLease, found: Json, ahead: Sequence[Entry]
+    ) -> Json:
         """The result of a diagnosis; adopted with it where the rotor says so and nothing forbids.
 
         What forbids it stands in the result, as ``not_adopted``.
@@ -150,7 +162,7 @@ class Jobs:
         if option != "effect" or found["verdict"] != "effect":
             return found
         try:
-            adopt_in(tx, self.science, tx.records.job(lease.id), found, unasked=True)
+            adopt_in(tx, self.science, tx.records.job(lease.id), found, ahead, unasked=True)
         except AdoptionError as error:
             log.warning("%s", error)
             return found | {"not_adopted": str(error)}

@@ -153,6 +153,10 @@ def test_what_is_answered_after_the_last_sample_counts(
     assert told["posted"] == told["applied"] > 5
 
 
+def growing(median: float, per_hour: float) -> dict[str, Any]:
+    return {"verdict": "grows", "median": median, "interval": [0.5 * per_hour, per_hour]}
+
+
 SOUND: dict[str, Any] = {
     "posted": 10, "applied": 10, "not_good": {}, "locked": False,
     "trends": {"memory of api [MiB]": {"verdict": "flat"}},
@@ -171,6 +175,18 @@ ASKED = {"posts": 250.0, "reads": 100.0}
             {"trends": {"memory of api [MiB]": {"verdict": "grows"}}},
             "memory of api [MiB] grows",
         ),
+        (
+            {"trends": {"backlog [entries]": {"verdict": "grows"}}},
+            "backlog [entries] grows",
+        ),
+        (
+            {"trends": {"oldest entry [s]": growing(0.2, 0.08)}},
+            "oldest entry [s] grows, and comes to 1 within 10 h of this load",
+        ),
+        (
+            {"trends": {"p99 of reads [ms]": growing(50.0, 5.0)}},
+            "p99 of reads [ms] grows, and comes to 100 within 10 h of this load",
+        ),
         ({"posts": {"p99": 250.1}}, "p99 of posts is 250.1 ms, asked for 250 ms at most"),
         ({"reads": {"p99": 101.0}}, "p99 of reads is 101 ms, asked for 100 ms at most"),
     ],
@@ -181,6 +197,11 @@ def test_what_is_lost_refused_locked_growing_or_slow_is_told(
     """Negative controls."""
     assert aims.faults(SOUND, ASKED) == []
     assert aims.faults(SOUND | spoilt, ASKED) == [said]
+
+
+def test_a_latency_that_stays_below_what_is_asked_for_a_rotor_s_life_may_grow() -> None:
+    slow = SOUND | {"trends": {"oldest entry [s]": growing(0.02, 0.05)}}
+    assert aims.faults(slow, ASKED) == []
 
 
 def test_a_latency_without_an_aim_or_without_an_answer_is_not_judged() -> None:

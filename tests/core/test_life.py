@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +12,12 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from core.calibration.state import Posterior
-from core.curves import curves
+from core.curves import SPAN, curves
 from core.errors import InputError, RangeError
 from core.life import Life, life
 from core.model import Model, rotor_blade
 from core.network import Network, Parameter, Quantity
-from core.prediction import QUANTILES
+from core.prediction import QUANTILES, predict
 from core.prior import Prior
 from core.smc.particles import Particles
 from core.surrogate.formula import FormulaInput, FormulaModel
@@ -169,3 +170,27 @@ def test_what_cannot_be_is_refused() -> None:
     own = Posterior(model.input_names, Particles(np.ones((5, len(model.input_names))), np.zeros(5)))
     with pytest.raises(InputError, match="choose x, y or z"):
         life(model, own, "deformation", 0.1, [1e4])
+
+
+def test_many_hours_are_told_in_parts_that_say_the_same_and_hold_little() -> None:
+    """A prediction of 2,000 hours holds what one of 128 holds, and says what they say."""
+    rates = np.random.default_rng(3).uniform(1.0, 2.0, 4000)
+    model, own = growing(), belief(rates)
+    many, few = np.linspace(1.0, HORIZON, 2000), np.linspace(1.0, HORIZON, 2000)[700:800]
+
+    def peak(hours: Array) -> float:
+        tracemalloc.start()
+        predict(model, own, "y", hours)
+        held = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return held
+
+    whole, part = predict(model, own, "y", many), predict(model, own, "y", few)
+    np.testing.assert_allclose(whole.mean[700:800], part.mean, rtol=1e-12)
+    np.testing.assert_allclose(whole.lower[700:800], part.lower, rtol=1e-12)
+    for source, sd in whole.sd.items():
+        assert sd.shape == (2000,)
+        np.testing.assert_allclose(sd[700:800], part.sd[source], rtol=1e-9, atol=1e-15)
+    assert all(q.shape == (2000,) for q in whole.quantiles.values())
+    assert peak(many) < 2 * peak(many[:SPAN])
+    assert len(life(model, own, "y", 2.0, many).passed) == 2000

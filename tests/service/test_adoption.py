@@ -15,24 +15,26 @@ import pytest
 from sqlalchemy import text, update
 from typer.testing import CliRunner
 
-from core.observation import Inspection
+from core.observation import Entry, Inspection
 from service import bundle
 from service.adopted import adopted_at
 from service.bootstrap import make_worker
 from service.bundle import BundleError
 from service.cli import app as commands
 from service.client import Client, ProblemError
+from service.handlers import adoptions
 from service.handlers.adoptable import concerns
 from service.handlers.adoptions import adopt
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
 from service.handlers.rotors import add_blade, create_rotor, view_rotor
 from service.handlers.transfer import export_rotor, import_rotor
-from service.ports import BladeRecord, Json
+from service.ports import BladeRecord, Event, Json
 from service.settings import Settings
 from service.store import tables as t
 from service.store.audit import audit
 from service.store.engine import snapshot, transaction
+from service.store.log import SqlLog
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore
 from service.worker import claiming, job_lease
@@ -338,6 +340,35 @@ def test_readings_that_came_since_are_told_and_readings_that_are_gone_forbid_it(
     retract(store, "r1", "again")
     sent = api.post(path)
     assert sent.json()["adoption"]["readings_since"] == 2, sent.text
+
+
+def test_what_comes_while_the_log_is_read_ahead_counts_and_the_lock_reads_the_rest_alone(
+    api: httpx.Client,
+    store: SqlStore,
+    named: str,
+    post: Post,
+    reading: Make,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Between reading ahead and the lock one of the diagnosis' readings is corrected."""
+    path = f"/v1/rotors/r1/diagnoses/{named}/adoption"
+    under_lock: list[int] = []
+    own, entries = adoptions.read_ahead, SqlLog.entries
+
+    def late(*args: Any) -> list[Entry]:
+        found = own(*args)
+        post("r1", reading("again", time_h=8e3, value=0.08, replaces="B1-c1"))
+        monkeypatch.setattr(SqlLog, "entries", counted)
+        return found
+
+    def counted(self: SqlLog, rotor_id: str, after: int, through: int, limit: int) -> list[Event]:
+        under_lock.append(after)
+        return entries(self, rotor_id, after, through, limit)
+
+    monkeypatch.setattr(adoptions, "read_ahead", late)
+    told = refused(api.post(path))
+    assert "1 of its 12 readings count no longer (B1-c1)" in told["detail"]
+    assert under_lock == [12]
 
 
 def test_a_blade_that_joined_since_forbids_only_effects_that_would_concern_it() -> None:

@@ -153,6 +153,7 @@ def test_what_is_not_computed_yet_says_what_to_wait_for(
         {"at": "yesterday"},
         {"at": "2001-05-04T10:00:00Z", "version": "2"},
         {"at": "0001-01-01T00:00:00+14:00"},
+        {"at": "9999-12-31T23:59:59-14:00"},
     ],
 )
 @pytest.mark.parametrize("path", KINDS)

@@ -51,7 +51,7 @@ def get_blades(
     found = basis(services.store, services.science, r, which)
     hours = [found.card.horizon_h if time_h is None else time_h]
     asked = question(found.card, quantity, hours, node, 0.95)
-    seen = use.glance(services.store, found, cursor or "", size + 1)
+    seen = use.glance(services.store, found, which, cursor or "", size + 1)
     tag = tag_of(request, found.state.version, found.state.digest, found.card.digest, seen)
     if (same := unchanged(request, tag)) is not None:
         return same

@@ -39,23 +39,19 @@ LOOK_AGAIN_S = 1.0
 
 @router.post("", status_code=201, summary="Create a rotor; the same again gives the same answer")
 def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
-    network = body.asked_network()
-    use.check_network(services.store, services.science, body.model, network)
-    rotor, blades, new = use.create_rotor(
-        services.store,
-        body.id,
-        body.model,
-        [blade.record() for blade in body.blades],
-        services.settings.particles if body.particles is None else body.particles,
-        body.seed,
-        network,
-        body.adopt,
-    )
+    network, blades = body.asked_network(), [blade.record() for blade in body.blades]
+    asked = (services.store, body.id, body.model, blades)
+    made = use.created_before(*asked, body.particles, body.seed, network, body.adopt)
+    if made is None:
+        card = use.check_network(services.store, services.science, body.model, network)
+        count = services.settings.particles if body.particles is None else body.particles
+        made = use.create_rotor(*asked, count, body.seed, network, body.adopt, card)
+    rotor, ordered, new = made
     answer = {
         "id": rotor.id,
         "model": rotor.model_id,
         "model_version": rotor.model_version,
-        "blades": [blade_out(blade) for blade in blades],
+        "blades": [blade_out(blade) for blade in ordered],
         "particles": rotor.particles,
         "seed": rotor.seed,
         "network": rotor.network,

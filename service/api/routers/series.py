@@ -57,6 +57,7 @@ def get_series(
     else:
         shown = [found.blade] if found.blade.id > (cursor or "") else []
     shown, more = shown[:limit], len(shown) > limit
+    use.check_rows(asked, len(shown))
     names = [one.id for one in shown]
     tag = tag_of(request, found.state.version, found.state.digest, found.card.digest, names)
     if (same := unchanged(request, tag)) is not None:

@@ -1,0 +1,38 @@
+"""Parts of a stored JSON text, taken out by the database: lists of long results read none whole."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import Text
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.sql.functions import FunctionElement
+
+
+class json_parts(FunctionElement[str]):
+    """``json_parts(column, name, …)``: the values of these members, as the text of a JSON array.
+
+    NULL, or an array of nulls, where there is no text. Names are constants of the program.
+    """
+
+    type = Text()
+    inherit_cache = False
+
+    def __init__(self, column: Any, *names: str) -> None:
+        assert len(names) > 1
+        assert all(name.isidentifier() for name in names)
+        self.names = names
+        super().__init__(column)
+
+
+@compiles(json_parts, "sqlite")
+def _parts_sqlite(element: Any, compiler: Any, **kw: Any) -> str:
+    paths = ", ".join(f"'$.{name}'" for name in element.names)
+    return f"json_extract({compiler.process(element.clauses, **kw)}, {paths})"
+
+
+@compiles(json_parts, "postgresql")
+def _parts_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
+    text = compiler.process(element.clauses, **kw)
+    values = ", ".join(f"({text})::json -> '{name}'" for name in element.names)
+    return f"json_build_array({values})::text"
