@@ -29,8 +29,9 @@ def start_of(space: SharedSpace, messages: Mapping[str, BladeMessage]) -> Propos
         low, high = space.priors[j].box
         if dense := [d for d in scans if d.sigma == name]:
             dof = sum(d.dof for d in dense)
-            guess = 0.5 * np.log(max(sum(d.rss for d in dense), 1e-300) / dof)
-            sd = 1.0 / np.sqrt(2 * dof)
+            noise = np.sqrt(max(sum(d.rss for d in dense), 1e-300) / dof)
+            guess, logs = space.priors[j].to_u(noise), space.priors[j].log_scale
+            sd = (1.0 if logs else noise) / np.sqrt(2 * dof)
         elif dense := [d for d in scans if name in d.offset]:
             # c ~ N(c_0, noise² A^-1) by the remainders alone
             noise2 = sum(d.rss for d in dense) / sum(d.dof for d in dense)
@@ -66,12 +67,13 @@ def quadratic(unit: Array, values: Array, log_w: Array) -> tuple[Callable[[Array
 def panel(messages: Mapping[str, BladeMessage]) -> dict[str, float]:
     """Some blades of each kind, and how many blades each of them stands for.
 
-    Of a kind are blades whose readings rest on the same noises; `PANEL` of each are taken, in an
-    order that has nothing to do with the blades.
+    Of a kind are blades whose readings rest on the same noises, whatever known ones beside them;
+    `PANEL` of each are taken, in an order that has nothing to do with the blades.
     """
     kinds: dict[tuple[str, ...], list[str]] = {}
     for blade, message in messages.items():
-        kinds.setdefault(tuple(sorted({str(s) for s in message.rows.sigma})), []).append(blade)
+        noises = {s if isinstance(s, str) else "" for s in message.rows.sigma}
+        kinds.setdefault(tuple(sorted(noises)), []).append(blade)
     found = dict[str, float]()
     for blades in kinds.values():
         taken = sorted(blades, key=lambda blade: seed_of(0, blade))[:PANEL]

@@ -17,7 +17,8 @@ fit x*, are both diagonal makes the components of W z independent wherever the i
 
     W_j z ~ N(W_j R c E, sigma² + extra_j + k_j² E(x)² v(x)),
 
-so that each is a row like any other reading's. All of them are kept. (Five directions, those in
+so that each is a row like any other reading's; the density of z is theirs times |det W|, which no
+parameter moves and the evidence needs. All of them are kept. (Five directions, those in
 which z varies around x*, and S as it is at x*, moved the posterior of T1T from three scans alone by
 half its sd; twelve directions widen it by a tenth where the scan is a poor one.) The errors of a
 simulation at two scans of one blade are taken as independent.
@@ -31,7 +32,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,7 @@ class Dense:
     """Remainder of a scan: least residual sum of squares [unit²] and its degrees of freedom.
 
     extra         variance beside the noise [unit²]
+    turned        log |det W| of the scan's rows: with it the rows' density is that of the readings
     offset        names of a constant offset c; centre (3,) and bend (3, 3): the sum of squares is
                   rss + (c − centre)^T bend (c − centre)
     """
@@ -65,11 +67,13 @@ class Dense:
     offset: tuple[str, ...] = ()
     centre: Array = field(default_factory=lambda: np.zeros(0))
     bend: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    turned: float = 0.0
 
     def log_density(self, s: Array, c: Array) -> Array:
-        """Log density of the remainder at noises s (n,) and offsets c (n, 0 or 3)."""
+        """Log density of the remainder at noises s (n,) and offsets c (n, 0 or 3), and `turned`."""
         s2, rss = s**2 + self.extra, self._square(c)
-        return np.asarray(-0.5 * rss / s2 - 0.5 * self.dof * np.log(2 * np.pi * s2))
+        free = self.dof * np.log(2 * np.pi * s2)
+        return np.asarray(self.turned - 0.5 * rss / s2 - 0.5 * free)
 
     def misfit(self, s: Array, c: Array) -> tuple[Array, Array]:
         """chi²/2 of the remainder at noises s (n,) and offsets c (n, 0 or 3), and its least over
@@ -166,6 +170,7 @@ def scan_rows(
     share = np.sqrt(np.sum(weight**2, axis=1))
     weight /= share[:, None]  # a row's noise is sigma² + extra, and the surrogate's
     extra = np.maximum((1.0 - part) / share**2 - noise**2, 0.0)
+    dense = replace(dense, turned=float(np.linalg.slogdet(weight)[1]))
     zero = np.zeros(len(weight))
     mixed = Response(
         response.names,
@@ -237,7 +242,7 @@ def _noise_guess(model: Model, reading: Inspection, dense: Dense) -> float:
         return float(dense.sigma)
     if dense.dof > 20:
         return math.sqrt(max(dense.rss / dense.dof, 1e-12))
-    return math.exp(0.5 * sum(model.network.quantity(reading.quantity).sigma_obs.box))
+    return float(model.network.quantity(reading.quantity).sigma_obs.quantile(np.array(0.5)))
 
 
 def _best_fit(

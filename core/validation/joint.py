@@ -188,7 +188,7 @@ class Target:
             if d.offset:
                 miss = u[np.array([self.shared.index(n) for n in d.offset])] - d.centre
                 rss += miss @ d.bend @ miss
-            total += -0.5 * rss / var - 0.5 * d.dof * jnp.log(2 * math.pi * var)
+            total += d.turned - 0.5 * rss / var - 0.5 * d.dof * jnp.log(2 * math.pi * var)
         return total
 
     def log_joint(self, jnp: Any, shared: Any, local: Any) -> Any:

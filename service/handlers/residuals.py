@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from heapq import nsmallest
 
 from service.ports import Json, ResidualRecord, Store
 
@@ -12,7 +13,7 @@ class Residuals:
     """What is kept of a rotor's residuals, and the rows asked for.
 
     pending   the newest posterior is another one than they rest on
-    items     those that pass the filter, after the cursor
+    items     those that pass the filter, after the place
     """
 
     record: ResidualRecord
@@ -20,18 +21,30 @@ class Residuals:
     items: list[Json]
 
 
-def read_residuals(store: Store, rotor_id: str, after: int, limit: int, wanted: Json) -> Residuals:
-    """The rows of a rotor's residuals by number, after one; `wanted`: blade, quantity, campaign."""
+Place = tuple[float, str, int]
+
+
+def place_of(row: Json) -> Place:
+    """Where a row stands among all: by the rotor's hour, the reading and its part.
+
+    It is the reading's own, so that pages go on from where they were though residuals were computed
+    anew between them, with readings that came late.
+    """
+    return row["rotor_h"], row["inspection"], row["part"]
+
+
+def read_residuals(
+    store: Store, rotor_id: str, after: Place | None, limit: int, wanted: Json
+) -> Residuals:
+    """Rows of a rotor's residuals in order, after a place; `wanted`: blade, quantity, campaign."""
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
         record = tx.records.residuals(rotor_id)
     rows = [] if record.body is None else record.body["residuals"]
     asked = {name: value for name, value in wanted.items() if value is not None}
-    found: list[Json] = []
-    for number, row in enumerate(rows, 1):
-        if number > after and all(row[name] == value for name, value in asked.items()):
-            found.append(row | {"number": number})
-            if len(found) == limit:
-                break
+    found = [row for row in rows if all(row[name] == value for name, value in asked.items())]
+    if after is not None:
+        found = [row for row in found if place_of(row) > after]
+    found = nsmallest(limit, found, key=place_of)
     pending = rotor.dirty or record.version < rotor.version
     return Residuals(record, pending, found)

@@ -1,4 +1,4 @@
-"""What every study's result holds, and where it is written."""
+"""What every study's result holds, and where it is written: command, commit, state algorithm."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import typer
+
+from core.calibration.state import ALGORITHM
 
 
 def commit() -> str | None:
@@ -38,7 +40,8 @@ def write(result: dict[str, Any], made_by: str | None, out: Path | None) -> None
 
 def keep(result: dict[str, Any], made_by: str | None, out: Path | None) -> str:
     """The same without the stdout; the text."""
-    head = {"command": " ".join(["bladetwin", *sys.argv[1:]]), "commit": made_by}
+    command = " ".join(["bladetwin", *sys.argv[1:]])
+    head = {"command": command, "commit": made_by, "algorithm": ALGORITHM}
     text = json.dumps(head | result, indent=1)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

@@ -157,6 +157,30 @@ def test_many_conflicts_are_told_in_part(
     )
 
 
+def test_a_correction_that_closes_a_circle_is_refused(api: httpx.Client, rotor: str) -> None:
+    """Also in one batch, and through others; one that names what is not there yet is none."""
+
+    def sent(*pairs: tuple[str, str | None]) -> httpx.Response:
+        body = [
+            {"id": own, "blade": "B1", "quantity": "elongation", "time_h": 8000, "value": 0.1}
+            | ({} if above is None else {"replaces": above})
+            for own, above in pairs
+        ]
+        return api.post(f"{ROTOR}/inspections", json={"inspections": body})
+
+    assert sent(("a", "b")).status_code == 202, "b may come later"
+    told = sent(("b", "a"))
+    assert told.status_code == 422
+    assert told.json()["faults"][0]["field"] == "inspections[0].replaces"
+    assert "b → a → b" in told.json()["faults"][0]["problem"]
+    assert sent(("c", "b"), ("d", "c")).status_code == 202
+    assert sent(("b", "d")).status_code == 422, "through c and d"
+    assert len(sent(("x", "y"), ("y", "z"), ("z", "x")).json()["faults"]) == 3
+    assert sent(("b", None)).status_code == 202, "negative control: it corrects nothing"
+    assert sent(("a", "b")).status_code == 202, "again"
+    assert api.get(ROTOR).json()["head_seq"] == 4
+
+
 def test_a_long_address_of_a_proxy_is_cut_in_the_audit_trail(
     api: httpx.Client, rotor: str, key: Callable[..., dict[str, str]], store: SqlStore
 ) -> None:

@@ -153,6 +153,25 @@ def test_pages_and_filters_go_through_every_row_once(
     assert api.get("/v1/rotors/zz/residuals").status_code == 404
 
 
+def test_pages_go_on_where_they_were_though_residuals_are_computed_anew_between_them(
+    api: httpx.Client, read: str, diagnoser: Worker, worker: Worker, post: Post, reading: Make
+) -> None:
+    """A reading that came late, of an hour before the page's end, neither repeats nor skips one."""
+    diagnoser.drain()
+    every = [one["inspection"] for one in api.get(PATH).json()["items"]]
+    first = api.get(PATH, params={"limit": 5}).json()
+    post(read, reading("late", blade="B1", time_h=900.0, value=0.02))
+    worker.drain()
+    diagnoser.drain()
+    second = api.get(PATH, params={"limit": 100, "cursor": first["next"]}).json()
+    pages = [one["inspection"] for page in (first, second) for one in page["items"]]
+    assert pages == every
+    now = [one["inspection"] for one in api.get(PATH).json()["items"]]
+    assert now == ["late", *every], "negative control: by numbers the sixth would come twice"
+    for bad in ("5", "x:0:a", "1.0:y:a", "1.0"):
+        assert api.get(PATH, params={"cursor": bad}).status_code == 422, bad
+
+
 def test_the_order_of_arrival_leaves_no_trace(
     api: httpx.Client,
     store: SqlStore,

@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 
-from service.api.services import Limit, Name, Number, Wired, moment, page_size
-from service.handlers.residuals import read_residuals
+from service.api.problems import fault, invalid
+from service.api.services import Limit, Name, Wired, moment, page_size
+from service.handlers.residuals import Place, place_of, read_residuals
 
 router = APIRouter(prefix="/v1/rotors/{r}", tags=["reads"])
 Wanted = Annotated[str | None, Query(min_length=1, max_length=200)]
@@ -29,17 +30,17 @@ def get_residuals(
     quantity: Wanted = None,
     campaign: Wanted = None,
     limit: Limit = None,
-    cursor: Number = None,
+    cursor: Annotated[str | None, Query(max_length=160)] = None,
 ) -> dict[str, Any]:
     size = page_size(services, limit)
     wanted = {"blade": blade, "quantity": quantity, "campaign": campaign}
-    found = read_residuals(services.store, r, cursor or 0, size + 1, wanted)
+    found = read_residuals(services.store, r, _place(cursor), size + 1, wanted)
     record, shown = found.record, found.items[:size]
-    more = str(shown[-1]["number"]) if len(found.items) > size else None
+    more = _cursor(shown[-1]) if len(found.items) > size else None
     body = record.body or {}
     as_of = body.get("rests_on")
     return {
-        "items": [{k: v for k, v in row.items() if k != "number"} for row in shown],
+        "items": shown,
         "next": more,
         "rotor": r,
         "as_of": as_of and as_of | {"computed_at": moment(record.computed_at)},
@@ -47,3 +48,19 @@ def get_residuals(
         "error": record.error,
         **{name: body.get(name, nothing) for name, nothing in NOTHING.items()},
     }
+
+
+def _cursor(row: dict[str, Any]) -> str:
+    hour, name, part = place_of(row)
+    return f"{hour!r}:{part}:{name}"
+
+
+def _place(cursor: str | None) -> Place | None:
+    if cursor is None:
+        return None
+    try:
+        hour, part, name = cursor.split(":", 2)
+        return float(hour), name, int(part)
+    except ValueError:
+        remedy = "use `next` of the page before"
+        raise invalid([fault("cursor", cursor, "is no cursor", remedy)]) from None

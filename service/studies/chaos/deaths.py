@@ -25,6 +25,7 @@ from service.studies.chaos.processes import Child, Kind, forked, free_port
 from service.studies.chaos.traps import Point
 
 DIES_WITHIN_S = 60.0
+GRACE_S = 2.0  # asked of a takeover, beyond the lease
 LONG_S = 10.0  # so that no other worker comes between the claim and the commit
 NOWHERE = Point("executed", "nothing says this")
 
@@ -54,7 +55,9 @@ def worker_dies(point: Point) -> Callable[[Bench, int], str]:
         waited = bench.settle()
         bench.post(f"r{number}", "later")
         bench.settle()
-        return "taken over within 2 s" if waited < 2.0 else "taken over later than 2 s"
+        if waited < GRACE_S:
+            return f"taken over within {GRACE_S:g} s"
+        return f"taken over {'within' if waited < LEASE_S + GRACE_S else 'later than'} lease + 2 s"
 
     return trial
 

@@ -121,3 +121,22 @@ def test_errors_of_the_best_fit_everywhere_would_not_do(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(scans, "scan_rows", fixed)
     assert max(np.abs(off(rotor)[0]).max() for rotor in (24, 26)) > 0.2
+
+
+def test_with_the_turn_of_its_rows_a_scan_s_density_is_that_of_its_readings() -> None:
+    """In evidence, too: the rows are W z, and what W stretches is told beside the remainder."""
+    model, readings, sigma = scanned(24)
+    box = np.array([model.network.parameter(name).prior.box for name in model.input_names])
+    low, high = box.T
+    x = low + np.random.default_rng(1).random((20_000, len(low))) * (high - low)
+    for reading in readings:
+        rows = scans.scan_rows(model, reading, sigma, partial(_boxed, model), DEGREE)
+        in_full, told = whole(model, reading, x, sigma), by_rows(rows, x, sigma)
+        w = np.exp(in_full - in_full.max())
+        left = float(w @ (in_full - told) / w.sum())
+        assert left == pytest.approx(rows.dense.turned, abs=0.2), "rows are exact at the best fit"
+        remainder = replace(rows.dense, turned=0.0)
+        at = np.array([sigma]), np.zeros((1, 0))
+        gained = rows.dense.log_density(*at) - remainder.log_density(*at)
+        assert float(gained[0]) == pytest.approx(rows.dense.turned, abs=1e-9)
+        assert abs(rows.dense.turned) > 0.6, "negative control: the two differ without it"
