@@ -110,7 +110,7 @@ def before_after(
     blades  whose forecast is told; none: all
     """
     held = held_out(readings, quantity)
-    first: dict[str, float] = {}
+    first: dict[str, float] = {}  # hour of a blade's first reading that is held out
     for r in held:
         first[r.blade] = min(r.time_h, first.get(r.blade, r.time_h))
     kept = [r for r in readings if r.blade not in first or r.time_h < first[r.blade]]
