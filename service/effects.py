@@ -87,7 +87,7 @@ def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
 
 def compared(readings: Sequence[Inspection]) -> str:
     """The quantity that both models are held against: that of most readings."""
-    count = Counter(r.quantity for r in readings if len(r.values) == 1)
+    count = Counter(r.quantity for r in readings if r.values.size == 1)
     return max(sorted(count), key=count.__getitem__, default="")
 
 

@@ -3,13 +3,13 @@
 A dormant input that is constant and the same in all blades wakes: the parameter itself becomes
 shared, with the prior that the network declares for it. Of everything else the amplitude is a
 shared parameter with a normal prior of the expected size, cut at zero where physics gives it a
-sign, and where the input would leave the simulation's runs. Shapes run on until `UNTIL` times the
-hour at which they reach their size, and stay from then on: nothing is known of wear beyond.
+sign, and where the input would leave the simulation's runs. Shapes run on until `grammar.UNTIL`
+times the hour at which they reach their size, and stay from then on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -17,16 +17,16 @@ from typing import Any
 import numpy as np
 
 from core.course import Bias, Course, Drift
-from core.diagnosis.grammar import REFERENCE_H, Cell, Facts, there
+from core.diagnosis.grammar import Cell, Facts, there
 from core.diagnosis.signature import NOISES
 from core.errors import InputError
 from core.model import Model
 from core.network import Network, Parameter
+from core.observation import Inspection
 from core.prior import Prior
 from core.surrogate import Surrogate
 from core.surrogate.driven import Driven
 
-UNTIL = 1.2
 WIDTH = 4.0  # amplitudes reach so many times the expected size
 LEAST_ROOM = 0.2  # of the expected size, or the runs cannot hold the effect
 
@@ -135,16 +135,13 @@ def _with(
 
 
 def _bounded(cell: Cell, sign: int) -> Course:
-    """sign · s(t), constant after `UNTIL` times the reference."""
+    """sign · s(t); of all hours where it is constant."""
     if cell.shape == "constant":
         return Course.of(float(sign))
     if cell.shape == "step":
         hour = cell.step_h or 0.0
         return Course.of([(hour, 0.0), (hour, float(sign))])
-    points = [(h, v) for h, v in cell.course.points if h <= REFERENCE_H]
-    end = UNTIL * REFERENCE_H
-    points.append((end, float(cell.course.at(end))))
-    return Course.of([(h, sign * v) for h, v in points])
+    return Course.of([(h, sign * v) for h, v in cell.course.points])
 
 
 def _blades(cell: Cell, facts: Mapping[str, Facts]) -> tuple[str, ...] | None:
@@ -198,15 +195,25 @@ def amplitude_of(cell: Cell) -> str:
     family = cell.family
     what = {"plus": "added to", "times": "of"}[family.how]
     direction = "lost " if family.sign < 0 else ""
-    when = f" by {REFERENCE_H:,.0f} h" if cell.shape in ("early", "linear", "late") else ""
+    when = f" by {cell.reference_h:,.0f} h" if cell.shape in ("early", "linear", "late") else ""
     return f"{direction}{what} {family.of}{when}"
 
 
-def typical_noise(model: Model, shared: Mapping[str, float]) -> dict[str, float]:
-    """Noise of each quantity: as found, or the middle of its prior."""
+def typical_noise(
+    model: Model, shared: Mapping[str, float], readings: Iterable[Inspection] = ()
+) -> dict[str, float]:
+    """Noise of each quantity: as found, else as its readings state it, or the middle of its prior.
+
+    shared  means of the shared parameters
+    """
+    stated: dict[str, list[float]] = {}
+    for r in readings:
+        if r.sigma is not None:
+            stated.setdefault(r.quantity, []).append(r.sigma)
     found = {}
     for q in model.network.quantities:
-        middle = float(np.sqrt(q.sigma_obs.low * q.sigma_obs.high))
+        told = stated.get(q.name)
+        middle = float(np.median(told)) if told else float(q.sigma_obs.quantile(np.array(0.5)))
         own = [v for n, v in shared.items() if n.split("@")[0] == q.sigma_name]
         found[q.name] = float(np.mean(own)) if own else middle
     return found

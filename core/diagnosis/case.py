@@ -53,7 +53,7 @@ class Case:
         """Of a reading, by quantity, as the state has it."""
         shared = shared_posterior(state.meta, state.arrays.__getitem__)
         means = dict(zip(shared.names, shared.particles.mean.tolist(), strict=True))
-        return typical_noise(model, means)
+        return typical_noise(model, means, self.readings)
 
     def cells(self, model: Model) -> list[Cell]:
         """Every cell that these readings could tell of; InputError where there is none at all."""
@@ -67,6 +67,7 @@ class Case:
             quantities,
             {b: facts[b] for b in read},
             readers(self.readings, facts),
+            model.horizon_h,
         )
         if not every:
             raise InputError(
@@ -87,22 +88,36 @@ class Case:
             self._seen[key] = scores(model, state, self.readings, self.spec.known)
         return self._seen[key]
 
-    def scan(self, model: Model, state: RotorState, taken: Sequence[Cell] = ()) -> Scan:
-        """Of a state; effects that are in the model already are left out, and may be all."""
+    def scan(
+        self,
+        model: Model,
+        state: RotorState,
+        taken: Sequence[Cell] = (),
+        noise: Mapping[str, float] | None = None,
+    ) -> Scan:
+        """Of a state; effects that are in the model already are left out, and may be all.
+
+        noise  from which offsets without a size have theirs: as the bare model has it, so that a
+               cell is as large in the scan as it is when it is calibrated; none: of this state
+        """
+        noise = self.noise(model, state) if noise is None else noise
         seen = self.seen(model, state)
         facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
         gone = {one.name for one in taken}
         left = [c for c in self.cells(model) if c.name not in gone]
-        found = signatures(model, seen, left, facts, self.noise(model, state), _physics(model))
+        found = signatures(model, seen, left, facts, noise, _physics(model))
         return Scan.of(left, seen, found, unnamed(seen, facts))
 
-    def halves(self, model: Model, taken: Rival) -> tuple[Held, ...]:
-        """Whether the amplitudes of the effects in a model agree between halves."""
+    def halves(self, model: Model, state: RotorState, taken: Rival) -> tuple[Held, ...]:
+        """Whether the amplitudes of the effects in a model agree between halves.
+
+        model, state  without any effect
+        """
         if not taken.effects:
             return ()
         seen = self.seen(taken.model, taken.state)
         facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
-        noise = self.noise(model, taken.state)
+        noise = self.noise(model, state)
         physics = _physics(taken.model)
         more = signatures(taken.model, seen, taken.effects, facts, noise, physics)
         return halves(model, taken.state, seen, taken.effects, facts, noise, more)

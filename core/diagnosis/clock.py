@@ -5,7 +5,9 @@ The rotor's hour of a reading is the blade's plus an offset: the rotor's hours w
 were zero. Where the blade's record does not say, campaigns tell: all readings of one campaign were
 taken at one hour of the rotor, which is that of its oldest blade or later. So a blade's offset is
 the largest that its campaigns ask for; and as blades without a campaign in common are linked by
-others, the campaigns' hours are asked twice, with the offsets found first.
+others, the campaigns' hours are asked again with the offsets that were found, until none changes. A
+name under which one blade was read at hours that are far apart is of no single day, and says
+nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from core.diagnosis.grammar import Facts, Readers
+from core.diagnosis.grammar import Facts, Readers, parts
 from core.observation import Inspection
 
 STEPS = 6  # hours at most at which a step is tried
@@ -31,27 +33,40 @@ def with_offsets(
     >>> found["old"].offset_h, found["new"].offset_h
     (0.0, 8000.0)
     """
+    days = _days(readings)
+    dated = [(r, r.campaign) for r in readings if r.campaign in days]
     offset: Mapping[str, float] = told
-    for _ in range(2):
+    for _ in range(len(days) + 1):
         hour: dict[str, float] = {}
-        for r in readings:
-            if r.campaign is not None:
-                at = r.time_h + offset.get(r.blade, 0.0)
-                hour[r.campaign] = max(hour.get(r.campaign, 0.0), at)
+        for r, day in dated:
+            at = r.time_h + offset.get(r.blade, 0.0)
+            hour[day] = max(hour.get(day, 0.0), at)
         behind: dict[str, float] = {}
-        for r in readings:
-            if r.campaign is not None:
-                late = hour[r.campaign] - r.time_h
-                behind[r.blade] = max(behind.get(r.blade, 0.0), late)
-        offset = {**behind, **told}
+        for r, day in dated:
+            behind[r.blade] = max(behind.get(r.blade, 0.0), hour[day] - r.time_h)
+        before, offset = offset, {**behind, **told}
+        if offset == before:
+            break
     return {name: replace(own, offset_h=offset.get(name, 0.0)) for name, own in blades.items()}
+
+
+def _days(readings: Sequence[Inspection]) -> set[str]:
+    """Campaigns in which each blade was read at one of its hours, or at nearly one."""
+    apart = SAME * max((r.time_h for r in readings), default=0.0)
+    ends: dict[tuple[str, str], tuple[float, float]] = {}
+    for r in readings:
+        if r.campaign is not None:
+            low, high = ends.get((r.campaign, r.blade), (r.time_h, r.time_h))
+            ends[r.campaign, r.blade] = (min(low, r.time_h), max(high, r.time_h))
+    long = {day for (day, _), (low, high) in ends.items() if high - low > apart}
+    return {day for day, _ in ends} - long
 
 
 def readers(readings: Sequence[Inspection], blades: Mapping[str, Facts]) -> Readers:
     """Instruments, campaigns and where between inspections a step may be."""
     return Readers(
-        tuple(sorted({r.instrument for r in readings if r.instrument is not None})),
-        tuple(sorted({r.campaign for r in readings if r.campaign is not None})),
+        parts(r.instrument for r in readings),
+        parts(r.campaign for r in readings),
         _between({r.time_h + blades[r.blade].offset_h for r in readings}),
         _between({r.time_h for r in readings}),
     )

@@ -181,7 +181,7 @@ def conclude(
         hypotheses=took[-1].hypotheses[:SHOWN],
         best=took[-1].hypotheses[0],
     )
-    sure = sorted(c for c in claims.values() if c is not None)
+    sure = sorted({c for c in claims.values() if c is not None})
     if all(c is not None for c in claims.values()):
         whys = [f"{' and '.join(sure)} gains {gained:.1f} nat and leaves nothing behind"]
         whys += [

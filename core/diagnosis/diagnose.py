@@ -123,7 +123,7 @@ def diagnose(
         after,
         turns,
         taken.gained,
-        case.halves(model, taken),
+        case.halves(model, state, taken),
         search.refused,
         open_,
         [end for c in taken.effects if (end := _end(c, model, taken)) is not None],

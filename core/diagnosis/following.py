@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.course import Course
+from core.course import Course, Drift
 from core.diagnosis.grammar import Facts
 from core.diagnosis.scores import Scores
 from core.errors import InputError
@@ -32,20 +32,29 @@ Held = dict[tuple[object, ...], Array]
 class Physics:
     """What answers for effects.
 
-    rest    values of the inputs that the network lacks
-    fields  by each quantity that is read at a node, the one where a reading names none
+    rest     values of the inputs that the network lacks
+    fields   by each quantity that is read at a node, the one where a reading names none
+    network  of the model, with the effects that it has already
     """
 
     answers: Answers
     rest: Mapping[str, float]
     fields: Mapping[str, int]
+    network: Network
 
     @staticmethod
     def of(network: Network, answers: Answers, rest: Mapping[str, float]) -> Physics:
         """For the quantities of a network."""
         read_at = [q for q in network.quantities if q.kind == "field"]
         there = {q.name: q.default_node for q in read_at if q.default_node in answers.named}
-        return Physics(answers, rest, {q: answers.named[node] for q, node in there.items()})
+        fields = {q: answers.named[node] for q, node in there.items()}
+        return Physics(answers, rest, fields, network)
+
+    def drifts(self, blade: str) -> tuple[Drift, ...]:
+        """What moves a blade's inputs in the model already, by the blade's own hours."""
+        asleep = {p.name for p in self.network.of_level("dormant")}
+        own = (d.of_blade(blade) for d in self.network.drifts if d.name not in asleep)
+        return tuple(d for d in own if d is not None)
 
     def asked(self, reading: Inspection) -> tuple[str, list[int] | None]:
         """Quantity and nodes of a reading."""
@@ -78,12 +87,14 @@ def change(
     """
     out = np.zeros(seen.answers.shape)
     groups: dict[object, list[tuple[int, int]]] = {}
+    drifts = [physics.drifts(blade) for blade in seen.blades]
     for b, i in np.argwhere(seen.real):
         reading, rows = seen.reading(b, i), seen.rows[b]
         if seen.place[b, i] in rows.mixings:
             key: object = ("scan", int(b), int(seen.place[b, i]))
         else:
-            key = (reading.quantity, None if reading.nodes is None else tuple(reading.nodes))
+            nodes = None if reading.nodes is None else tuple(reading.nodes)
+            key = (reading.quantity, nodes, drifts[b])
         groups.setdefault(key, []).append((int(b), int(i)))
     for members in groups.values():
         b0, i0 = members[0]
@@ -121,7 +132,8 @@ def _follow(
     What is without the effect is the same for all effects, and is computed once (`known`).
     """
     answers, points = physics.answers, seen.answers.shape[1]
-    base, drifts = (answers.base, answers.drifts) if isinstance(answers, Driven) else (answers, ())
+    base = answers.base if isinstance(answers, Driven) else answers
+    drifts = physics.drifts(seen.blades[blades[0]])  # those of all of them
     names = [i.name for i in base.inputs]
     x = _inputs(physics, seen, blades, names)
     if not isinstance(base, Surrogate):

@@ -23,7 +23,8 @@ from dataclasses import dataclass
 from core.course import Course
 from core.family import Family, Shape, Whom
 
-REFERENCE_H = 50_000.0  # what grows has its size by then
+REFERENCE_H = 50_000.0  # what grows has its size by then, or by the model's horizon
+UNTIL = 1.2  # of it: nothing is known of wear beyond
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,7 @@ class Cell:
 
     value    of whom: the lot's, blade's, instrument's or campaign's name; None: all
     step_h   hour of a step
+    reference_h  by when what grows has its size
     """
 
     family: Family
@@ -39,6 +41,7 @@ class Cell:
     whom: Whom
     value: str | None = None
     step_h: float | None = None
+    reference_h: float = REFERENCE_H
 
     @property
     def name(self) -> str:
@@ -66,7 +69,7 @@ class Cell:
 
     @property
     def course(self) -> Course:
-        """Its shape s(t) over the clock's hours, of the order of 1."""
+        """Its shape s(t) over the clock's hours, of the order of 1; constant beyond `UNTIL`."""
         if self.shape == "constant":
             return Course.of([(-1e9, 0.0), (-1e9, 1.0)])
         if self.shape == "step":
@@ -74,9 +77,8 @@ class Cell:
             return Course.of([(hour, 0.0), (hour, 1.0)])
         share = [k / 10 for k in range(11)]
         power = {"early": 0.5, "linear": 1.0, "late": 2.0}[self.shape]
-        ends = [(REFERENCE_H * s, s**power) for s in share]
-        slope = power / REFERENCE_H
-        return Course.of([*ends, (4 * REFERENCE_H, 1.0 + 3 * REFERENCE_H * slope)])
+        ends = [(self.reference_h * s, s**power) for s in share]
+        return Course.of([*ends, (UNTIL * self.reference_h, 1.0 + (UNTIL - 1.0) * power)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,7 @@ def there(cell: Cell, own: Facts) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Readers:
-    """Instruments and campaigns of a rotor's readings, and hours between its inspections.
+    """Instruments and campaigns of a rotor's readings (`parts`), and hours between its inspections.
 
     between_h  of the rotor's hours, one for each interval between inspections: where a step may be
     ages_h     the same of the blades' own hours
@@ -116,26 +118,39 @@ class Readers:
     ages_h: tuple[float, ...]
 
 
+def parts(names: Iterable[str | None]) -> tuple[str, ...]:
+    """The names, sorted; none where they tell nothing apart. What has no name is a part, too.
+
+    >>> parts(["b", "a", "a"]), parts(["a", "a"]), parts(["a", None])
+    (('a', 'b'), (), ('a',))
+    """
+    found = set(names)
+    return tuple(sorted(n for n in found if n is not None)) if len(found) > 1 else ()
+
+
 def cells(
     families: Iterable[Family],
     inputs: Sequence[str],
     quantities: Sequence[str],
     blades: Mapping[str, Facts],
     readers: Readers,
+    horizon_h: float = REFERENCE_H,
 ) -> list[Cell]:
     """The cells that these readings could tell of.
 
-    inputs  that the simulation has; a family of another input is left out
+    inputs     that the simulation has; a family of another input is left out
+    horizon_h  of the model: what grows is as large as expected by then, or by `REFERENCE_H`
     """
-    lots = sorted({f.lot for f in blades.values() if f.lot is not None})
-    coats = sorted({f.coating_lot for f in blades.values() if f.coating_lot is not None})
+    reference = min(REFERENCE_H, horizon_h)
+    lots = parts(f.lot for f in blades.values())
+    coats = parts(f.coating_lot for f in blades.values())
     values: dict[str, Sequence[str | None]] = {
         "all": [None],
-        "lot": lots if len(lots) > 1 else [],
-        "coating_lot": coats if len(coats) > 1 else [],
+        "lot": lots,
+        "coating_lot": coats,
         "blade": sorted(blades) if len(blades) > 1 else [],
-        "instrument": readers.instruments if len(readers.instruments) > 1 else [],
-        "campaign": readers.campaigns if len(readers.campaigns) > 1 else [],
+        "instrument": readers.instruments,
+        "campaign": readers.campaigns,
     }
     found = []
     for family in families:
@@ -146,7 +161,7 @@ def cells(
             for shape in family.shapes:
                 steps = where if shape == "step" else (None,)
                 found += [
-                    Cell(family, shape, whom, value, hour)
+                    Cell(family, shape, whom, value, hour, reference)
                     for value in values[whom]
                     for hour in steps
                 ]

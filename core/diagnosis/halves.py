@@ -31,6 +31,7 @@ from core.diagnosis.verdict import WIDE, Held
 from core.model import Model
 
 Array = NDArray[np.float64]
+NOTHING = 1e-9  # of the largest change: what rounding makes of none
 
 
 def halves(
@@ -55,9 +56,10 @@ def halves(
         name, origin = amplitude(cell, before.network)
         size = expected(cell, noise)
         mean = float(shared.particles.w @ shared.column(name)) - origin
-        g = np.where(concerned[:, :, c], seen.slope[:, :, others.index(name)], 0.0)
         once = more.g[:, :, c]
-        share = np.where(once != 0, g * size / np.where(once != 0, once, 1.0), 0.0)
+        told = np.abs(once) > NOTHING * np.max(np.abs(once), initial=0.0)  # of a step: those after
+        g = np.where(concerned[:, :, c] & told, seen.slope[:, :, others.index(name)], 0.0)
+        share = np.where(told, g * size / np.where(told, once, 1.0), 0.0)
         h = np.where(concerned[:, :, c], share * more.h[:, :, c], 0.0)
         for by, half in splits(seen, g):
             found.append(between(seen, g * size, h, half, cell, by, mean / size))

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +107,7 @@ def omnibus(visits: Sequence[Visit], facts: Mapping[str, Facts], seed: int) -> O
     q = [own @ root for own, root in zip(e, roots, strict=True)]
     names: list[tuple[str, str, str, int]] = []
     values: list[Array] = []
-    done = set[frozenset[tuple[int, int]]]()
+    done, paired = set[frozenset[tuple[int, int]]](), set[frozenset[tuple[int, int]]]()
     for grouping in GROUPINGS:
         members: dict[str, list[tuple[int, int]]] = {}
         for k, visit in enumerate(visits):
@@ -115,16 +116,16 @@ def omnibus(visits: Sequence[Visit], facts: Mapping[str, Facts], seed: int) -> O
                 if own is not None:
                     members.setdefault(own, []).append((k, i))
         for value, rows in sorted(members.items()):
-            if frozenset(rows) in done:  # one lot, one instrument: asked before
-                continue
-            done.add(frozenset(rows))
-            told = (grouping, value)
-            names.append((*told, "mean", len(rows)))
-            values.append(sum((q[k][:, i] for k, i in rows), np.zeros(len(e[0]))))
-            names.append((*told, "variance", len(rows)))
-            square = sum((e[k][:, i] ** 2 for k, i in rows), np.zeros(len(e[0])))
-            values.append(np.cbrt(square / len(rows)))
-            pairs = _pairs(visits, rows) if grouping in BY_PAIRS else []
+            told, same = (grouping, value), frozenset(rows)
+            if same not in done:  # one lot, one instrument: asked before
+                names.append((*told, "mean", len(rows)))
+                values.append(sum((q[k][:, i] for k, i in rows), np.zeros(len(e[0]))))
+                names.append((*told, "variance", len(rows)))
+                square = sum((e[k][:, i] ** 2 for k, i in rows), np.zeros(len(e[0])))
+                values.append(np.cbrt(square / len(rows)))
+            done.add(same)
+            pairs = _pairs(visits, rows) if grouping in BY_PAIRS and same not in paired else []
+            paired |= {same} if pairs else set()
             if pairs:
                 names.append((*told, "autocorrelation", len(pairs)))
                 terms = (e[k][:, i] * e[k0][0, i0] for (k, i), (k0, i0) in pairs)
@@ -182,12 +183,15 @@ def _scores(values: Array) -> Array:
 def _pairs(
     visits: Sequence[Visit], rows: Sequence[tuple[int, int]]
 ) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Rows, each with that of the same blade, quantity and part at its visit before."""
-    last: dict[tuple[str, str, int], tuple[int, int]] = {}
+    """Rows, each with that of the same blade, quantity, place, instrument and part at its visit
+    before."""
+    last: dict[tuple[Any, ...], tuple[int, int]] = {}
     found = []
     for k, i in sorted(rows):
         one = visits[k].residuals[i]
-        key = (one.reading.blade, one.reading.quantity, one.part)
+        own = one.reading
+        nodes = None if own.nodes is None else tuple(own.nodes.tolist())
+        key = (own.blade, own.quantity, nodes, own.instrument, one.part)
         if key in last and last[key][0] < k:
             found.append(((k, i), last[key]))
         if key not in last or last[key][0] < k:

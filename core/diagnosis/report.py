@@ -103,12 +103,17 @@ def before_after(
 ) -> BeforeAfter:
     """Calibrate both models without the held-out readings, and predict these.
 
+    Of a blade whose readings are held out nothing of those hours is used, of no other quantity
+    either: what comes after them is not known when they are foretold.
+
     states  of both models with all readings: where to look first
     blades  whose forecast is told; none: all
     """
     held = held_out(readings, quantity)
-    gone = {r.id for r in held}
-    kept = [r for r in readings if r.id not in gone]
+    first: dict[str, float] = {}  # hour of a blade's first reading that is held out
+    for r in held:
+        first[r.blade] = min(r.time_h, first.get(r.blade, r.time_h))
+    kept = [r for r in readings if r.blade not in first or r.time_h < first[r.blade]]
     work = workspace or Workspace()
     scored, forecast = [], []
     for i, (model, which) in enumerate(zip(models, ("before", "after"), strict=True)):

@@ -166,8 +166,11 @@ def _blade(
     size = np.sqrt(w @ off**2) + 1e-300
     slope = np.zeros((count, len(others)))
     for k, name in enumerate(others):
-        ends = (columns[:, k] + size[k], columns[:, k] - size[k])
-        slope[:, k] = w @ (answered(name, ends[0])[0] - answered(name, ends[1])[0]) / (2 * size[k])
+        own = shared_prior(model, name)
+        ends = tuple(np.clip(columns[:, k] + e * size[k], own.low, own.high) for e in (1, -1))
+        apart = np.maximum(ends[0] - ends[1], 1e-300)
+        change = answered(name, ends[0])[0] - answered(name, ends[1])[0]
+        slope[:, k] = w @ (change / apart[:, None])
     some = _evenly(w, f, SLOPES)
     spread = np.zeros((count, len(locals_)))
     for k, p in enumerate(locals_):

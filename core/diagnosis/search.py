@@ -16,7 +16,7 @@ from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import weighed as weighed_all
 from core.diagnosis.scan import Scan
 from core.diagnosis.verdict import LEFT, Verdict, judge
-from core.errors import InputError
+from core.errors import CalibrationError, InputError
 from core.model import Model
 
 Progress = Callable[[str, int, int], None]
@@ -78,7 +78,8 @@ class Search:
                         "is not found well enough to be compared",
                         "the scan's word stands",
                     )
-            except InputError as error:  # together they may leave the runs, in one blade alone
+            except (InputError, CalibrationError) as error:
+                # together they may leave the runs, in one blade alone, or be past computing
                 self.refused[names] = str(error)
                 return None
             self.known[key] = Rival(effects, bigger, made.sealed, gained)
@@ -128,7 +129,8 @@ class Search:
         """What is still there with effects in the model."""
         self.say("scan")
         case = self.case
-        scan = case.scan(taken.model, taken.state, taken.effects)
+        noise = case.noise(self.model, self.state)
+        scan = case.scan(taken.model, taken.state, taken.effects, noise)
         return scan, judge(scan, case.spec.seed + turn, alarm=LEFT, dealt=case.dealt)
 
     def _best(self, known: Mapping[tuple[int, ...], Rival]) -> tuple[int, ...]:

@@ -7,12 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.diagnosis.following import Physics
-from core.model import rotor_blade
+from core.calibration.online import RotorSpec, update
+from core.diagnosis import Facts
+from core.diagnosis.adopt import with_effects
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.following import Moving, Physics, change
+from core.diagnosis.grammar import Cell
+from core.diagnosis.scoring import scores
+from core.model import Model, rotor_blade, rotor_blade_wide
+from core.network import Network
 from core.observation import Inspection
+from core.surrogate.driven import Driven
 
 MODEL = rotor_blade()
 NAMED = MODEL.surrogate.named
+FAMILY = {f.name: f for f in FAMILIES}
 
 
 def physics(node: str | None) -> Physics:
@@ -38,3 +47,35 @@ def test_a_node_of_its_own_counts_first_and_a_scalar_has_none() -> None:
     assert physics("tip").asked(own) == ("ceeq", [3])
     length = Inspection("i", "b", "elongation", 8000.0, np.array([0.1]))
     assert physics("tip").asked(length) == ("elongation", None)
+
+
+def test_an_effect_that_some_blades_have_already_is_in_what_another_one_adds_to_them() -> None:
+    """Of a coating that wears in one blade alone: there as if it wore in all, elsewhere in none."""
+    blades = ("B1", "B2")
+    wear = Cell(FAMILY["coating wear"], "linear", "blade", "B1")
+    facts = {b: Facts() for b in blades}
+    lot = with_effects(rotor_blade_wide(), [wear], facts, {"elongation": 0.02})
+    (drift,) = lot.network.drifts
+    everyone = replace(lot.network, drifts=(replace(drift, blades=None),))
+    model = Model.of(everyone, lot.surrogate)
+    data = [
+        Inspection(f"{b}-{t}", b, "elongation", t, np.array([0.3 + 1e-6 * t]), sigma=0.02)
+        for b in blades
+        for t in (7e3, 21e3)
+    ]
+    seen = scores(model, update(model, RotorSpec("r", blades, 100, 1), data), data)
+    assert isinstance(model.surrogate, Driven)
+    rest = dict(model.surrogate.fixed)
+    fouling = Moving(
+        "gas_temperature", "times", 0.01, Cell(FAMILY["fouling"], "linear", "all").course, False
+    )
+
+    def added(network: Network) -> np.ndarray:
+        own = Physics.of(network, model.surrogate, rest)
+        return change(own, seen, facts, fouling, {})
+
+    some, every = added(lot.network), added(everyone)
+    none = added(replace(everyone, drifts=()))
+    assert np.array_equal(some[0], every[0])
+    assert np.allclose(some[1], none[1], rtol=1e-9)
+    assert not np.allclose(every[0], none[0], rtol=1e-3), "negative control"

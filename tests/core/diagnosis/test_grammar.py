@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.diagnosis.adopt import _bounded, amplitude_of, typical_noise
 from core.diagnosis.clock import readers, with_offsets
 from core.diagnosis.families import FAMILIES
-from core.diagnosis.grammar import Cell, Facts, Readers, cells
+from core.diagnosis.grammar import UNTIL, Cell, Facts, Readers, cells
 from core.errors import InputError
 from core.family import Family
+from core.model import rotor_blade
 from core.observation import Inspection
 
 NOBODY = Readers((), (), (4000.0,), (4000.0,))
@@ -34,8 +36,38 @@ def test_only_what_readings_could_tell_of_is_listed() -> None:
     assert {"instrument offset (instrument a)", "campaign offset (campaign y)"} <= names(
         {"B1": Facts(), "B2": Facts()}, two
     )
-    one = replace(NOBODY, instruments=("a",), campaigns=("x",))
+    alike = [replace(reading("B1", h, "x"), instrument="a") for h in (7990.0, 8010.0)]
+    one = replace(readers(alike, {"B1": Facts()}), between_h=(4000.0,), ages_h=(4000.0,))
     assert names({"B1": Facts(), "B2": Facts()}, one) == plain
+    some = [alike[0], reading("B1", 8010.0, None)]
+    beside = names({"B1": Facts(), "B2": Facts()}, readers(some, {"B1": Facts()}))
+    assert {"instrument offset (instrument a)", "campaign offset (campaign x)"} <= beside
+    assert not any("None" in name for name in beside), "what has no name is no cell"
+
+
+def test_what_grows_has_its_size_inside_the_models_hours_and_runs_alike_when_it_is_calibrated() -> (
+    None
+):
+    """In a model of 5,000 h, and beyond the hours up to which anything is known of wear."""
+    family = next(f for f in FAMILIES if f.shapes == ("early", "linear", "late"))
+    blades = {"B1": Facts(coating_lot="C1"), "B2": Facts(coating_lot="C2")}
+    few = [
+        c
+        for c in cells([family], INPUTS, ["elongation"], blades, NOBODY, 5000.0)
+        if c.shape == "linear"
+    ]
+    many = [
+        c
+        for c in cells([family], INPUTS, ["elongation"], blades, NOBODY, 2e5)
+        if c.shape == "linear"
+    ]
+    hours = np.array([2500.0, 5000.0, 1e5])
+    assert few[0].course.at(hours) == pytest.approx([0.5, 1.0, UNTIL])
+    assert many[0].course.at(10 * hours) == pytest.approx([0.5, 1.0, UNTIL])
+    for cell in (few[0], many[0], replace(many[0], shape="late")):
+        at = np.linspace(0.0, 3e5, 400)
+        assert np.array_equal(_bounded(cell, -1).at(at), -cell.course.at(at))
+    assert amplitude_of(few[0]).endswith("by 5,000 h")
 
 
 def test_a_step_is_tried_between_all_inspections() -> None:
@@ -134,3 +166,38 @@ def test_the_campaign_with_the_oldest_blade_tells_when_a_blade_came() -> None:
     ]  # fmt: skip
     found = with_offsets({b: Facts() for b in ("old", "new", "last")}, data, {})
     assert [found[b].offset_h for b in ("old", "new", "last")] == [0.0, 12_000.0, 20_000.0]
+
+
+def test_blades_that_are_linked_by_others_alone_are_dated_along_the_whole_chain() -> None:
+    """Each joined where the one before was last read."""
+    data = [
+        reading("a", 24_000, "c1"), reading("b", 8000, "c1"),
+        reading("b", 18_000, "c2"), reading("c", 2000, "c2"),
+        reading("c", 12_000, "c3"), reading("d", 2000, "c3"),
+    ]  # fmt: skip
+    found = with_offsets({b: Facts() for b in "abcd"}, data, {})
+    assert [found[b].offset_h for b in "abcd"] == [0.0, 16_000.0, 32_000.0, 42_000.0]
+
+
+def test_a_name_under_which_a_blade_was_read_years_apart_is_no_day() -> None:
+    """All readings of a gauge under one label: nobody joined late."""
+    data = [reading("a", 8000, "gauge"), reading("a", 16_000, "gauge"), reading("b", 8000, "gauge")]
+    found = with_offsets({b: Facts() for b in "ab"}, data, {})
+    assert [found[b].offset_h for b in "ab"] == [0.0, 0.0]
+    near = [reading("a", 8000, "c"), reading("a", 8040, "c"), reading("b", 2000, "c")]
+    found = with_offsets({b: Facts() for b in "ab"}, near, {})
+    assert found["b"].offset_h == pytest.approx(6040.0), (
+        "negative control: nearly one hour is a day"
+    )
+
+
+def test_a_noise_that_readings_state_is_the_one_that_offsets_are_sized_by() -> None:
+    model = rotor_blade()
+    stated = [
+        replace(reading("a", 8000, None), id=f"i{k}", sigma=s)
+        for k, s in enumerate((0.08, 0.1, 0.3))
+    ]
+    assert typical_noise(model, {}, stated)["elongation"] == pytest.approx(0.1)
+    middle = typical_noise(model, {})["elongation"]
+    assert middle < 0.05, "negative control: the prior's middle"
+    assert typical_noise(model, {"sigma_obs.elongation": 0.02}, stated)["elongation"] == 0.02

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from core.diagnosis.foretold import DRAWS
 from core.diagnosis.grammar import Facts
-from core.diagnosis.omnibus import FAMILY, LEAST_FREEDOM, MOST_FREEDOM, omnibus, tails
+from core.diagnosis.omnibus import (
+    FAMILY,
+    LEAST_FREEDOM,
+    MOST_FREEDOM,
+    _pairs,
+    omnibus,
+    tails,
+)
 from core.diagnosis.visits import Residual, Visit
 from core.observation import Inspection
 
@@ -103,6 +111,31 @@ def test_what_is_planted_alarms_in_its_own_grouping(
 def test_a_group_that_is_another_one_under_a_second_name_is_asked_once() -> None:
     found = omnibus(made(1), {name: Facts(lot="L") for name in FACTS}, 1)
     assert {t.grouping for t in found.tests} == {"all", "blade", "campaign", "instrument", "hour"}
+
+
+def test_a_group_under_a_second_name_is_asked_of_its_pairs_where_the_first_was_not() -> None:
+    """Blades are not asked in pairs, quantities are."""
+    visits = made(1)
+    for k, visit in enumerate(visits):
+        one = replace(visit.residuals[0], reading=replace(visit.residuals[0].reading, quantity="x"))
+        visits[k] = replace(visit, residuals=(one, *visit.residuals[1:]))
+    found = omnibus(visits, FACTS, 1)
+    asked = [t.statistic for t in found.tests if (t.grouping, t.value) == ("quantity", "x")]
+    assert asked == ["autocorrelation"], "mean and variance are those of blade b00"
+
+
+def test_two_gauges_of_one_visit_each_have_their_own_past() -> None:
+    visits = made(1)
+    rows = [(k, i) for k in range(VISITS) for i in (0, 1)]
+    for k, visit in enumerate(visits):
+        both = [
+            replace(one, reading=replace(one.reading, blade="b00", instrument=f"g{i}"))
+            for i, one in enumerate(visit.residuals[:2])
+        ]
+        visits[k] = replace(visit, residuals=(*both, *visit.residuals[2:]))
+    found = _pairs(visits, rows)
+    assert len(found) == 2 * (VISITS - 1)
+    assert all(later[1] == before[1] for later, before in found)
 
 
 def test_tails_are_seen_where_there_are_some() -> None:

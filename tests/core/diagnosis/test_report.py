@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
+from core.diagnosis import report
 from core.diagnosis.densities import density, leans, quantiles
-from core.diagnosis.report import fleet, held_out, score
+from core.diagnosis.report import before_after, fleet, held_out, score
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
@@ -87,6 +91,29 @@ def test_held_out_is_all_that_was_read_at_a_blades_latest_hours() -> None:
     ]
     data += [Inspection(f"once-{k}", "b01", "y", 2.0, np.array([1.0])) for k in range(3)]
     assert [r.id for r in held_out(data, "y")] == ["b1-4.0-g1", "b1-4.0-g2"]
+
+
+def test_nothing_that_a_held_out_blade_was_read_later_is_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of no other quantity either: a scan of the same hour tells what the reading will be."""
+    data = readings(4, [0.0, 0.6, 1.2], seed=9, sigma=0.2)
+    held = held_out(data, "y")
+    latest = max(r.time_h for r in held)
+    beside = [replace(held[0], id="other", quantity="z"), replace(held[0], id="early", time_h=0.1)]
+    known: list[set[str]] = []
+
+    def seen(model: Any, spec: Any, kept: Any, **given: Any) -> Any:
+        known.append({r.id for r in kept})
+        return update(model, spec, [r for r in kept if r.quantity == "y"])
+
+    monkeypatch.setattr(report, "update", seen)
+    spec = RotorSpec("r", tuple(f"b{b}" for b in range(4)), particles=400, seed=1)
+    told = before_after((MODEL, MODEL), spec, [*data, *beside], latest, "y")
+    assert told.held == tuple(r.id for r in held)
+    for ids in known:
+        assert not ids & {*told.held, "other"}
+        assert "early" in ids, "negative control: what came before is"
 
 
 def test_the_fleets_forecast_is_of_the_blades_that_are_named() -> None:

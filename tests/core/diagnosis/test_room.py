@@ -17,7 +17,7 @@ from core.diagnosis.families import FAMILIES
 from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis
 from core.diagnosis.search import Search
-from core.errors import InputError
+from core.errors import CalibrationError, InputError
 from core.model import Model, rotor_blade_wide
 from core.observation import Inspection
 
@@ -125,3 +125,17 @@ def test_a_formula_has_no_runs_to_stay_in() -> None:
     model = Model(creep_specimens.network(), creep_specimens.formula())
     with pytest.raises(InputError, match="needs simulation runs"):
         _room(model, drift([(1e4, 1.0)], model.input_names[0]), -1.0, 1.0, 0.1)
+
+
+def test_a_posterior_that_cannot_be_computed_refuses_that_hypothesis_alone(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rotor's calibration says so in its own words; the diagnosis goes on."""
+
+    def past(*given: object, **named: object) -> object:
+        raise CalibrationError("64 boxes are not enough", event=None)
+
+    monkeypatch.setattr(sys.modules[Search.__module__], "begun", past)
+    wear = Cell(FAMILY["coating wear"], "linear", "blade", "B1")
+    assert search.calibrated((wear,)) is None
+    assert "64 boxes" in search.refused[(wear.name,)]
