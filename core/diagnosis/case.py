@@ -67,7 +67,7 @@ class Case:
             quantities,
             {b: facts[b] for b in read},
             readers(self.readings, facts),
-            model.horizon_h,
+            _base(model).horizon_h,
         )
         if not every:
             raise InputError(

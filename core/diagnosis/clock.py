@@ -33,25 +33,26 @@ def with_offsets(
     >>> found["old"].offset_h, found["new"].offset_h
     (0.0, 8000.0)
     """
-    days = _days(readings)
-    dated = [(r, r.campaign) for r in readings if r.campaign in days]
+    dated = _dated(readings)
     offset: Mapping[str, float] = told
-    for _ in range(len(days) + 1):
+    for _ in range(len({day for day, _ in dated}) + 1):
         hour: dict[str, float] = {}
-        for r, day in dated:
-            at = r.time_h + offset.get(r.blade, 0.0)
-            hour[day] = max(hour.get(day, 0.0), at)
+        for (day, blade), own in dated.items():
+            hour[day] = max(hour.get(day, 0.0), own + offset.get(blade, 0.0))
         behind: dict[str, float] = {}
-        for r, day in dated:
-            behind[r.blade] = max(behind.get(r.blade, 0.0), hour[day] - r.time_h)
+        for (day, blade), own in dated.items():
+            behind[blade] = max(behind.get(blade, 0.0), hour[day] - own)
         before, offset = offset, {**behind, **told}
         if offset == before:
             break
     return {name: replace(own, offset_h=offset.get(name, 0.0)) for name, own in blades.items()}
 
 
-def _days(readings: Sequence[Inspection]) -> set[str]:
-    """Campaigns in which each blade was read at one of its hours, or at nearly one."""
+def _dated(readings: Sequence[Inspection]) -> dict[tuple[str, str], float]:
+    """By campaign and blade, the hour of the blade then.
+
+    Only of campaigns in which each blade was read at one of its hours, or at nearly one.
+    """
     apart = SAME * max((r.time_h for r in readings), default=0.0)
     ends: dict[tuple[str, str], tuple[float, float]] = {}
     for r in readings:
@@ -59,7 +60,7 @@ def _days(readings: Sequence[Inspection]) -> set[str]:
             low, high = ends.get((r.campaign, r.blade), (r.time_h, r.time_h))
             ends[r.campaign, r.blade] = (min(low, r.time_h), max(high, r.time_h))
     long = {day for (day, _), (low, high) in ends.items() if high - low > apart}
-    return {day for day, _ in ends} - long
+    return {key: high for key, (_, high) in ends.items() if key[0] not in long}
 
 
 def readers(readings: Sequence[Inspection], blades: Mapping[str, Facts]) -> Readers:

@@ -67,7 +67,7 @@ def test_an_effect_that_some_blades_have_already_is_in_what_another_one_adds_to_
     assert isinstance(model.surrogate, Driven)
     rest = dict(model.surrogate.fixed)
     fouling = Moving(
-        "gas_temperature", "times", 0.01, Cell(FAMILY["fouling"], "linear", "all").course, False
+        "t1t_rate", "times", 0.01, Cell(FAMILY["fouling"], "linear", "all").course, False
     )
 
     def added(network: Network) -> np.ndarray:
