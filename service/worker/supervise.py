@@ -27,6 +27,7 @@ from service.worker.loop import owner_name
 
 log = logging.getLogger("bladetwin.supervisor")
 HEALTHY_S = 5.0
+SHORTEST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 10.0
 
 
@@ -68,7 +69,8 @@ class Supervisor:
         self._children: list[Child] = []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="supervisor", daemon=True)
-        self._pause = 0.1
+        self._pauses = [SHORTEST_PAUSE_S] * len(self._roles)
+        self._due: dict[int, float] = {}  # by place, when the next worker is to be started
 
     def start(self) -> None:
         self._children = [self._spawn(role) for role in self._roles]
@@ -89,14 +91,24 @@ class Supervisor:
         while not self._stop.wait(0.05):
             for i, child in enumerate(self._children):
                 code = child.process.poll()
-                if code is not None and not self._stop.is_set():
-                    try:
-                        self._replace(i, child, code)
-                    except Exception:
-                        log.exception("no worker could be started; another attempt in 1 s")
-                        self._stop.wait(1.0)
+                if code is None or self._stop.is_set():
+                    continue
+                try:
+                    if i not in self._due:
+                        self._ended(i, child, code)
+                    if time.monotonic() >= self._due[i]:
+                        self._children[i] = self._spawn(child.role)
+                        del self._due[i]
+                except Exception:
+                    log.exception("no worker could be started; another attempt in 1 s")
+                    self._stop.wait(1.0)
 
-    def _replace(self, i: int, child: Child, code: int) -> None:
+    def _ended(self, i: int, child: Child, code: int) -> None:
+        """Free what a worker held, and say when the next one is started in its place.
+
+        At once where it had lived; one that ends soon after its start is likely to do so again, and
+        waits the longer each time, while others are watched.
+        """
         log.warning("worker %d ended with %d; starting another", child.process.pid, code)
         self._close(child)
         try:
@@ -104,9 +116,8 @@ class Supervisor:
         except StoreAwayError as error:
             log.error("leases of %s stay until they run out: %s", child.owner, error)
         young = time.monotonic() - child.started < HEALTHY_S
-        self._pause = min(2 * self._pause, LONGEST_PAUSE_S) if young else 0.1
-        if not self._stop.wait(self._pause if young else 0.0):
-            self._children[i] = self._spawn(child.role)
+        self._pauses[i] = min(2 * self._pauses[i], LONGEST_PAUSE_S) if young else SHORTEST_PAUSE_S
+        self._due[i] = time.monotonic() + (self._pauses[i] if young else 0.0)
 
     @staticmethod
     def _close(child: Child) -> None:

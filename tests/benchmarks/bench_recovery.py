@@ -3,9 +3,10 @@
     python tests/benchmarks/bench_recovery.py [KILLS]
 
 `bladetwin serve` as a user starts it, with the exact twin. A reading is posted and the worker that
-applies is killed with -9, in turn just before the post and some milliseconds after it; timed is
-from the answer to the post until the reading counts in a stored posterior, which another process
-has computed by then. Beside it the same without a kill.
+applies is killed with -9, just before the post or some milliseconds after it; timed is from the
+answer to the post until the reading counts in a stored posterior, which another process has
+computed by then. Beside it the same without a kill. Each worker lives `HEALTHY_S` before it is
+killed: one that ends sooner is started again after a pause.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from service.settings import Settings
 from service.studies.chaos.processes import free_port
 from service.studies.load.run import serving
 from service.studies.load.watch import family
+from service.worker.supervise import HEALTHY_S
 
 NAMES = [f"B{b:02d}" for b in range(20)]
 SEED = 1
@@ -69,7 +71,7 @@ def measured(kills: int) -> None:
                 took = []
                 for number in range(kills):
                     took.append(waited(client, server.pid, number, kill, chosen))
-                    time.sleep(chosen.uniform(0.5, 1.5))
+                    time.sleep(0.2 if kill == "no" else HEALTHY_S + chosen.uniform(0.5, 1.5))
                 print(
                     f"killed {kill:6}: median {np.median(took):.2f} s, longest {max(took):.2f} s "
                     f"of {kills}; a lease lasts {settings.lease_s:g} s",

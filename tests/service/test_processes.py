@@ -33,6 +33,7 @@ from service.settings import Settings
 from service.store.migrate import migrate
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.postgres import Server
+from service.worker import supervise
 from service.worker.claiming import Role
 from service.worker.supervise import Supervisor
 
@@ -139,6 +140,29 @@ def test_a_worker_that_cannot_be_started_now_is_started_later(
         os.kill(started[0], signal.SIGKILL)
         until("another worker", lambda: supervisor.pids() not in ([], started))
         assert not refused
+    finally:
+        supervisor.stop()
+
+
+def test_a_worker_that_ends_again_and_again_holds_up_no_other_one(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It waits before it is started again; another one that is killed meanwhile does not."""
+    monkeypatch.setattr(supervise, "SHORTEST_PAUSE_S", 60.0)
+    monkeypatch.setattr(supervise, "LONGEST_PAUSE_S", 120.0)
+    monkeypatch.setattr(supervise, "HEALTHY_S", 0.3)
+    words = {"seal": "pass", "apply": "import sys; sys.stdin.read()"}
+    supervisor = Supervisor(
+        store.engine, ["seal", "apply"], lambda owner, role: [sys.executable, "-c", words[role]], {}
+    )
+    supervisor.start()
+    try:
+        until("the one that ends", lambda: len(supervisor.pids()) == 1 and 0 in supervisor._due)
+        time.sleep(0.5)
+        (before,) = supervisor.pids()
+        os.kill(before, signal.SIGKILL)
+        until("another worker", lambda: supervisor.pids() not in ([], [before]))
+        assert 0 in supervisor._due, "negative control: the first one waits still"
     finally:
         supervisor.stop()
 
