@@ -9,7 +9,7 @@ import numpy as np
 
 from core.errors import InputError, RangeError
 from service.errors import FaultsError, NotFoundError
-from service.handlers.reads import Basis, Question, health
+from service.handlers.reads import Basis, Question, bands_of, health
 from service.handlers.rotors import blades_at
 from service.moments import moment
 from service.ports import (
@@ -61,18 +61,7 @@ def at_one_hour(
     with store.read() as tx:
         get = tx.states.reader(found.state)
         for blade in blades:
-            bands = science.predict(
-                found.card,
-                found.state.meta,
-                get,
-                blade.id,
-                asked.quantity,
-                asked.times,
-                asked.node,
-                asked.probability,
-                instrument=asked.instrument,
-                known=blade.known,
-            )
+            bands = bands_of(science, found, get, blade, asked)
             sd = {name: np.asarray(part)[0] for name, part in bands.sd.items()}
             own = np.sqrt(sum(sd[name] ** 2 for name in ("parameters", "surrogate", "discrepancy")))
             out.append(

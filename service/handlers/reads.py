@@ -199,14 +199,14 @@ def _node(card: ModelCard, quantity: str, node: str | None) -> int | None:
     return int(name)
 
 
-def predict(store: Store, science: Science, found: Basis, asked: Question) -> Json:
-    """Bands by source of the blade that the basis names, as plain lists."""
-    blade = found.blade
-    assert blade is not None
-    bands: Prediction = science.predict(
+def bands_of(
+    science: Science, found: Basis, get: Get, blade: BladeRecord, asked: Question
+) -> Prediction:
+    """What a version says of a blade to a question; `get` reads the version's arrays."""
+    return science.predict(
         found.card,
         found.state.meta,
-        found.arrays(store),
+        get,
         blade.id,
         asked.quantity,
         asked.times,
@@ -215,6 +215,13 @@ def predict(store: Store, science: Science, found: Basis, asked: Question) -> Js
         instrument=asked.instrument,
         known=blade.known,
     )
+
+
+def predict(store: Store, science: Science, found: Basis, asked: Question) -> Json:
+    """Bands by source of the blade that the basis names, as plain lists."""
+    blade = found.blade
+    assert blade is not None
+    bands = bands_of(science, found, found.arrays(store), blade, asked)
     return {
         "blade": blade.id,
         "quantity": asked.quantity,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from core.errors import RangeError
-from service.handlers.reads import Basis, Question
+from service.handlers.reads import Basis, Question, bands_of
 from service.handlers.rotors import blades_at
 from service.ports import BladeRecord, Json, Science, Store
 
@@ -49,18 +49,7 @@ def rows(
     out: list[Json] = []
     get = found.arrays(store)
     for blade in blades:
-        bands = science.predict(
-            found.card,
-            found.state.meta,
-            get,
-            blade.id,
-            asked.quantity,
-            asked.times,
-            asked.node,
-            asked.probability,
-            instrument=asked.instrument,
-            known=blade.known,
-        )
+        bands = bands_of(science, found, get, blade, asked)
         parts = [np.asarray(part) for part in (bands.mean, bands.lower, bands.upper)]
         along = [(p if component is None else p[:, component]).tolist() for p in parts]
         for time, value, lower, upper in zip(asked.times, *along, strict=True):
