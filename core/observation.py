@@ -30,6 +30,8 @@ class Inspection:
     values  (1,) for a scalar or a field at one node, (n, 3) for a 3-D deformation [unit]
     nodes   the n node indices, or None where the quantity needs none
     sigma   known standard deviation of this reading's noise [unit]; None: the rotor's shared one
+
+    `service.worker.packing` makes readings that were checked once from their fields alone.
     """
 
     id: str
@@ -54,30 +56,6 @@ class Inspection:
             nodes = np.array(self.nodes, dtype=np.int64)
             nodes.flags.writeable = False
             object.__setattr__(self, "nodes", nodes)
-
-    @classmethod
-    def again(
-        cls,
-        digest: str,
-        values: Array,
-        nodes: NDArray[np.int64] | None,
-        rest: Iterable[tuple[str, Any]],
-    ) -> Inspection:
-        """One that was there before, from its digest and parts: nothing is copied or computed.
-
-        rest   (name, value) of each of the other fields
-        """
-        made = object.__new__(cls)
-        put = object.__setattr__
-        values.flags.writeable = False
-        put(made, "values", values)
-        if nodes is not None:
-            nodes.flags.writeable = False
-        put(made, "nodes", nodes)
-        for name, value in rest:
-            put(made, name, value)
-        put(made, "_digest", digest)
-        return made
 
     def to_json(self) -> dict[str, Any]:
         """A plain dictionary; absent fields are left out, floats are exact."""

@@ -48,15 +48,18 @@ def fake_network() -> Network:
 
 @dataclass(frozen=True, slots=True)
 class FakeState:
-    """Sufficient statistics: ``column/<blade>`` (n, s) and ``shared/moments`` (mean, variance)."""
+    """Sufficient statistics: ``column/<blade>`` (n, s) and ``shared/moments`` (mean, variance).
+
+    kept   arrays that are those of the state before
+    """
 
     meta: Mapping[str, Any]
     arrays: Mapping[str, Array]
+    kept: frozenset[str] = frozenset()
 
     @property
     def fresh(self) -> frozenset[str]:
-        """All of them: nothing is taken from the state before."""
-        return frozenset(self.arrays)
+        return frozenset(self.arrays) - self.kept
 
     @property
     def digest(self) -> str:
@@ -64,15 +67,15 @@ class FakeState:
 
 
 def fitted(
-    card: ModelCard, rotor: RotorSpec, readings: Sequence[Inspection], *, sealed: bool
+    card: ModelCard,
+    rotor: RotorSpec,
+    readings: Sequence[Inspection],
+    *,
+    sealed: bool,
+    previous: FakeState | None = None,
 ) -> FakeState:
-    """The posterior of these readings."""
-    columns = {blade: np.zeros(2) for blade in rotor.blades}
-    for reading in readings:
-        h = sensitivity(reading, card)
-        precision = 1.0 / (reading.sigma or SIGMA) ** 2
-        y = reading.values[:, -1] if reading.values.ndim == 2 else reading.values
-        columns[reading.blade] += [precision * float(h @ h), precision * float(h @ y)]
+    """The posterior of these readings; of the state before only equal arrays are taken."""
+    columns = sums_of(card, rotor, readings)
     precision, weighted = 1.0 / SD**2, MEAN / SD**2
     for n, s in columns.values():
         if n > 0:
@@ -91,7 +94,29 @@ def fitted(
         "seed": rotor.seed,
         "readings": len(readings),
     }
-    return FakeState(meta, arrays)
+    before = {} if previous is None else {n: a.tobytes() for n, a in previous.arrays.items()}
+    kept = frozenset(name for name, a in arrays.items() if before.get(name) == a.tobytes())
+    return FakeState(meta, arrays, kept)
+
+
+def sums_of(
+    card: ModelCard, rotor: RotorSpec, readings: Sequence[Inspection]
+) -> dict[str, NDArray[np.float64]]:
+    """(n, s) of each blade, each reading added in its order."""
+    place = {blade: k for k, blade in enumerate(rotor.blades)}
+    h = np.array([reading.time_h for reading in readings], dtype=np.float64) / HORIZON_H
+    y = np.array([reading.values.flat[-1] for reading in readings], dtype=np.float64)
+    square, product = h * h, h * y
+    for k, reading in enumerate(readings):
+        if reading.quantity != "elongation":
+            by = sensitivity(reading, card)
+            own = reading.values[:, -1] if reading.values.ndim == 2 else reading.values
+            square[k], product[k] = by @ by, by @ own
+    precision = np.array([1.0 / (reading.sigma or SIGMA) ** 2 for reading in readings])
+    blade = np.array([place[reading.blade] for reading in readings], dtype=np.int64)
+    sums = [np.bincount(blade, precision * part, len(place)) for part in (square, product)]
+    columns = np.column_stack(sums).astype(np.float64)  # of no reading they are integers
+    return dict(zip(rotor.blades, columns, strict=True))
 
 
 def sensitivity(reading: Inspection, card: ModelCard) -> NDArray[np.float64]:

@@ -157,7 +157,8 @@ class FakeScience:
         quick: bool,
     ) -> FakeState:
         time.sleep(self.delay_s)
-        return fitted(card, rotor, readings, sealed=not (quick and self.provisional))
+        sealed = not (quick and self.provisional)
+        return fitted(card, rotor, readings, sealed=sealed, previous=previous)
 
     def restore(self, meta: Mapping[str, Any], get: Get) -> FakeState:
         names = [f"column/{blade}" for blade in meta["blades"]] + ["shared/moments"]

@@ -175,7 +175,7 @@ class SqlStates:
         names   SHA-256 of each array that the version has, where the caller knows them
         """
         rotor_id, version, name = key
-        names = self._names(rotor_id, version) if names is None else names
+        names = self.names(rotor_id, version) if names is None else names
         array = self._cache.get((*key, names.get(name)))
         if array is None:
             array = self._decoded(key, self._row(key), names)
@@ -183,7 +183,7 @@ class SqlStates:
 
     def prefetch(self, rotor_id: str, version: int) -> None:
         """Take what every update looks at, the shared nodes and the blades' columns, at once."""
-        asked, names = {"rotor": rotor_id, "version": version}, self._names(rotor_id, version)
+        asked, names = {"rotor": rotor_id, "version": version}, self.names(rotor_id, version)
         for name, *row in self._connection.execute(_SMALL, asked):
             key, one = (rotor_id, version, name), Encoded(*row)
             if one.dtype and self._cache.get((*key, one.sha256)) is None:
@@ -203,7 +203,7 @@ class SqlStates:
         self._cache.put((*key, sha256), array)
         return array
 
-    def _names(self, rotor_id: str, version: int) -> Mapping[str, str]:
+    def names(self, rotor_id: str, version: int) -> Mapping[str, str]:
         """SHA-256 of each array that a version has; one that was not compared is compared now."""
         while (names := self._checked.get(rotor_id, version)) is None:
             self.get(rotor_id, version)

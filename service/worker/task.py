@@ -109,12 +109,11 @@ def _restored(
     entries, last = stale.entries + entries_of(events), mark(events, stale.last)
     if lease.version == 0:
         return Memory(0, 0, None, {}, entries)
-    sha256 = digests(tx.connection, lease.rotor_id)
     memory = Memory(
         lease.version,
         lease.applied_seq,
         None,
-        sha256,
+        {},
         entries,
         anew=True,
         last=last,
@@ -122,11 +121,13 @@ def _restored(
     )
     try:
         record = tx.states.get(lease.rotor_id, lease.version)
+        memory.sha256 = dict(tx.states.names(lease.rotor_id, lease.version))
         tx.states.prefetch(lease.rotor_id, lease.version)
         arrays = store.arrays(lease.rotor_id, lease.version)
         memory.state, memory.anew = science.restore(record.meta, arrays), False
     except DamagedError as error:
         log.error("%s The worker rebuilds it from the log now.", error)
+        memory.sha256 = digests(tx.connection, lease.rotor_id)
     return memory
 
 

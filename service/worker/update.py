@@ -153,11 +153,11 @@ class Updater:
 
     def change(self, task: Task, state: RotorState) -> Change:
         """The arrays that the new version has to write, and the digest of each that it has."""
-        before = task.memory.sha256
+        before, fresh = task.memory.sha256, state.fresh
         sha256: dict[str, str] = {}
         changed: dict[str, Encoded | None] = {}
         for name in state.arrays:
-            if name not in state.fresh:
+            if name not in fresh:
                 sha256[name] = before[name]
                 continue
             encoded = encode(state.arrays[name])

@@ -293,24 +293,6 @@ def test_what_is_said_of_a_failed_statement_names_no_value(store: SqlStore) -> N
     assert secret in str(failed.value)
 
 
-def test_the_readings_of_one_blade_are_found_by_an_index(store: SqlStore) -> None:
-    """The database says how it would go; without the index it would walk the whole rotor."""
-    query = (
-        "SELECT * FROM event WHERE rotor_id = 'r' AND blade = 'b' "
-        "AND kind = 'inspection' AND seq < 9 ORDER BY seq DESC LIMIT 5"
-    )
-    with store.engine.connect() as connection:
-        lite = connection.dialect.name == "sqlite"
-        if not lite:  # few rows are read faster as they come, and then sorted
-            connection.execute(text("SET LOCAL enable_seqscan = off"))
-            connection.execute(text("SET LOCAL enable_sort = off"))
-        explain = "EXPLAIN QUERY PLAN " if lite else "EXPLAIN "
-        plan = " ".join(str(row) for row in connection.execute(text(explain + query)))
-    assert "ix_event_rotor_id_blade_kind_seq" in plan
-    assert "TEMP B-TREE" not in plan
-    assert "Sort" not in plan, "in order as they come"
-
-
 def test_a_server_that_vanishes_is_noticed_unless_the_url_says_otherwise() -> None:
     """Limits of libpq, for the engine and for who listens beside it."""
     url = open_engine("postgresql://twin@host/name?connect_timeout=3").url
