@@ -90,6 +90,18 @@ class Start:
             self.covariance[np.ix_(left, left)] - gain @ across.T,
         )
 
+    def on_log(self, values: Mapping[str, float]) -> Start:
+        """With these parameters, so far as they are, by their logarithms about values > 0.
+
+        >>> one = Start(("P",), np.array([0.8]), np.array([[0.04]])).on_log({"P": 0.8})
+        >>> one.mean.round(3).tolist(), one.covariance.round(4).tolist()
+        ([-0.223], [[0.0625]])
+        """
+        scale = np.array([1.0 / values.get(n, 1.0) for n in self.names])
+        pairs = zip(self.names, self.mean, strict=True)
+        mean = np.array([np.log(values[n]) if n in values else m for n, m in pairs])
+        return Start(self.names, mean, self.covariance * np.outer(scale, scale))
+
     def wider(self, factor: float) -> Start:
         """With `factor` times the variances, as of fewer readings."""
         return replace(self, covariance=factor * self.covariance)

@@ -22,6 +22,7 @@ from core.errors import InputError
 from core.family import Family
 from core.model import Answers, Model, Stacked
 from core.observation import Inspection
+from core.rng import seed_of
 from core.surrogate.driven import Driven
 
 KEPT = 3  # states whose scores are kept
@@ -43,6 +44,11 @@ class Case:
     dealt: int = DEALT
     serving: Sequence[str] = ()
     _seen: dict[tuple[str, str], Scores] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def seed(self) -> int:
+        """Of its dealt sets: rotors of one seed have sets of their own."""
+        return seed_of(self.spec.seed, self.spec.id)
 
     @property
     def present(self) -> tuple[str, ...]:

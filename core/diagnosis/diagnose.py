@@ -7,7 +7,8 @@
        the particle filter's, not the scan's.
     3. With the best of them in the model the readings are scanned again. What is still missing
        joins, up to `MOST` turns; each effect has to earn `EARNED` nats beyond the price of the
-       search, the log of the number of families that it was chosen from.
+       search, the log of the number of families and of cells in them that it was chosen from, less
+       what others of the same cause gain in its place.
     4. An effect that was taken early can turn out to have imitated a later one: after each turn
        each has to earn its place beside all others, or it leaves.
     5. What was taken but could not be told from its rivals leaves again where chance explains the
@@ -20,7 +21,6 @@ Everything is a function of the readings that count, the facts of the blades and
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,7 @@ from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.densities import leans
 from core.diagnosis.grammar import Cell
-from core.diagnosis.search import EARNED, MOST, Progress, Search
+from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.verdict import Verdict, judge
 from core.errors import InputError
 from core.model import Model
@@ -94,8 +94,8 @@ def diagnose(
     search = Search(model, state, case, workspace or Workspace(), progress or quiet)
     search.say("scan")
     scan = case.scan(model, state)
-    search.price = EARNED + math.log(max(1, len(scan.families)))
-    first = found = judge(scan, case.spec.seed, dealt=case.dealt)
+    search.prices = prices(scan)
+    first = found = judge(scan, case.seed, dealt=case.dealt)
     nothing = taken = Rival((), model, lambda: state, 0.0)
     if first.word == "adequate":
         return Diagnosis(first, first, (model, state), (model, state), (), 0.0, ())

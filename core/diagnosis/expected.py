@@ -46,7 +46,11 @@ def joined(
         model, state, scan.seen, g, h, names, np.array([_size(c, before, noise) for c in cells])
     )
     given.mean[-len(which) :] += origins  # those of an input that wakes
-    return given
+    awake = dict[str, float]()
+    for cell, name, x in zip(cells, names, given.mean[-len(which) :], strict=True):
+        if name == cell.family.of and (own := before.network.parameter(name).prior).log_scale:
+            awake[name] = float(np.clip(x, own.low, own.high))
+    return given.on_log(awake)
 
 
 def with_columns(
@@ -72,7 +76,9 @@ def with_columns(
     mean = covariance @ u / quiet
     turn = np.zeros((len(start.names), len(names)))
     others = [j for j, n in enumerate(start.names) if not n.startswith("sigma_obs.")]
-    turn[others] = seen.imitating(g) / size
+    by_log = np.array([shared_prior(model, start.names[j]).log_scale for j in others], bool)
+    scale = np.where(by_log, np.exp(-np.where(by_log, start.mean[others], 0.0)), 1.0)
+    turn[others] = scale[:, None] * seen.imitating(g) / size
     given = start.joined(names, turn, mean * size, covariance * np.outer(size, size))
     for name, ratio in _quieter(seen, g, mean)[0].items():
         if name in start.names and shared_prior(model, name).log_scale:
@@ -104,7 +110,11 @@ def _size(cell: Cell, before: Model, noise: Mapping[str, float]) -> float:
 
 def without(model: Model, state: RotorState, cells: Sequence[Cell], before: Model) -> Start:
     """Without these of the effects that a model has."""
-    return Start.of(model, state).held(dict(amplitude(c, before.network) for c in cells))
+    at = dict[str, float]()
+    for name, origin in (amplitude(c, before.network) for c in cells):
+        own = shared_prior(model, name)
+        at[name] = float(np.log(max(origin, own.low))) if own.log_scale else origin
+    return Start.of(model, state).held(at)
 
 
 def with_fewer(model: Model, state: RotorState) -> Start:

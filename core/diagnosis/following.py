@@ -22,6 +22,7 @@ from core.observation import Inspection
 from core.surrogate import Surrogate
 from core.surrogate.driven import Driven
 from core.surrogate.history import Followed, follow
+from core.surrogate.targets import DEFORMATION, MEAN_CEEQ
 
 Array = NDArray[np.float64]
 PARTS = 6  # of a ramp
@@ -136,8 +137,9 @@ def _follow(
     drifts = physics.drifts(seen.blades[blades[0]])  # those of all of them
     names = [i.name for i in base.inputs]
     x = _inputs(physics, seen, blades, names)
-    if not isinstance(base, Surrogate):
-        flat = _at_once(physics, base, x, effect, hours, _given(reading))
+    what = _rule(physics, base, reading, mixing)
+    if what is None or not isinstance(base, Surrogate):
+        flat = _at_once(physics, base, x, effect, hours, reading, mixing)
         return flat.reshape(len(blades), points, *flat.shape[1:])
     clock = [facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades]
     offset = np.repeat(clock, points)
@@ -145,11 +147,6 @@ def _follow(
     cuts = steps | {h - o for h in effect.course.cuts(PARTS) for o in set(clock)}
     marks = hours[hours > 0]
     low, high = np.array([(i.low, i.high) for i in base.inputs]).T
-    what = (
-        Followed.mixed(base, mixing)
-        if mixing is not None
-        else Followed.of(base, *physics.asked(_given(reading)))
-    )
 
     def held(middle: Array) -> Array:
         """The inputs (n K, P, d) in the middle of pieces, without the effect."""
@@ -204,6 +201,21 @@ def _inputs(physics: Physics, seen: Scores, blades: Sequence[int], names: Sequen
     return x
 
 
+def _rule(
+    physics: Physics, base: Answers, reading: Inspection | None, mixing: Array | None
+) -> Followed | None:
+    """How rows are followed in time; None where they do not grow from 0 with creep."""
+    if not isinstance(base, Surrogate) or MEAN_CEEQ not in base.parts:
+        return None
+    if mixing is not None:
+        creeps = base.parts[DEFORMATION].form == "per ceeq"
+        return Followed.mixed(base, mixing) if creeps else None
+    try:
+        return Followed.of(base, *physics.asked(_given(reading)))
+    except InputError:
+        return None
+
+
 def _given(reading: Inspection | None) -> Inspection:
     assert reading is not None
     return reading
@@ -215,14 +227,21 @@ def _at_once(
     x: Array,
     effect: Moving,
     hours: Array,
-    reading: Inspection,
+    reading: Inspection | None,
+    mixing: Array | None,
 ) -> Array:
-    """The same for a model without a memory: constant effects only, as the others mean nothing."""
+    """The same for what has no memory: constant effects only, as the others mean nothing."""
     j = [i.name for i in base.inputs].index(effect.input)
     changed = x.copy()
     s = np.ones(len(x)) if float(effect.course.at(0.0)) == 1.0 else np.zeros(len(x))
     changed[:, j] = effect.moved(x[:, j], s)
-    quantity, nodes = physics.asked(reading)
+    if isinstance(base, Surrogate):
+        low, high = np.array([(i.low, i.high) for i in base.inputs]).T
+        changed = np.clip(changed, low, high)
+    if mixing is not None:
+        rows = base.mode_response(float(hours[0]), mixing)
+        return np.asarray(rows.evaluate(changed)[0] - rows.evaluate(x)[0])[:, None, :]
+    quantity, nodes = physics.asked(_given(reading))
     after, _ = base.predict(changed, quantity, hours, nodes)
     before, _ = base.predict(x, quantity, hours, nodes)
     return np.asarray((after - before).reshape(len(x), len(hours), -1))

@@ -29,8 +29,8 @@ def labelled(whom: str, blade: str, facts: Facts, reading: Inspection) -> str | 
     return found
 
 
-def masks(cells: Sequence[Cell], seen: Scores, facts: Mapping[str, Facts]) -> Array:
-    """Which rows each cell concerns, (B, n, C), 0 or 1.
+def masks(cells: Sequence[Cell], seen: Scores, facts: Mapping[str, Facts]) -> NDArray[np.bool_]:
+    """Which rows each cell concerns, (B, n, C).
 
     Of a sensor's, those of its quantity; of an event's, those of blades that were there.
     """
@@ -39,7 +39,7 @@ def masks(cells: Sequence[Cell], seen: Scores, facts: Mapping[str, Facts]) -> Ar
         blade, reading = seen.blades[b], seen.reading(b, i)
         for whom, own in labels.items():
             own[b, i] = labelled(whom, blade, facts[blade], reading)
-    out = np.zeros((*seen.place.shape, len(cells)))
+    out = np.zeros((*seen.place.shape, len(cells)), bool)
     for c, cell in enumerate(cells):
         concerned = seen.real & (labels[cell.whom] == cell.value)
         if cell.family.target == "reading":

@@ -17,10 +17,15 @@ What no cell names can still be there: `free` sets of columns, such as a misfit 
 visit, count by the log BF of the whole set. They raise the alarm, and never name a cause.
 
 The null distribution is made from the residuals themselves: whitened blade vectors are dealt to
-other blades with equal rows, with random signs. That keeps what is within a blade, its tails and
-its memory, and destroys what blades have in common; where the shared parameters lie in their
-priors is drawn anew as well. The largest family's log BF over all cells is
+other blades with equal rows, with random signs (of a blade with few companions of as many rows, row
+by row of any). That keeps what is within a blade, its tails and its memory, and destroys what
+blades have in common. The pull of the shared parameters is taken out of what is dealt (leverage:
+Bell & McCaffrey, Survey Methodology 28, 2002) and laid on it anew, as a fit to the dealt set
+would; where they lie in their priors is drawn. The largest family's log BF over all cells is
 compared with that of the dealt sets: family-wise, over everything tried.
+
+An effect with a known sign has a half-normal amplitude: its Bayes factor is that of a normal one,
+times 2 Φ(amplitude / its sd).
 
 Two things such a null would hide. One odd blade is dealt as well, and makes the gain of whichever
 blade it lands on: it is dealt no larger than t-distributed readings of the others' size are but in
@@ -37,6 +42,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 from scipy.stats import t as student
 
 from core.calibration.message import POOL
@@ -48,6 +54,7 @@ from core.rng import stream
 
 Array = NDArray[np.float64]
 FEW = 6  # blades below which they are not dealt
+PULLED = 0.1  # of a residual's variance that the shared parameters leave, at least
 USUAL = 0.95  # of dealt sets
 ODD, TAIL = 0.05, 4.0  # a blade is dealt no larger than t-distributed readings are but so rarely
 
@@ -69,7 +76,6 @@ class Scan:
     g: Array
     h: Array
     within: Array
-    efficient: Array
     u: Array
     information: Array
     c: Array
@@ -103,17 +109,16 @@ class Scan:
         within: Array | None = None,
     ) -> Scan:
         within = seen.within(g) if within is None else within
-        efficient = seen.efficient(g)
-        weighted = np.einsum("bij,bjc->bic", seen.information, efficient)
-        own = np.einsum("bic,bic->bc", efficient, weighted)
         pull = h.sum(axis=1)
-        c = np.einsum("bic,bi->bc", efficient, seen.q) + pull
-        information = seen.cross(g, within)
+        shared = np.tensordot(seen.deviation, g, axes=((0, 1), (0, 1)))
+        c, own = seen.shares(g, shared)
+        c += pull
+        information = np.asarray(within - shared.T @ shared)
         concerned = np.any(g != 0, axis=1)  # (B, C)
         alone = _alone(cells, g.shape[2])
         u = np.einsum("bic,bi->c", g, seen.q) + pull.sum(axis=0)
         phi = Scatter.of(own, concerned, alone).phi(c, u, np.diag(information))
-        return Scan(cells, free, seen, g, h, within, efficient, u, information, c, own, phi)
+        return Scan(cells, free, seen, g, h, within, u, information, c, own, phi)
 
     @cached_property
     def _scaled(self) -> tuple[Array, Array]:
@@ -127,14 +132,20 @@ class Scan:
         return replace(self, phi=np.where(alone, self.phi, 1.0))
 
     def gain(self, *which: int) -> float:
-        """log BF of a set of cells together; −inf where one goes against its sign."""
+        """log BF of a set of cells together; −inf where one of several goes against its sign.
+
+        Of several with signs the factors of their sides are multiplied, as if they went apart.
+        """
         u, information = self._scaled
         s = list(which)
         a = information[np.ix_(s, s)] + np.eye(len(s))
-        amplitude = np.linalg.solve(a, u[s])
-        if np.any((self._signs[s] > 0) & (amplitude < 0)):
+        covariance = np.linalg.inv(a)
+        amplitude, sd = covariance @ u[s], np.sqrt(np.diag(covariance))
+        signed = self._signs[s] > 0
+        if len(s) > 1 and np.any(signed & (amplitude < 0)):
             return -np.inf
-        return float(0.5 * u[s] @ amplitude - 0.5 * np.linalg.slogdet(a)[1])
+        sides = np.where(signed, np.log(2.0) + log_ndtr(amplitude / sd), 0.0)
+        return float(0.5 * u[s] @ amplitude - 0.5 * np.linalg.slogdet(a)[1] + sides.sum())
 
     def amplitudes(self, *which: int) -> tuple[Array, Array]:
         """Mean (k,) and covariance (k, k) of a set's amplitudes, in expected sizes."""
@@ -199,20 +210,26 @@ class Scan:
 
     def null(self, count: int, seed: int) -> Array:
         """`by_family` of `count` dealt sets, (count, families and free sets)."""
-        rng = stream(seed, "dealt")
-        root, back = _roots(self.seen)
-        white = np.einsum("bij,bj->bi", back, self.seen.q)
-        weighted = np.einsum("bij,bic->bjc", root, self.efficient)  # rootᵀ g⊥
-        shared = self.seen.by_chance(rng, count) @ np.einsum(
-            "bnk,bnc->kc", self.seen.deviation, self.g
-        )
-        dealt = _dealt(white, self.seen.real.sum(axis=1), rng, count)
+        q = self.dealt(count, seed)
+        shared = np.tensordot(self.seen.deviation, self.g, axes=((0, 1), (0, 1)))
+        turned = np.einsum("bis,kbi->kbs", self.seen.imitated, q)
+        there = [np.flatnonzero(np.any(one != 0, axis=0)) for one in self.g]
+        blocks = [(at, one[:, at]) for at, one in zip(there, self.g, strict=True)]
 
         def tried(k: int) -> Array:
-            c = np.einsum("bjc,bj->bc", weighted, dealt[k])
-            return self._tried(c, c.sum(axis=0) + shared[k])
+            whole = np.zeros(self.own.shape)
+            for b, (at, own) in enumerate(blocks):
+                whole[b, at] = q[k, b] @ own
+            return self._tried(whole - turned[k] @ shared, whole.sum(axis=0))
 
         return np.array(list(POOL.map(tried, range(count))))
+
+    def dealt(self, count: int, seed: int) -> Array:
+        """q (count, B, n) of `count` dealt sets."""
+        rng, (root, back) = stream(seed, "dealt"), _roots(self.seen)
+        white = _standard(self.seen, root, back)
+        sets = _dealt(white, self.seen.real.sum(axis=1), rng, count)
+        return self.seen.refitted(np.einsum("bij,kbj->kbi", root, sets), rng)
 
     @cached_property
     def _scatter(self) -> Scatter:
@@ -230,8 +247,9 @@ class Scan:
     def chance(self, count: int, seed: int) -> float:
         """Family-wise probability of so large a gain, by `count` dealt sets.
 
-        Families of one blade and all others are each counted from what `USUAL` of the dealt sets
-        do not exceed: a blade that is odd widens the null of the former.
+        Families of one blade and all others are each counted from what is usual in the dealt sets:
+        a blade that is odd widens the null of the former. Beyond it lie 1 − `USUAL` of them, shared
+        by the number of families.
         """
         null = np.atleast_2d(self.null(count, seed))
         found = self._tried(self.c, self.u)
@@ -240,7 +258,7 @@ class Scan:
         for k, own in enumerate((alone, ~alone)):
             if np.any(own):
                 largest = null[:, own].max(axis=1)
-                usual = np.quantile(largest, USUAL)
+                usual = np.quantile(largest, 1.0 - (1.0 - USUAL) * own.sum() / own.size)
                 excess[k] = np.append(largest, found[own].max()) - usual
         *dealt, top = excess.max(axis=0)
         return float((1 + np.sum(np.array(dealt) >= top)) / (1 + count))
@@ -271,19 +289,44 @@ def _dealt(white: Array, rows: NDArray[np.int64], rng: np.random.Generator, coun
         most = usual * float(student.ppf(1.0 - 0.5 * ODD / rows.sum(), TAIL))
         white = white * np.minimum(1.0, most / np.maximum(norm, 1e-300))[:, None]
     alike = [np.flatnonzero(rows == n) for n in np.unique(rows)]
+    lonely = [int(b) for own in alike if len(own) < FEW for b in own]
     dealt = np.empty((count, *white.shape))
     for k in range(count):
         order = np.arange(len(rows))
         for own in alike:
             order[own] = rng.choice(own, len(own))
         dealt[k] = white[order] * rng.choice([-1.0, 1.0], len(rows))[:, None]
+        for b in lonely:
+            dealt[k, b, : rows[b]] = _patched(white, rows, int(rows[b]), rng)
     return dealt
+
+
+def _patched(white: Array, rows: NDArray[np.int64], count: int, rng: np.random.Generator) -> Array:
+    """So many whitened rows, of blades drawn one after the other."""
+    found = np.empty(0)
+    while len(found) < count:
+        b = int(rng.integers(len(rows)))
+        found = np.r_[found, rng.choice([-1.0, 1.0]) * white[b, : rows[b]]]
+    return found[:count]
+
+
+def _standard(seen: Scores, root: Array, back: Array) -> Array:
+    """Whitened residuals (B, n) without the pull of the shared parameters on them.
+
+    Cov[Q^−½ q] = 1 − W Wᵀ, W = Q^½ Z; where less than `PULLED` is left, that counts as left.
+    """
+    w = np.einsum("bij,bjs->bis", root, seen.imitated)
+    value, vector = np.linalg.eigh(np.eye(w.shape[1]) - np.einsum("bis,bjs->bij", w, w))
+    along = np.einsum("bij,bi->bj", vector, np.einsum("bij,bj->bi", back, seen.q))
+    held = along / np.sqrt(np.clip(value, PULLED, 1.0))
+    return np.asarray(np.einsum("bij,bj->bi", vector, held))
 
 
 def _gains(u: Array, information: Array, phi: Array, signs: NDArray[np.int64]) -> Array:
     scaled: Array = np.asarray(information / phi)
-    gains: Array = 0.5 * (u / phi) ** 2 / (1 + scaled) - 0.5 * np.log1p(scaled)
-    return np.asarray(np.where((signs > 0) & (u < 0), -0.5 * np.log1p(scaled), gains))
+    z = (u / phi) / np.sqrt(1 + scaled)
+    gains: Array = 0.5 * z**2 - 0.5 * np.log1p(scaled)
+    return np.asarray(np.where(signs > 0, gains + np.log(2.0) + log_ndtr(z), gains))
 
 
 def _roots(seen: Scores) -> tuple[Array, Array]:

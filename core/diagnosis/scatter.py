@@ -2,9 +2,10 @@
 
 With c_b and I_b blade b's shares of an effect's score and information, and a = U / I its amplitude,
 
-    phi = Σ (c_b − a I_b)² / Σ I_b · n / (n − 1)
+    phi = Σ (c_b − a I_b)² / (Σ I_b − Σ I_b² / Σ I_b)
 
-is one where noise alone scatters the n blades that the effect concerns. Above one it discounts
+is one where noise alone scatters the blades that the effect concerns; (Σ I_b)² / Σ I_b² of them
+count, for three hot blades may know more than all others. Above one it discounts
 score and information alike (a quasi-likelihood: Wedderburn, Biometrika 61, 1974).
 """
 
@@ -24,7 +25,7 @@ class Scatter:
     """What of phi does not go with the scores; C cells, B blades.
 
     seen      1 where a cell concerns a blade, else 0, (B, C); own: information there, else 0
-    expected  Σ I_b (n − 1) / n, (C,)
+    expected  Σ I_b − Σ I_b² / Σ I_b, (C,)
     many      cells of blades enough; typical: those of them that set an example to the others
     """
 
@@ -46,11 +47,14 @@ class Scatter:
         least  blades from which phi is a cell's own
         """
         seen = concerned & (own > 1e-12)
-        count = seen.sum(axis=0)
-        freedom = np.maximum(count - 1, 1) / np.maximum(count, 1)
         held = np.where(seen, own, 0.0)
+        whole, square = held.sum(axis=0), np.sum(held**2, axis=0)
+        count = whole**2 / np.maximum(square, 1e-300)
+        expected = np.where(seen.sum(axis=0) > 1, whole - square / np.maximum(whole, 1e-300), whole)
+        if least < LEAST_BLADES:  # of few blades each counts
+            count = seen.sum(axis=0).astype(float)
         many = np.asarray(count >= least)
-        return Scatter(seen.astype(float), held, held.sum(axis=0) * freedom, many, many & ~alone)
+        return Scatter(seen.astype(float), held, expected, many, many & ~alone)
 
     def phi(self, c: Array, u: Array, information: Array) -> Array:
         """phi ≥ 1 of each cell (C,) from contributions c (B, C), scores and informations (C,).

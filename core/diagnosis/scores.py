@@ -105,18 +105,20 @@ class Scores:
         value, vector = np.linalg.eigh(self.curvature)
         return np.asarray(self.slope @ (vector / np.sqrt(value)))
 
-    def by_chance(self, rng: np.random.Generator, count: int) -> Array:
-        """Zᵀ q (count, S) as it would be by chance: where in their priors the shared ones lie.
+    def refitted(self, whole: Array, rng: np.random.Generator) -> Array:
+        """q (count, B, n) once the shared parameters are fitted to sets Q^½ e (count, B, n).
 
-        Its covariance is A^−½ (P⁻¹ − P⁻¹ A⁻¹ P⁻¹) A^−½.
+        Where in their priors these lie is drawn, δ ~ N(0, P)::
+
+            q = Q^½ e − D (Zᵀ Q^½ e) + D A^−½ᵀ P⁻¹ δ
+
+        For e of unit covariance its covariance is Q − D Dᵀ, that of the residuals.
         """
         value, vector = np.linalg.eigh(self.curvature)
-        inverse = np.diag(1.0 / self.prior)
-        middle = inverse - inverse @ (vector / value) @ vector.T @ inverse
-        turn = (vector / np.sqrt(value)).T
-        lengths, axes = np.linalg.eigh(turn @ middle @ turn.T)
-        root = axes * np.sqrt(np.maximum(lengths, 0.0))
-        return np.asarray(rng.standard_normal((count, len(value))) @ root.T)
+        drawn = rng.standard_normal((len(whole), len(value))) / np.sqrt(self.prior)
+        fit = np.einsum("bis,kbi->ks", self.imitated, whole)
+        moved = drawn @ (vector / np.sqrt(value)) - fit
+        return np.asarray(whole + np.einsum("bis,ks->kbi", self.deviation, moved))
 
     @cached_property
     def deviation(self) -> Array:
@@ -164,7 +166,25 @@ class Scores:
 
     def within(self, g: Array) -> Array:
         """The same if no parameter were shared, Σ_b gᵀ Q_b g, (C, C)."""
-        return np.tensordot(g, self.information @ g, axes=((0, 1), (0, 1)))
+        out = np.zeros((g.shape[2], g.shape[2]))
+        for own, q in zip(g, self.information, strict=True):
+            at = np.flatnonzero(np.any(own != 0, axis=0))  # most cells of one blade are of others
+            out[np.ix_(at, at)] += own[:, at].T @ q @ own[:, at]
+        return out
+
+    def shares(self, g: Array, shared: Array) -> tuple[Array, Array]:
+        """Blades' shares g⊥ᵀ q of score and g⊥ᵀ Q g⊥ of information, (B, C) each.
+
+        shared   Dᵀ g (S, C); g⊥ itself would take as much room as g
+        """
+        c, own = (np.empty((len(g), g.shape[2])) for _ in range(2))
+        for b, one in enumerate(g):
+            z, d = self.imitated[b], self.deviation[b]
+            c[b] = self.q[b] @ one - (self.q[b] @ z) @ shared
+            own[b] = np.einsum("ic,ic->c", one, self.information[b] @ one)
+            own[b] -= 2.0 * np.einsum("sc,sc->c", d.T @ one, shared)
+            own[b] += np.einsum("sc,sc->c", shared, (z.T @ d) @ shared)
+        return c, np.maximum(own, 0.0)
 
     def including(self, g: Array, amplitude: Array) -> Scores:
         """With effects of signatures g (B, n, C) as shared parameters, at their best amplitudes.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -13,11 +14,13 @@ from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, apart, reweighed
 from core.diagnosis.expected import joined, without
 from core.diagnosis.grammar import Cell
+from core.diagnosis.hypotheses import Hypothesis
 from core.diagnosis.hypotheses import weighed as weighed_all
 from core.diagnosis.scan import Scan
 from core.diagnosis.verdict import LEFT, Verdict, judge
-from core.errors import CalibrationError, InputError
+from core.errors import CalibrationError, InputError, ModelError
 from core.model import Model
+from core.rng import seed_of
 
 Progress = Callable[[str, int, int], None]
 RIVALS = 6
@@ -40,7 +43,8 @@ class Search:
     progress: Progress
     known: dict[frozenset[Cell], Rival] = field(default_factory=dict)
     refused: dict[tuple[str, ...], str] = field(default_factory=dict)
-    price: float = 0.0
+    prices: Mapping[Cell, float] = field(default_factory=dict)
+    paid: dict[Cell, float] = field(default_factory=dict)
     done: int = 0
 
     def say(self, what: str) -> None:
@@ -78,7 +82,7 @@ class Search:
                         "is not found well enough to be compared",
                         "the scan's word stands",
                     )
-            except (InputError, CalibrationError) as error:
+            except (InputError, ModelError, CalibrationError) as error:
                 # together they may leave the runs, in one blade alone, or be past computing
                 self.refused[names] = str(error)
                 return None
@@ -112,7 +116,7 @@ class Search:
             ask(one.cells)
         if known:
             there = {h.cells: h.weight for h in weighed}
-            courses = [c for c in siblings(scan, self._best(known)) if c in there]
+            courses = [c for c in siblings(scan, self._best(known, scan.cells)) if c in there]
             for cells_ in sorted(courses, key=lambda c: -there[c])[:SIBLINGS]:
                 ask(cells_)
         names = {c: tuple(scan.cells[i].name for i in c) for c in known}
@@ -120,9 +124,11 @@ class Search:
         found = reweighed(weighed, {c: r.gained for c, r in known.items()})
         took: tuple[str, ...] = ()
         if known:
-            best = self._best(known)
-            if known[best].gained >= taken.gained + self.price * len(best):
+            best = self._best(known, scan.cells)
+            owed = self._owed(best, found, scan.cells)
+            if known[best].gained >= taken.gained + sum(owed.values()):
                 took = names[best]
+                self.paid |= owed
         return Turn(found, took, rivals, tuple(scan.cells), taken.effects)
 
     def left(self, taken: Rival, turn: int) -> tuple[Scan, Verdict]:
@@ -131,11 +137,38 @@ class Search:
         case = self.case
         noise = case.noise(self.model, self.state)
         scan = case.scan(taken.model, taken.state, taken.effects, noise)
-        return scan, judge(scan, case.spec.seed + turn, alarm=LEFT, dealt=case.dealt)
+        return scan, judge(scan, seed_of(case.seed, turn), alarm=LEFT, dealt=case.dealt)
 
-    def _best(self, known: Mapping[tuple[int, ...], Rival]) -> tuple[int, ...]:
+    def _best(
+        self, known: Mapping[tuple[int, ...], Rival], cells: Sequence[Cell]
+    ) -> tuple[int, ...]:
         """The most gained, less the price of each effect: two have to be worth two."""
-        return max(known, key=lambda c: known[c].gained - self.price * len(c))
+
+        def left(which: tuple[int, ...]) -> float:
+            return known[which].gained - sum(self.prices.get(cells[i], 0.0) for i in which)
+
+        return max(known, key=left)
+
+    def _owed(
+        self, which: tuple[int, ...], found: Sequence[Hypothesis], cells: Sequence[Cell]
+    ) -> dict[Cell, float]:
+        """What each of these has to gain: its price, less what others of its cause gain for it.
+
+        Steps at neighbouring hours, or courses that differ little, say the same thing: together
+        they have the evidence of which each has a part.
+        """
+        weights, owed = {h.cells: h.weight for h in found}, dict[Cell, float]()
+        own = weights.get(which, 0.0)
+        for i in which:
+            rest = tuple(j for j in which if j != i)
+            alike = sum(
+                weights.get(tuple(sorted((*rest, j))), 0.0)
+                for j, cell in enumerate(cells)
+                if j not in rest and cell.cause == cells[i].cause
+            )
+            credit = math.log(max(alike / own, 1.0)) if own > 0 else 0.0
+            owed[cells[i]] = self.prices.get(cells[i], 0.0) - credit
+        return owed
 
     def _only(self, taken: Rival, effects: tuple[Cell, ...]) -> Rival | None:
         """Calibrated with some of the effects that are taken."""
@@ -146,7 +179,7 @@ class Search:
         """Without the effects that do not earn their place beside the others."""
         for out in taken.effects if len(taken.effects) > 1 else ():
             rest = self._only(taken, tuple(c for c in taken.effects if c != out))
-            if rest is not None and taken.gained < rest.gained + self.price:
+            if rest is not None and taken.gained < rest.gained + self.paid.get(out, 0.0):
                 return self.needed(rest)
         return taken
 
@@ -198,6 +231,21 @@ class Search:
             return None
         _, found = self.left(rest, len(turns))
         return (rest, found.p) if found.word == "adequate" else None
+
+
+def prices(scan: Scan) -> dict[Cell, float]:
+    """What a cell has to gain: `EARNED`, and the log of what it was chosen from.
+
+    Families share the prior evenly and cells their family's (`hypotheses.weighed`), so that with
+    no effect the mean over all cells of exp(gain − price) is e^−`EARNED`: by Markov's inequality
+    one is taken in no more than that share of clean rotors, were it for this alone.
+    """
+    families = scan.families
+    return {
+        scan.cells[i]: EARNED + math.log(len(families) * len(own))
+        for own in families.values()
+        for i in own
+    }
 
 
 def siblings(scan: Scan, which: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -42,12 +42,13 @@ class Signatures:
     h: Array
 
     @staticmethod
-    def of(parts: Sequence[tuple[Array, Array]], mask: Array) -> Signatures:
+    def of(parts: Sequence[tuple[Array, Array]], mask: NDArray[np.generic]) -> Signatures:
         """From g and h (B, n) of each column; mask (B, n, C), of none where all are taken."""
-        if not parts:
-            return Signatures(mask, mask)
-        g, h = (np.stack(both, axis=2) for both in zip(*parts, strict=True))
-        return Signatures(g * mask, h * mask)
+        g, h = np.zeros(mask.shape), np.zeros(mask.shape)
+        for c, (one, other) in enumerate(parts):
+            np.multiply(one, mask[:, :, c], out=g[:, :, c])
+            np.multiply(other, mask[:, :, c], out=h[:, :, c])
+        return Signatures(g, h)
 
 
 def signatures(

@@ -59,14 +59,23 @@ def far(b: int, k: int) -> float:
     return 60 * SIGMA * (b == 0)
 
 
+def as_large(seed: int) -> float:
+    """Share of dealt sets in which some blade gains as much as the odd one does."""
+    one = scan(*rotor(seed, far))
+    alone = np.array([name.endswith(", blade") for name in one.found])
+    found = one._tried(one.c, one.u)[alone].max()
+    return float(np.mean(one.null(DEALT, seed)[:, alone].max(axis=1) >= found))
+
+
 def test_one_blade_that_is_far_off_alarms() -> None:
     assert median_p(far) <= 1 / (1 + DEALT)
+    assert np.median([as_large(s) for s in range(5)]) <= 0.05
 
 
 def test_dealt_as_it_is_the_odd_blade_would_hide_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """The control: it is drawn at least once in two thirds of the sets."""
     monkeypatch.setattr(module, "ODD", 0.0)
-    assert median_p(far) > 2 / (1 + DEALT)
+    assert np.median([as_large(s) for s in range(5)]) > 0.15
 
 
 def test_one_blade_that_is_off_does_not_hide_what_all_have_in_common() -> None:
@@ -102,7 +111,6 @@ def test_a_campaign_that_reads_too_long_is_named() -> None:
     verdict = judge(scan(*rotor(1, lambda b, k: 2 * SIGMA if k == 1 else 0.0)), 1, dealt=DEALT)
     assert (verdict.word, verdict.names) == ("effect", ("campaign offset (campaign c1)",))
     assert verdict.best is not None
-    assert all(h.agrees for h in verdict.held)
 
 
 def test_the_name_follows_the_label() -> None:
