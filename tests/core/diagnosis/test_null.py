@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.diagnosis.scan import Scan, _dealt
+from core.diagnosis.dealing import _dealt, dealt_sets
+from core.diagnosis.scan import Scan
 from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
 from core.diagnosis.search import EARNED, prices
@@ -49,17 +50,11 @@ def over_information(dealt: Mapping[int, np.ndarray], g: np.ndarray) -> float:
     return float(np.mean(found))
 
 
-def blank(seen: Scores, g: np.ndarray) -> Scan:
-    columns = Signatures(g[:, :, None], np.zeros((*g.shape, 1)))
-    nothing = Signatures(np.zeros((*g.shape, 0)), np.zeros((*g.shape, 0)))
-    return Scan.of([], seen, nothing, {"one": columns})
-
-
 def test_dealt_scores_scatter_as_their_information_says() -> None:
     """Three parameters take 3 of 16 degrees of freedom; dealt as they were the scores scattered
     by that much less than the information says, and so did those of the readings themselves."""
     g = np.random.default_rng(2).normal(size=(BLADES, ROWS))
-    dealt = {s: blank(few(s), g).dealt(60, s) for s in range(SETS)}
+    dealt = {s: dealt_sets(few(s), 60, s) for s in range(SETS)}
     assert over_information(dealt, g) == pytest.approx(1.0, abs=0.07)
     raw = {s: _dealt(few(s).q, np.full(BLADES, ROWS), np.random.default_rng(s), 60) for s in dealt}
     efficient = few(0).efficient(g[:, :, None])[:, :, 0]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.diagnosis import scan as module
+from core.diagnosis import dealing as module
 from core.diagnosis.scan import Scan
 from core.diagnosis.verdict import judge
 from tests.core.diagnosis import fleet
