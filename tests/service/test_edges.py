@@ -19,7 +19,7 @@ from service.api.repeats import Repeats
 from service.errors import ConflictError, FaultsError, GoneError, StoreAwayError
 from service.fake import FakeScience
 from service.handlers import rows
-from service.handlers.inspections import Item, post_inspections
+from service.handlers.inspections import FEW, Item, post_inspections
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.states import digests
@@ -282,3 +282,34 @@ def test_a_rotor_asked_for_again_is_the_one_that_is_there_whatever_came_since(
         assert again.headers["idempotent-replayed"] == "true"
         other = api.post("/v1/rotors", json=body | {"seed": 3})
         assert other.status_code in (409, 422), "negative control: another request is judged"
+
+
+def test_a_list_leaves_what_a_scan_says_in_the_database(
+    api: httpx.Client, store: SqlStore, rotor: str
+) -> None:
+    """Of a scan a list shows how many values it has; all else, to the last digit, as it stands."""
+    scan = {
+        "blade": "B1",
+        "quantity": "deformation",
+        "time_h": 8000.1,
+        "sigma": 1e-7,
+        "campaign": "März",
+        "replaces": "few",
+    }
+    for name, count in (("few", FEW), ("many", FEW + 1)):
+        own = {k: v for k, v in scan.items() if name == "many" or k != "replaces"}
+        body = own | {"id": name, "nodes": list(range(count)), "values": count * [[0.1, 0.2, 0.3]]}
+        assert api.post(f"{ROTOR}/inspections", json=body).status_code == 202
+    few, many = api.get(f"{ROTOR}/inspections").json()["items"]
+    assert few == api.get(f"{ROTOR}/inspections/few").json()
+    assert len(few["values"]) == FEW
+    assert few["status"] == "replaced"
+    assert "count" not in few
+    whole = api.get(f"{ROTOR}/inspections/many").json()
+    assert len(whole["values"]) == FEW + 1
+    assert many == whole | {"values": None, "nodes": None, "count": FEW + 1}
+    with store.read() as tx:
+        read = tx.log.page(rotor, "inspection", None, 10, most_values=FEW)
+        assert "values" not in read[1].body, "it is not taken out of the database"
+        assert read[0] == tx.log.page(rotor, "inspection", None, 10)[0]
+        assert [event.body for event in tx.log.overruled(rotor, ["few"])] == [""]
