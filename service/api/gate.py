@@ -4,9 +4,10 @@ Without a usable key every path answers alike, whether it exists or not: the sam
 body. With one, what a key may not do is 403, and a rotor that it does not know is 404, whether it
 exists or not. Why a key was not accepted stands in the log alone.
 
-A token that this process has not met yet is looked up in the database only while its address has
-tokens left: whoever tries keys by the thousand is told 429, as one without a key is. Keys that were
-met pass by their own rate, from whatever address.
+A token that this process has not met yet is looked up in the database while its address has tokens
+left, and beyond that so often a second as `LOOKS` says for all addresses: whoever tries keys by the
+thousand is told 429, as one without a key is, and a key that is new to this process gets through
+beside them. Keys that were met pass by their own rate, from whatever address.
 """
 
 from __future__ import annotations
@@ -43,6 +44,9 @@ NEEDS_KEY = (
 )
 
 
+LOOKS = 5.0  # a second, for keys from addresses without a token left
+
+
 class Gate:
     """ASGI middleware: lets a request pass, or answers it."""
 
@@ -53,6 +57,7 @@ class Gate:
         self.origins = settings.origins
         self.buckets = Buckets(settings.rate(limited=self.always), settings.rate_burst)
         self.table = Table(RULES)
+        self.looks = Buckets(LOOKS, math.ceil(LOOKS))
         self._met: OrderedDict[str, None] = OrderedDict()  # digests of tokens that were keys
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -76,7 +81,8 @@ class Gate:
         address = f"address {network(visit.address)}"
         if given:
             met = digest(_token(given)) in self._met
-            if not met and (wait_s := self.buckets.wait_s(address)):
+            wait_s = 0.0 if met else self.buckets.wait_s(address)
+            if wait_s and not self.looks.take("looks").allowed:
                 return _slower(request, wait_s)
             try:
                 visit.key = await self._key_of(given)

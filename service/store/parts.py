@@ -39,8 +39,9 @@ def _parts_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
 
 
 class without_long(FunctionElement[str]):
-    """``without_long(column, most)``: a reading's text; of one with more than `most` values how many
-    it has (``count``), and no values or nodes."""
+    """``without_long(column, most)``: a reading's text; with more than `most` values their
+    ``count`` instead of values and nodes.
+    """
 
     type = Text()
     inherit_cache = False
