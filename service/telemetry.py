@@ -1,8 +1,8 @@
 """Logs: one JSON object a line on standard error.
 
 Nothing secret is ever given to them; should a client put its key where keys do not belong (a path,
-say), it is taken out of the line all the same. Lines that belong to a request carry its id and the
-id of its key.
+say), it is taken out of the line all the same. Lines that belong to a request carry its id, the
+id of its key, and the numbers of the entries that it appended to its rotor's log.
 """
 
 from __future__ import annotations

@@ -3,12 +3,18 @@
 Without a usable key every path answers alike, whether it exists or not: the same 401 with the same
 body. With one, what a key may not do is 403, and a rotor that it does not know is 404, whether it
 exists or not. Why a key was not accepted stands in the log alone.
+
+A token that this process has not met yet is looked up in the database while its address has tokens
+left, and beyond that so often a second as `LOOKS` says for all addresses: whoever tries keys by the
+thousand is told 429, as one without a key is, and a key that is new to this process gets through
+beside them. Keys that were met pass by their own rate, from whatever address.
 """
 
 from __future__ import annotations
 
 import logging
 import math
+from collections import OrderedDict
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
@@ -21,7 +27,7 @@ from service.access import LOOPBACK, Act, KeyRecord
 from service.api.loopback import by_loopback, keys_required
 from service.api.preconditions import guard_of
 from service.api.problems import fault, problem
-from service.api.rate import Buckets, network
+from service.api.rate import MOST_BUCKETS, Buckets, network
 from service.api.refusals import away, missing
 from service.api.scopes import RULES, STATE_CHANGING, Found, Table
 from service.api.visit import Visit, visit_of
@@ -29,12 +35,16 @@ from service.errors import NotFoundError, StoreAwayError
 from service.handlers.keys import recognise
 from service.ports import Store
 from service.settings import Settings
+from service.tokens import digest
 
 log = logging.getLogger("bladetwin.gate")
 NEEDS_KEY = (
     "this service answers those who have a key. To mend it: send `Authorization: Bearer KEY`; "
     "`bladetwin keys create` on the server makes one."
 )
+
+
+LOOKS = 5.0  # a second, for keys from addresses without a token left
 
 
 class Gate:
@@ -47,6 +57,8 @@ class Gate:
         self.origins = settings.origins
         self.buckets = Buckets(settings.rate(limited=self.always), settings.rate_burst)
         self.table = Table(RULES)
+        self.looks = Buckets(LOOKS, math.ceil(LOOKS))
+        self._met: OrderedDict[str, None] = OrderedDict()  # digests of tokens that were keys
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         visit = visit_of(scope)
@@ -66,7 +78,12 @@ class Gate:
     ) -> JSONResponse | None:
         """The answer to a request that may not pass; None: it may."""
         given = Headers(scope=request.scope).getlist("authorization")
+        address = f"address {network(visit.address)}"
         if given:
+            met = digest(_token(given)) in self._met
+            wait_s = 0.0 if met else self.buckets.wait_s(address)
+            if wait_s and not self.looks.take("looks").allowed:
+                return _slower(request, wait_s)
             try:
                 visit.key = await self._key_of(given)
             except StoreAwayError as error:
@@ -74,7 +91,7 @@ class Gate:
         known = visit.key is not None or not (
             given or self.always or not by_loopback(request.scope, self.origins)
         )
-        who = f"key {visit.key.id}" if visit.key else f"address {network(visit.address)}"
+        who = f"key {visit.key.id}" if visit.key else address
         telemetry.tell(who=visit.key.id if visit.key else LOOPBACK if known else None)
         taken = self.buckets.take(who)
         visit.headers |= taken.headers
@@ -88,13 +105,19 @@ class Gate:
         return None if visit.key is None else _beyond(request, visit.key, found)
 
     async def _key_of(self, given: list[str]) -> KeyRecord | None:
-        scheme, _, token = given[0].partition(" ")
+        scheme = given[0].partition(" ")[0]
         if len(given) > 1 or scheme.lower() != "bearer":
             log.warning("401: Authorization is not one Bearer key")
             return None
-        recognised = await run_in_threadpool(recognise, self.store, token.strip())
+        token = _token(given)
+        recognised = await run_in_threadpool(recognise, self.store, token)
         if recognised.key is None:
             log.warning("401: %s", recognised.reason)
+            self._met.pop(digest(token), None)
+            return None
+        self._met[digest(token)] = None
+        if len(self._met) > MOST_BUCKETS:
+            self._met.popitem(last=False)
         return recognised.key
 
     @staticmethod
@@ -113,6 +136,11 @@ class Gate:
             rotor=found.rotor,
         )
         visit.guard = guard_of(request, found.rotor)
+
+
+def _token(given: list[str]) -> str:
+    """The token of an Authorization header."""
+    return given[0].partition(" ")[2].strip()
 
 
 def _stranger(request: Request) -> JSONResponse:

@@ -33,8 +33,8 @@ class Buckets:
 
     >>> at = [0.0]
     >>> buckets = Buckets(rate=2.0, burst=1, clock=lambda: at[0])
-    >>> buckets.take("key a").allowed, buckets.take("key a").wait_s
-    (True, 0.5)
+    >>> buckets.take("key a").allowed, buckets.take("key a").wait_s, buckets.wait_s("key a")
+    (True, 0.5, 0.5)
     >>> at[0] = 0.5
     >>> buckets.take("key a").headers
     {'RateLimit-Policy': '"key";q=1;w=1', 'RateLimit': '"key";r=0;t=1'}
@@ -52,9 +52,8 @@ class Buckets:
         """A token for `who`, whose first word says what it is (key, address)."""
         if self._rate <= 0:
             return Taken(True, 0.0, {})
-        now = self._clock()
-        level, since = self._levels.pop(who, (float(self._burst), now))
-        level = min(float(self._burst), level + (now - since) * self._rate)
+        now, level = self._clock(), self._level(who)
+        self._levels.pop(who, None)
         allowed = level >= 1.0
         level -= allowed
         self._levels[who] = (level, now)
@@ -68,6 +67,15 @@ class Buckets:
             "RateLimit": f'"{kind}";r={int(level)};t={full}',
         }
         return Taken(allowed, 0.0 if allowed else (1.0 - level) / self._rate, headers)
+
+    def wait_s(self, who: str) -> float:
+        """Until there is a token for `who`, s; none is taken."""
+        return 0.0 if self._rate <= 0 else max(0.0, 1.0 - self._level(who)) / self._rate
+
+    def _level(self, who: str) -> float:
+        now = self._clock()
+        level, since = self._levels.get(who, (float(self._burst), now))
+        return min(float(self._burst), level + (now - since) * self._rate)
 
 
 def network(address: str | None) -> str:

@@ -193,16 +193,20 @@ def list_inspections(
     blade: str | None = None,
     newest: bool = False,
 ) -> list[Listed]:
-    """Readings in the order of their arrival, after a sequence number; `newest`: the other way."""
+    """Readings in the order of their arrival, after a sequence number; `newest`: the other way.
+
+    One with more than `FEW` values comes without them, with their ``count``.
+    """
     with store.read() as tx:
         tx.records.rotor(rotor_id)
         _known(tx, rotor_id, blade)
-        events = tx.log.page(rotor_id, "inspection", after, limit, blade, newest)
+        events = tx.log.page(rotor_id, "inspection", after, limit, blade, newest, FEW)
         overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
     return _listed(events, overruling)
 
 
 PAGE = 100
+FEW = 16  # values of a reading that a list shows
 
 
 def all_inspections(store: Store, rotor_id: str, blade: str | None) -> tuple[Log, Pages]:

@@ -79,12 +79,19 @@ class Log(Protocol):
         limit: int,
         blade: str | None = None,
         newest: bool = False,
-    ) -> list[Event]: ...
+        most_values: int | None = None,
+    ) -> list[Event]:
+        """Entries of a kind; readings with more than `most_values` without them (``count``)."""
+        ...
+
     def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
         """Entries after one that adopt effects or back them out (`service.adopted`)."""
         ...
 
-    def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]: ...
+    def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]:
+        """What retracts or corrects these readings, and what retracts that; without bodies."""
+        ...
+
     def entries(self, rotor_id: str, after: int, through: int, limit: int) -> list[Event]: ...
     def restore(self, rotor_id: str, events: Sequence[Event]) -> None:
         """Append entries of another database to a new rotor, with their own numbers and times."""

@@ -8,12 +8,15 @@ transaction the rotor's cursor becomes dirty; workers are notified when it flips
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from sqlalchemy import (
+    ColumnElement,
     Connection,
     bindparam,
     false,
     insert,
+    literal,
     or_,
     select,
     text,
@@ -28,6 +31,7 @@ from service.errors import ConflictError, NotFoundError
 from service.ports import Appended, Event, NewEvent
 from service.store import tables as t
 from service.store.engine import now_s
+from service.store.parts import without_long
 
 COLUMNS = [c for c in t.entry.c if c.name not in ("rotor_id", "traceparent")]
 NAMES = [column.name for column in COLUMNS]
@@ -65,7 +69,10 @@ _CHANGES = (
     .order_by("seq")
     .limit(bindparam("most"))
 )
-_OVERRULING = select(*COLUMNS).where(
+# Of what overrules a reading nobody asks what it says.
+_OVERRULING = select(
+    *(literal("").label("body") if column.name == "body" else column for column in COLUMNS)
+).where(
     t.entry.c.rotor_id == bindparam("rotor"),
     t.entry.c.replaces.in_(bindparam("ids", expanding=True)),
 )
@@ -173,10 +180,17 @@ class SqlLog:
         limit: int,
         blade: str | None = None,
         newest: bool = False,
+        most_values: int | None = None,
     ) -> list[Event]:
-        """Entries of a kind after a number, or with `newest` below it, the greatest first."""
-        seq = t.entry.c.seq
-        query = select(*COLUMNS).where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind == kind)
+        """Entries of a kind after a number, or with `newest` below it, the greatest first.
+
+        most_values   readings with more of them come without, and with their ``count``
+        """
+        seq, columns = t.entry.c.seq, list[ColumnElement[Any]](COLUMNS)
+        if most_values is not None:
+            short = without_long(t.entry.c.body, most_values).label("body")
+            columns = [short if column.name == "body" else column for column in COLUMNS]
+        query = select(*columns).where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind == kind)
         if after is not None:
             query = query.where(seq < after if newest else seq > after)
         if blade is not None:
@@ -189,7 +203,7 @@ class SqlLog:
         return [Event(**row._mapping) for row in self._connection.execute(_CHANGES, asked)]
 
     def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]:
-        """Retractions and corrections of these inspections, and retractions of those."""
+        """Retractions and corrections of these inspections, and retractions of those; no bodies."""
         found: dict[str, Event] = {}
         wanted = list(ids)
         while wanted:

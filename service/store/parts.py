@@ -1,4 +1,4 @@
-"""Parts of a stored JSON text, taken out by the database: lists of long results read none whole."""
+"""Parts of a stored JSON text, taken out by the database: lists of long texts read none whole."""
 
 from __future__ import annotations
 
@@ -36,3 +36,39 @@ def _parts_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
     text = compiler.process(element.clauses, **kw)
     values = ", ".join(f"({text})::json -> '{name}'" for name in element.names)
     return f"json_build_array({values})::text"
+
+
+class without_long(FunctionElement[str]):
+    """``without_long(column, most)``: a reading's text; with more than `most` values their
+    ``count`` instead of values and nodes.
+    """
+
+    type = Text()
+    inherit_cache = False
+
+    def __init__(self, column: Any, most: int) -> None:
+        self.most = most
+        super().__init__(column)
+
+
+# A value takes two characters at least, so that most texts need not be looked into.
+@compiles(without_long, "sqlite")
+def _short_sqlite(element: Any, compiler: Any, **kw: Any) -> str:
+    text = compiler.process(element.clauses, **kw)
+    count = f"json_array_length({text}, '$.values')"
+    return (
+        f"CASE WHEN length({text}) > {2 * element.most} AND {count} > {element.most} THEN "
+        f"json_set(json_remove({text}, '$.values', '$.nodes'), '$.count', {count}) ELSE {text} END"
+    )
+
+
+@compiles(without_long, "postgresql")
+def _short_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
+    text = compiler.process(element.clauses, **kw)
+    count = f"json_array_length({text}::json -> 'values')"
+    rest = f"({text}::jsonb - 'values' - 'nodes')"
+    return (
+        f"CASE WHEN length({text}) > {2 * element.most} THEN CASE WHEN {count} > {element.most} "
+        f"THEN ({rest} || jsonb_build_object('count', {count}))::text ELSE {text} END "
+        f"ELSE {text} END"
+    )

@@ -23,6 +23,7 @@ from service.store.records import SqlRecords
 from service.store.states import SqlStates
 from service.store.trail import SqlAudit
 from service.store.webhooks import SqlWebhooks
+from service.telemetry import tell
 
 
 class SqlTransaction:
@@ -88,6 +89,8 @@ class SqlStore:
             yield tx
             if act is not None and act.row is None:
                 row = tx.audit.note(act, EXPECTED, entries=tx.log.appended)
+        if tx.log.appended is not None:
+            tell(entries="{}-{}".format(*tx.log.appended))
         if act is not None and row is not None:
             act.row = row
 

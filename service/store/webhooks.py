@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, RowMapping, delete, func, insert, select, update
@@ -144,10 +144,11 @@ def delivery_of(row: RowMapping) -> DeliveryRecord:
     return DeliveryRecord(number=values.pop("id"), **values)
 
 
-def prune(connection: Connection, webhook_id: str, keep: int) -> None:
-    """Keep the newest `keep` of a webhook's delivered ones; pending and dead ones stay."""
-    own = (d.webhook_id == webhook_id) & (d.status == "delivered")
-    last = select(d.id).where(own).order_by(d.id.desc()).offset(keep).limit(1)
-    number = connection.execute(last).scalar()
-    if number is not None:
-        connection.execute(delete(t.delivery).where(own, d.id <= number))
+def prune(connection: Connection, webhook_id: str, kept: Mapping[str, int]) -> None:
+    """Keep the newest of a webhook's deliveries of each status; pending ones all stay."""
+    for status, count in kept.items():
+        own = (d.webhook_id == webhook_id) & (d.status == status)
+        last = select(d.id).where(own).order_by(d.id.desc()).offset(count).limit(1)
+        number = connection.execute(last).scalar()
+        if number is not None:
+            connection.execute(delete(t.delivery).where(own, d.id <= number))

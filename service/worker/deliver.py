@@ -8,8 +8,8 @@ tells by the id.
 
 A message that was not answered with 2xx is sent again after a pause, doubled each time up to
 `webhook_retry_max_s` and shortened by chance (by up to half), while later ones of the same rotor
-wait; after `webhook_max_attempts` it is dead: kept, shown, skipped, until somebody asks for it to
-be tried again.
+wait; after `webhook_max_attempts` it is dead: kept (the newest ten thousand), shown, skipped, until
+somebody asks for it to be tried again.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ log = logging.getLogger("bladetwin.deliver")
 w, d = t.webhook.c, t.delivery.c
 THREADS = 4  # receivers that are served at once
 MOST = 50  # messages to one receiver before others have their turn
-KEPT = 200  # delivered ones that are kept of each webhook
+KEPT = {"delivered": 200, "dead": 10_000}  # of each webhook, the newest
 IDLE_S = 0.5
 Send = Callable[[str, Mapping[str, str], bytes, float, Sequence[Network]], int]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -19,13 +20,14 @@ from service.api.repeats import Repeats
 from service.errors import ConflictError, FaultsError, GoneError, StoreAwayError
 from service.fake import FakeScience
 from service.handlers import rows
-from service.handlers.inspections import Item, post_inspections
+from service.handlers.inspections import FEW, Item, post_inspections
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.states import digests
 from service.store.trail import LONGEST_NAME
 from service.store.unit_of_work import SqlStore
 from service.store.versions import thin
+from service.telemetry import JsonLines
 from service.worker.loop import Worker
 
 Post = Callable[..., int]
@@ -282,3 +284,71 @@ def test_a_rotor_asked_for_again_is_the_one_that_is_there_whatever_came_since(
         assert again.headers["idempotent-replayed"] == "true"
         other = api.post("/v1/rotors", json=body | {"seed": 3})
         assert other.status_code in (409, 422), "negative control: another request is judged"
+
+
+def test_a_list_leaves_what_a_scan_says_in_the_database(
+    api: httpx.Client, store: SqlStore, rotor: str
+) -> None:
+    """Of a scan a list shows how many values it has; all else, to the last digit, as it stands."""
+    scan = {
+        "blade": "B1",
+        "quantity": "deformation",
+        "time_h": 8000.1,
+        "sigma": 1e-7,
+        "campaign": "März",
+        "replaces": "few",
+    }
+    for name, count in (("few", FEW), ("many", FEW + 1)):
+        own = {k: v for k, v in scan.items() if name == "many" or k != "replaces"}
+        body = own | {"id": name, "nodes": list(range(count)), "values": count * [[0.1, 0.2, 0.3]]}
+        assert api.post(f"{ROTOR}/inspections", json=body).status_code == 202
+    few, many = api.get(f"{ROTOR}/inspections").json()["items"]
+    assert few == api.get(f"{ROTOR}/inspections/few").json()
+    assert len(few["values"]) == FEW
+    assert few["status"] == "replaced"
+    assert "count" not in few
+    whole = api.get(f"{ROTOR}/inspections/many").json()
+    assert len(whole["values"]) == FEW + 1
+    assert many == whole | {"values": None, "nodes": None, "count": FEW + 1}
+    with store.read() as tx:
+        read = tx.log.page(rotor, "inspection", None, 10, most_values=FEW)
+        assert "values" not in read[1].body, "it is not taken out of the database"
+        assert read[0] == tx.log.page(rotor, "inspection", None, 10)[0]
+        assert [event.body for event in tx.log.overruled(rotor, ["few"])] == [""]
+
+
+def test_a_service_that_lets_nobody_wait_long_answers_plain_reads(
+    serving: Serving, rotor: str
+) -> None:
+    """Of a request that waits for nothing nobody asks how long it would."""
+    for most in (0.0, 10.0):
+        with serving(wait_max_s=most) as client:
+            assert client.get(ROTOR).status_code == 200
+            assert client.get(ROTOR, params={"wait_for": 0}).status_code == 200
+            long = client.get(ROTOR, params={"wait_for": 0, "timeout": most + 1})
+            assert long.status_code == 422
+            assert long.json()["faults"][0]["field"] == "timeout"
+
+
+def test_the_line_of_a_request_names_the_entries_that_it_appended(
+    api: httpx.Client, rotor: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    told: list[str] = []
+    handler = logging.Handler()
+    handler.emit = lambda record: told.append(JsonLines().format(record))  # type: ignore[method-assign]
+    logger = logging.getLogger("bladetwin")
+    logger.addHandler(handler)
+    caplog.set_level(logging.INFO, "bladetwin")
+    try:
+        one = {"blade": "B1", "quantity": "elongation", "time_h": 8000.0, "value": 0.11}
+        many = {"inspections": [one | {"id": name} for name in "ab"]}
+        assert api.post(f"{ROTOR}/inspections", json=many).status_code == 202
+        assert api.post(f"{ROTOR}/inspections", json=one | {"id": "c"}).status_code == 202
+        assert api.post(f"{ROTOR}/inspections", json=one | {"id": "c"}).status_code == 202
+        assert api.get(ROTOR).status_code == 200
+    finally:
+        logger.removeHandler(handler)
+    lines = [json.loads(line) for line in told]
+    posts = [line for line in lines if line["message"].startswith("POST")]
+    assert [line.get("entries") for line in posts] == ["1-2", "3-3", None]
+    assert all("request_id" in line for line in posts)

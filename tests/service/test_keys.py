@@ -160,6 +160,36 @@ def test_health_and_readiness_are_open(locked: httpx.Client) -> None:
     assert locked.post("/readyz").status_code == 401
 
 
+def test_who_tries_keys_by_the_thousand_reaches_the_database_no_more(
+    serving: Serving, key: Key, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A key that was met passes all the same, and one that was not by a rate for all of them."""
+    asked: list[str] = []
+
+    def counted(store: SqlStore, token: str) -> Any:
+        asked.append(token)
+        return recognise(store, token)
+
+    monkeypatch.setattr("service.api.gate.recognise", counted)
+    monkeypatch.setattr("service.api.gate.LOOKS", 1e-3)
+    met, unmet = key("read"), key("read")
+    with serving(keys="always", rate_per_s=1e-3, rate_burst=3) as client:
+        assert client.get("/v1/models", headers=met).status_code == 200
+        tried = [f"Bearer {tokens.new_token()[1]}" for _ in range(9)]
+        answers = [client.get("/v1/models", headers={"Authorization": one}) for one in tried]
+        assert [one.status_code for one in answers] == 3 * [401] + 6 * [429]
+        assert len(asked) == 1 + 3 + 1
+        assert int(answers[-1].headers["retry-after"]) > 900
+        assert client.get("/v1/models", headers=met).status_code == 200
+        assert client.get("/v1/models", headers=unmet).status_code == 429
+        assert len(asked) == 6
+    monkeypatch.setattr("service.api.gate.LOOKS", 5.0)
+    with serving(keys="always", rate_per_s=1e-3, rate_burst=1) as client:
+        assert client.get("/v1/models", headers={"Authorization": tried[0]}).status_code == 401
+        assert client.get("/v1/models", headers={"Authorization": tried[1]}).status_code == 429
+        assert client.get("/v1/models", headers=unmet).status_code == 200
+
+
 @pytest.mark.parametrize("scope", ["read", "ingest", "operate"])
 def test_a_key_may_do_what_its_scope_says_and_nothing_else(
     locked: httpx.Client, key: Key, scope: str

@@ -595,7 +595,7 @@ def test_deliveries_do_not_hang_on_the_outbox_being_kept(
     assert [error for _, error in told(receiver)] == [f"e{n}" for n in range(5)]
 
 
-def test_delivered_ones_are_pruned_and_others_stay(
+def test_delivered_and_dead_ones_are_pruned_and_others_stay(
     store: SqlStore, settings: Settings, rotor: str, receiver: Receiver,
     hook: Callable[..., str], happens: Callable[..., None],
 ) -> None:  # fmt: skip
@@ -605,9 +605,12 @@ def test_delivered_ones_are_pruned_and_others_stay(
     sender(store, settings.model_copy(update={"webhook_max_attempts": 1})).drain()
     happens(rotor, "e6")
     with transaction(store.engine, write=True) as connection:
-        prune(connection, "ops", 2)
+        prune(connection, "ops", {"delivered": 2, "dead": 1})
     kept = [(json.loads(one.body)["data"]["error"], one.status) for one in reversed(listed(store))]
     assert kept == [("e0", "dead"), ("e4", "delivered"), ("e5", "delivered"), ("e6", "pending")]
+    with transaction(store.engine, write=True) as connection:
+        prune(connection, "ops", {"dead": 0})
+    assert [one.status for one in listed(store)] == ["pending", "delivered", "delivered"]
 
 
 def test_a_webhook_deleted_while_it_is_served_is_told_nothing_more(

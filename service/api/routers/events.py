@@ -1,8 +1,9 @@
 """Server-sent events: a hint for each new version of a rotor, and for its blocking.
 
 An event says "rotor X at version N"; the client then reads what it wants to know. Each has an id,
-from which a lost connection goes on (`Last-Event-ID`, or `?after=`). Where what came in between is
-no longer kept, the first event is ``reset``.
+from which a lost connection goes on: `?after=` at first, and `Last-Event-ID` from then on, for a
+browser that connects again sends the same address and the id that it came to. Where what came in
+between is no longer kept, the first event is ``reset``.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ STREAM: dict[int | str, dict[str, Any]] = {
 async def get_events(
     r: Name, request: Request, services: Wired, after: After = None
 ) -> StreamingResponse:
-    known = after if after is not None else last_event_id(request)
+    seen = last_event_id(request)
+    known = after if seen is None else seen
     first = await run_in_threadpool(use.news, services.store, r, known)
     feed: Feed = request.app.state.feed
     return StreamingResponse(

@@ -34,7 +34,6 @@ from service.handlers import inspections as use
 from service.names import ID_PATTERN
 
 router = APIRouter(prefix="/v1/rotors/{r}/inspections", tags=["inspections"])
-FEW = 16
 
 _ONE = InspectionIn.model_json_schema()
 _MANY = {
@@ -77,12 +76,10 @@ async def raw_body(request: Request) -> bytes:
     return await request.body()
 
 
-def listed_out(item: use.Listed, *, full: bool) -> dict[str, Any]:
+def listed_out(item: use.Listed) -> dict[str, Any]:
     body = dict(item.body)
-    values = body["values"]
-    if not full and len(values) > FEW:
+    if "count" in body:
         body["values"] = body["nodes"] = None
-        body["count"] = len(values)
     return {
         **body,
         "seq": item.seq,
@@ -141,7 +138,7 @@ def get_inspections(
     size = page_size(services, limit)
     after = seq_of(cursor)
     items = use.list_inspections(services.store, r, after, size + 1, blade, newest)
-    return page([listed_out(item, full=False) for item in items], size, "seq")
+    return page([listed_out(item) for item in items], size, "seq")
 
 
 def _file(request: Request, services: Services, r: str, blade: str | None, form: str) -> Response:
@@ -163,7 +160,7 @@ def _file(request: Request, services: Services, r: str, blade: str | None, form:
 
 @router.get("/{i}", summary="One reading with all its values")
 def get_inspection(r: Name, i: Name, services: Wired) -> dict[str, Any]:
-    return listed_out(use.find_inspection(services.store, r, i), full=True)
+    return listed_out(use.find_inspection(services.store, r, i))
 
 
 @router.post("/{i}/retraction", status_code=202, summary="As if the reading had never come")

@@ -35,6 +35,7 @@ from service.handlers import rotors as use
 
 router = APIRouter(prefix="/v1/rotors", tags=["rotors"])
 LOOK_AGAIN_S = 1.0
+WAIT_S = 30.0
 
 
 @router.post("", status_code=201, summary="Create a rotor; the same again gives the same answer")
@@ -80,7 +81,10 @@ async def get_rotor(
     services: Wired,
     which: Asked,
     wait_for: Annotated[int | None, Query(ge=0, lt=2**62)] = None,
-    timeout: Annotated[float, Query(ge=0)] = 30.0,
+    timeout: Annotated[
+        float | None,
+        Query(ge=0, description="of `wait_for`, s; 30 where the service waits so long"),
+    ] = None,
 ) -> Response:
     if which.newest:
         view = await _wait(services, r, wait_for, timeout)
@@ -102,9 +106,12 @@ def _both(wait_for: int) -> RequestError:
     return RequestError(422, "invalid-input", f"wait_for {problem}. To mend it: {remedy}", faults)
 
 
-async def _wait(services: Services, r: str, wait_for: int | None, timeout: float) -> use.RotorView:
+async def _wait(
+    services: Services, r: str, wait_for: int | None, timeout: float | None
+) -> use.RotorView:
     """The rotor once `wait_for` is applied, or as it stands when the time is over or it blocks."""
     most = services.settings.wait_max_s
+    timeout = min(WAIT_S, most) if timeout is None else timeout
     if timeout > most:
         remedy = f"wait at most {most:g} s, and ask again"
         raise RequestError(
