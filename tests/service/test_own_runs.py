@@ -173,6 +173,19 @@ CLOGGED = {
 }
 
 
+ROUGHER = CLOGGED | {
+    "name": "rougher tubes",
+    "sentence": "The tubes are rougher than they were declared.",
+    "target": "input",
+    "of": "roughness",
+    "how": "times",
+    "size": 0.1,
+    "shapes": ["constant", "linear"],
+    "whom": ["all"],
+    "kind": "physics",
+}
+
+
 def test_a_diagnosis_of_other_physics_asks_for_families_and_looks_for_those_it_gets(
     http: httpx.Client,
     own_store: SqlStore,
@@ -186,12 +199,14 @@ def test_a_diagnosis_of_other_physics_asks_for_families_and_looks_for_those_it_g
     twin.create_rotor("station", model="exchanger", blades=[*ROUGH], particles=512)
     twin.post_inspections("station", exchanger.readings(TRUTH, HOURS, 0.3, seed=5))
     make_worker(own_store, real, settings).drain()
-    asked = [twin.diagnose("station"), twin.diagnose("station", families=[CLOGGED])]
+    asked = [twin.diagnose("station", families=own) for own in ([], [CLOGGED], [ROUGHER])]
     make_worker(own_store, real, settings, role="diagnose").drain()
-    without, with_one = (twin.diagnosis("station", one["id"]) for one in asked)
+    without, with_one, of_an_input = (twin.diagnosis("station", one["id"]) for one in asked)
     assert (without["status"], without["attempts"]) == ("failed", 1)
     assert "give families of this physics" in without["error"]
     assert (with_one["status"], with_one["result"]["verdict"]) == ("done", "adequate")
+    assert of_an_input["error"] is None, "it has no rule in time: its constant course alone is one"
+    assert of_an_input["result"]["verdict"] == "adequate"
     residuals = twin.residuals("station")
     assert residuals["error"] is None
     assert len(residuals["items"]) == 16
