@@ -2,12 +2,13 @@
 
 The model is a list of entries per rotor, a few lines of Python; it predicts the answer to every
 request: which are accepted and with which number, which are repetitions, which conflict, which are
-refused. After each sequence every acknowledged reading is in the list exactly once with the status
-that the model says, every page size gives the same list, the tables hold what the chaos study asks
-of them, and a rotor that got the same entries in another order is sealed with the same bits.
+refused; what an If-Match or an Idempotency-Key makes of it; and that a version which was seen once
+reads the same ever after. After each sequence every acknowledged reading is in the list exactly
+once with the status that the model says, every page size gives the same list, the tables hold what
+the chaos study asks of them, and a rotor that got the same entries in another order is sealed with
+the same bits.
 
-A few sequences by default; MACHINE_SEQUENCES=1000 in the environment makes a long run of it
-(tests/claims/results/machine).
+A few sequences by default; MACHINE_SEQUENCES=1000 in the environment makes a long run of it.
 """
 
 from __future__ import annotations
@@ -75,6 +76,7 @@ class Modelled:
     created: bool = False
     entries: list[tuple[str, Json]] = field(default_factory=list)
     blades: set[str] = field(default_factory=lambda: set(FIRST))
+    versions: dict[int, Json] = field(default_factory=dict)  # as they were seen first
 
     def seq(self, name: str) -> int:
         """Number of an entry, counted from 1; 0: it is not there."""
@@ -93,6 +95,21 @@ class Modelled:
                 seq = len(self.entries)
             numbers.append(seq)
         return 202, numbers, len(self.entries) == before
+
+    def wrong(self, given: list[Json]) -> int:
+        """Of readings to be posted, how many are refused."""
+        faults = [r for r in given if r["blade"] not in self.blades or r.get("replaces") == r["id"]]
+        named = {r["id"]: r["replaces"] for r in given if "replaces" in r}
+        links = {n: c.get("replaces") for n, c in self.entries if "/" not in n} | named
+
+        def around(own: str) -> bool:
+            passed, above = set[str](), links.get(own)
+            while above is not None and above != own and above not in passed:
+                passed.add(above)
+                above = links.get(above)
+            return above == own
+
+        return len(faults) or int(any(around(own) for own in named))
 
     def listed(self) -> list[tuple[int, str, str]]:
         """(number, id, status) of every reading."""
@@ -125,6 +142,7 @@ class Machine(RuleBasedStateMachine):
     store: SqlStore
     service: Settings
     number = 0
+    keys = 0
     requests: Counter[str]
 
     @initialize()
@@ -176,10 +194,9 @@ class Machine(RuleBasedStateMachine):
         if model is None:
             assert answer.status_code == 404
             return
-        bad = [r for r in given if r["blade"] not in model.blades or r.get("replaces") == r["id"]]
-        if bad:
+        if wrong := model.wrong(given):
             assert answer.status_code == 422
-            assert len(answer.json()["faults"]) >= len(bad)
+            assert len(answer.json()["faults"]) >= wrong
             return
         self.expect(answer, model.append([(r["id"], r) for r in given]))
 
@@ -197,6 +214,50 @@ class Machine(RuleBasedStateMachine):
         lines = [",".join(str(row.get(c, "")) for c in columns) for row in many]
         content = "\n".join([",".join(columns), *lines])
         self.posted(rotor, many, content=content, headers={"content-type": "text/csv"})
+
+    @rule(rotor=rotors, one=readings, between=st.none() | readings)
+    def post_if_it_stands(self, rotor: str, one: Json, between: Json | None) -> None:
+        """If-Match: accepted where nothing came between, else nothing is done."""
+        model = self.model.get(rotor)
+        if model is None:
+            return
+        header = {"If-Match": self.send("GET", self.path(rotor)).headers["etag"]}
+        before = len(model.entries)
+        if between is not None:
+            self.post_one(rotor, between)
+        if len(model.entries) == before:
+            self.posted(rotor, [one], json=one, headers=header)
+        elif not model.wrong([one]):
+            path = self.path(rotor, "inspections")
+            assert self.send("POST", path, json=one, headers=header).status_code == 412
+
+    @rule(rotor=rotors, one=readings, other=readings)
+    def post_with_a_key(self, rotor: str, one: Json, other: Json) -> None:
+        """Idempotency-Key: sent again it is answered again; another request with it is refused."""
+        self.keys += 1
+        path = self.path(rotor, "inspections")
+        asked = {"headers": {"Idempotency-Key": f"{self.prefix}-{self.keys}"}}
+        first = self.send("POST", path, json=one, **asked)
+        model = self.model.get(rotor)
+        if model is None or model.wrong([one]):
+            assert first.status_code == (404 if model is None else 422)
+            return
+        self.expect(first, model.append([(one["id"], one)]))
+        if first.status_code != 202:
+            return
+        again = self.send("POST", path, json=one, **asked)
+        assert (again.status_code, again.json()) == (202, first.json())
+        assert "idempotent-replayed" in again.headers
+        if other != one:
+            assert self.send("POST", path, json=other, **asked).status_code == 422
+
+    @rule(rotor=rotors)
+    def look_back(self, rotor: str) -> None:
+        """Every version that was seen reads as it did."""
+        model = self.model.get(rotor)
+        for version, seen in ({} if model is None else model.versions).items():
+            told = self.send("GET", self.path(rotor), params={"version": version}).json()
+            assert told["posterior"] == seen
 
     @rule(rotor=rotors, fault=st.sampled_from(["{", '{"inspections": []}', '{"id": "i1"}', "[]"]))
     def post_nonsense(self, rotor: str, fault: str) -> None:
@@ -298,6 +359,8 @@ class Machine(RuleBasedStateMachine):
         assert (told["head_seq"], told["applied_seq"]) == (head, head)
         assert told["status"] == "current"
         assert told["posterior"]["sealed"]
+        seen = told["posterior"]
+        assert model.versions.setdefault(seen["version"], seen) == seen
         assert {b["id"] for b in told["blades"]} == model.blades
         gone = {n.partition("/")[2] for n, _ in model.entries if n.startswith("retirement/")}
         assert {b["id"] for b in told["blades"] if b["retired"]} == gone
@@ -400,7 +463,7 @@ def test_every_answer_is_what_the_model_predicts(
 ) -> None:
     seen = run(api, store, settings, SEQUENCES)
     statuses = {one.rpartition(" ")[2] for one in seen}
-    assert {"200", "201", "202", "404", "409", "422"} <= statuses
+    assert {"200", "201", "202", "404", "409", "412", "422"} <= statuses
     seen_in_tables(store)
     if os.environ.get("MACHINE_SEQUENCES"):
         told_of = {"sequences": SEQUENCES, "steps": STEPS, "requests": sum(seen.values())}
@@ -423,8 +486,31 @@ def test_a_broken_rule_is_noticed_by_the_machine(
         run_and_look(api, store, settings)
 
 
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+@pytest.mark.parametrize(
+    ("name", "broken"),
+    [
+        ("service.api.gate.guard_of", lambda request, rotor: None),
+        ("service.api.repeats.fingerprint", lambda request, body: 64 * "0"),
+        ("service.store.answers.SqlAnswers.begin", lambda self, *given: None),
+    ],
+    ids=["If-Match ignored", "every request the first one", "no request known again"],
+)
+def test_a_broken_manner_is_noticed_by_the_machine(
+    api: httpx.Client,
+    store: SqlStore,
+    settings: Settings,
+    name: str,
+    broken: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(name, broken)
+    with pytest.raises(AssertionError):
+        run_and_look(api, store, settings)
+
+
 def run_and_look(api: httpx.Client, store: SqlStore, settings: Settings) -> None:
-    run(api, store, settings, 12, phases=[Phase.generate], report_multiple_bugs=False)
+    run(api, store, settings, 40, phases=[Phase.generate], report_multiple_bugs=False)
     seen_in_tables(store)
 
 
