@@ -107,7 +107,10 @@ class Settings(BaseModel):
     poll_ms: float = Field(5.0, ge=1, le=1000, description="how often SQLite is looked at, ms")
     keep_versions: int = Field(20, ge=1, description="newest posterior versions that are kept")
     checkpoint_every: int = Field(
-        50, ge=1, description="of older versions every n-th is kept as a checkpoint"
+        50,
+        ge=1,
+        description="of older versions the last sealed one of so many is kept as a checkpoint; of "
+        "2, 4, 8 … times as many, the older they are",
     )
     keep_events: int = Field(
         1000, ge=1, description="newest events (new versions, blockings) kept of each rotor"

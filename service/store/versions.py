@@ -1,9 +1,17 @@
-"""A version of a posterior is written, with the arrays that it changed; old ones are thinned."""
+"""A version of a posterior is written, with the arrays that it changed; old ones are thinned.
+
+Versions beyond the newest ones are thinned to checkpoints, the fewer the older they are. Their
+numbers are cut into blocks of `every`; two neighbours become one block of twice the size as soon as
+they lie as far back as both are long, and so on. Of each block the last sealed version
+stays, or the last one where none is sealed: of n versions at most two for each doubling of
+n / `every`. A block that two became keeps one of those that they kept, so that what was dropped is
+never missed, however often and whenever it is thinned.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -24,6 +32,7 @@ from service.store.encoding import Encoded
 from service.store.engine import now_s, transaction
 
 ENDED = Encoded("npy", "", "", "", b"")
+MOST = 500  # versions that one transaction drops: rows without arrays
 
 
 def write_state(
@@ -43,8 +52,36 @@ def _columns(record: StateRecord | Encoded) -> dict[str, Any]:
     return {field.name: getattr(record, field.name) for field in fields(record)}
 
 
+def block(version: int, last: int, every: int) -> tuple[int, int]:
+    """(number, size) of the block that a version is in, where `last` is the newest to be thinned.
+
+    >>> [block(version, 40, 4) for version in (1, 20, 21, 32, 33, 40)]
+    [(0, 16), (2, 8), (2, 8), (3, 8), (8, 4), (9, 4)]
+    """
+    number, size, now = (version - 1) // every, 1, (last - 1) // every
+    while now - (number | 1) * size - (size - 1) >= 2 * size:
+        number, size = number // 2, 2 * size
+    return number, size * every
+
+
+def dropped(versions: Iterable[tuple[int, bool]], last: int, every: int) -> list[int]:
+    """Of (version, sealed) in order, none newer than `last`, those that are no checkpoint."""
+    kept: dict[tuple[int, int], tuple[int, bool]] = {}
+    gone = []
+    for version, sealed in versions:
+        place = block(version, last, every)
+        before = kept.get(place)
+        if before is not None and before[1] and not sealed:
+            gone.append(version)
+            continue
+        if before is not None:
+            gone.append(before[0])
+        kept[place] = version, sealed
+    return gone
+
+
 def thin(engine: Engine, rotor_id: str, keep: int, every: int, chunk: int = 8) -> int:
-    """Keep the `keep` newest versions and every `every`-th older one; drop what only others used.
+    """Keep the `keep` newest versions and checkpoints of older ones; drop what only others used.
 
     An array row of version a, replaced at version b, is needed while a kept version lies in
     a … b-1. Rows go in short transactions of `chunk`, so that no writer waits long; a thinning that
@@ -71,10 +108,16 @@ def thin(engine: Engine, rotor_id: str, keep: int, every: int, chunk: int = 8) -
         row.c.rotor_id == rotor_id, replaced_at.is_not(None), ~needed
     )
     newest = select(func.max(t.state.c.version)).where(t.state.c.rotor_id == rotor_id)
-    old = (t.state.c.rotor_id == rotor_id) & (t.state.c.version % every != 0)
-    with transaction(engine, write=True) as connection:
-        last = connection.execute(newest).scalar() or 0
-        connection.execute(delete(t.state).where(old, t.state.c.version <= last - keep))
+    own = t.state.c.rotor_id == rotor_id
+    with transaction(engine, write=False) as connection:
+        last = (connection.execute(newest).scalar() or 0) - keep
+        old = select(t.state.c.version, t.state.c.sealed).where(own, t.state.c.version <= last)
+        rows = connection.execute(old.order_by(t.state.c.version)).all()
+    gone = dropped(((row.version, row.sealed) for row in rows), last, every)
+    for first in range(0, len(gone), MOST):
+        these = t.state.c.version.in_(gone[first : first + MOST])
+        with transaction(engine, write=True) as connection:
+            connection.execute(delete(t.state).where(own, these))
     with transaction(engine, write=False) as connection:
         doomed = [(r.name, r.version) for r in connection.execute(unneeded)]
     for first in range(0, len(doomed), chunk):

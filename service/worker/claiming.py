@@ -168,11 +168,12 @@ def _claim(
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
             return None
-    locked = first.with_for_update(skip_locked=True, of=t.cursor)
+    locked = first.add_columns(c.sealing).with_for_update(skip_locked=True, of=t.cursor)
     with transaction(engine, write=True) as connection:
-        rotor_id = connection.execute(locked).scalar()
-        if rotor_id is None:
+        found = connection.execute(locked).one_or_none()
+        if found is None:
             return None
+        rotor_id = found.rotor_id
         take = (
             update(t.cursor)
             .where(c.rotor_id == rotor_id)
@@ -187,7 +188,8 @@ def _claim(
             .returning(c.fence, c.applied_seq, c.version, c.attempts)
         )
         row = connection.execute(take).one()
-    return Lease(rotor_id, owner, row.fence, row.applied_seq, row.version, row.attempts, sealing)
+    place = (row.fence, row.applied_seq, row.version, row.attempts)
+    return Lease(rotor_id, owner, *place, sealing, after_sealing=found.sealing)
 
 
 def claim_rotor(engine: Engine, rotor_id: str, owner: str, lease_s: float) -> Lease | None:

@@ -24,7 +24,10 @@ c = t.cursor.c
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """A claimed rotor: what its cursor said, and the fence that the claim raised."""
+    """A claimed rotor: what its cursor said, and the fence that the claim raised.
+
+    after_sealing   the claim before, of which no version came, was one to seal
+    """
 
     rotor_id: str
     owner: str
@@ -33,6 +36,7 @@ class Lease:
     version: int
     attempts: int
     sealing: bool
+    after_sealing: bool = False
 
 
 def holds(lease: Lease) -> ColumnElement[bool]:
@@ -67,12 +71,17 @@ def give_back(engine: Engine, lease: Lease) -> None:
             notify(connection, "bladetwin_work")
 
 
+def uncounted(attempts: ColumnElement[int]) -> ColumnElement[int]:
+    """One attempt less; they are counted anew where somebody freed the rotor meanwhile."""
+    return case((attempts > 0, attempts - 1), else_=0)
+
+
 def return_unused(engine: Engine, lease: Lease) -> None:
     """End a claim of which nothing came, through no fault of the rotor's: no attempt is counted."""
     own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)
     with transaction(engine, write=True) as connection:
-        freed = update(t.cursor).where(own)
-        connection.execute(freed.values(owner=None, lease_until=None, attempts=c.attempts - 1))
+        freed = update(t.cursor).where(own).values(attempts=uncounted(c.attempts))
+        connection.execute(freed.values(owner=None, lease_until=None))
 
 
 def heartbeat(engine: Engine, lease: Lease, lease_s: float) -> bool:
@@ -159,18 +168,20 @@ def fail(
             post(connection, lease.rotor_id, "blocked", {"error": error[:4000], "event": event})
 
 
-def release(engine: Engine, owner: str) -> int:
-    """End the leases of a worker that is known to be dead; how many there were.
+def release(engine: Engine, owner: str, *, counted: bool = True) -> int:
+    """End the leases of a worker that is known to be dead; how many rotors it held.
 
-    The attempt stays counted: an entry that kills its worker must block its rotor in the end.
+    The attempts stay counted: an entry that kills its worker must block its rotor in the end. Not
+    `counted`: the worker was told to stop and was killed over it, which is no fault of its work.
     """
     with transaction(engine, write=True) as connection:
-        freed = connection.execute(
-            update(t.cursor).where(c.owner == owner).values(lease_until=None, owner=None)
-        ).rowcount
-        for table in (t.job, t.webhook, t.residual):
-            own = table.c.owner == owner
-            connection.execute(update(table).where(own).values(lease_until=None, owner=None))
-        if freed:
+        freed = []
+        for table in (t.cursor, t.job, t.webhook, t.residual):
+            values: dict[str, object] = {"lease_until": None, "owner": None}
+            if not counted and "attempts" in table.c:
+                values["attempts"] = uncounted(table.c.attempts)
+            own = update(table).where(table.c.owner == owner)
+            freed.append(connection.execute(own.values(**values)).rowcount)
+        if freed[0]:
             notify(connection, "bladetwin_work")
-        return freed
+        return freed[0]

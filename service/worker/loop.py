@@ -47,16 +47,22 @@ class Worker:
     ) -> None:
         self.store = store
         self.science = science
-        self.updater = Updater(store, science, settings, owner, role)
+        self._stop = threading.Event()
+        self.updater = Updater(store, science, settings, owner, role, self._stop.is_set)
         self.role = role
         self.settings = settings
-        self._stop = threading.Event()
         self.jobs = Jobs(store, science, settings, owner, role, self._stop.is_set)
         self.residuals = Residuals(store, science, settings, owner, self._stop.is_set)
 
     def stop(self, signum: int | None = None, frame: FrameType | None = None) -> None:
-        """Finish the update at hand, or the step of a diagnosis, then end; fits `signal.signal`."""
+        """Finish the step of a diagnosis, then end; fits `signal.signal`.
+
+        A signal, whose handler this is in the main thread, ends the update at hand: a sealing may
+        take longer than whoever stops the worker waits. Called otherwise it lets it finish.
+        """
         self._stop.set()
+        if signum is not None:
+            self.updater.interrupt()
 
     def warm(self) -> None:
         """Load the models and compile what they need, so that the first update is as fast.

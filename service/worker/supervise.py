@@ -3,7 +3,8 @@
 Each worker gets the read end of a pipe as its standard input; the supervisor holds the write end
 and never writes. Children do not inherit each other's pipes, so the death of the supervisor by
 any means closes them all. The lease of a worker that died is ended at once: its rotor need not
-wait until the lease runs out.
+wait until the lease runs out. The attempt of a worker that died by itself is counted; that of one
+which did not end in time when it was told to, and was killed, is not.
 """
 
 from __future__ import annotations
@@ -111,13 +112,16 @@ class Supervisor:
         """
         log.warning("worker %d ended with %d; starting another", child.process.pid, code)
         self._close(child)
-        try:
-            release(self._engine, child.owner)
-        except StoreAwayError as error:
-            log.error("leases of %s stay until they run out: %s", child.owner, error)
+        self._release(child, counted=True)
         young = time.monotonic() - child.started < HEALTHY_S
         self._pauses[i] = min(2 * self._pauses[i], LONGEST_PAUSE_S) if young else SHORTEST_PAUSE_S
         self._due[i] = time.monotonic() + (self._pauses[i] if young else 0.0)
+
+    def _release(self, child: Child, *, counted: bool) -> None:
+        try:
+            release(self._engine, child.owner, counted=counted)
+        except StoreAwayError as error:
+            log.error("leases of %s stay until they run out: %s", child.owner, error)
 
     @staticmethod
     def _close(child: Child) -> None:
@@ -125,7 +129,7 @@ class Supervisor:
             child.process.stdin.close()
 
     def stop(self, patience_s: float = 10.0) -> None:
-        """Let every worker finish its update; end those that take longer than `patience_s`."""
+        """Let every worker end by itself; kill those that take longer than `patience_s`."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -134,9 +138,13 @@ class Supervisor:
                 child.process.terminate()
         end = time.monotonic() + patience_s
         for child in self._children:
+            killed = False
             try:
                 child.process.wait(max(0.0, end - time.monotonic()))
             except subprocess.TimeoutExpired:
                 child.process.kill()
                 child.process.wait()
+                killed = True
             self._close(child)
+            if child.process.returncode:
+                self._release(child, counted=not killed)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import and_, bindparam, select
 
-from core.observation import Entry, effective
+from core.observation import Entry
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError
@@ -144,18 +144,3 @@ def anew(store: SqlStore, science: Science, lease: Lease) -> Task:
     entries = entries_of(events)
     memory = Memory(lease.version, through, None, names, entries, anew=True)
     return Task(science.vary(card, network), spec, through, entries, 0, memory, mark(events, None))
-
-
-def culprit(science: Science, task: Task) -> str | None:
-    """The first pending entry with which the update fails, by bisection."""
-    works, fails = len(task.entries) - task.pending, len(task.entries)
-    while fails - works > 1:
-        middle = (works + fails) // 2
-        readings = effective(task.entries[:middle])
-        try:
-            science.update(task.card, task.spec, readings, task.memory.state, quick=True)
-        except Exception:
-            fails = middle
-        else:
-            works = middle
-    return task.entries[fails - 1].target

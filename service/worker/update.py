@@ -2,7 +2,8 @@
 
 Read the entries since the cursor, compute outside any transaction while a heartbeat prolongs the
 lease, commit state and cursor together. A state that the science calls provisional is committed
-as such and the rotor stays dirty: the next pass finds nothing pending and seals it.
+as such and the rotor stays dirty: the next pass finds nothing pending and seals it. A worker that
+is told to end gives what it computes back unused (`service.worker.interrupt`).
 
 An array of the state before that turns out damaged is dealt with as a damaged state is
 (`service.worker.task`): the version is computed from the log, and every array is written anew.
@@ -11,6 +12,7 @@ An array of the state before that turns out damaged is dealt with as a damaged s
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from time import perf_counter
 
@@ -29,11 +31,12 @@ from service.store.outbox import trim
 from service.store.unit_of_work import SqlStore
 from service.store.versions import thin, write_state
 from service.tracing import span
-from service.worker import claiming
+from service.worker import claiming, culprit
 from service.worker import lease as leases
 from service.worker import task as tasks
 from service.worker.alarm import alarm
 from service.worker.heartbeat import heartbeats
+from service.worker.interrupt import Interrupt, Interrupted
 from service.worker.lease import Lease
 from service.worker.memory import Memories, Memory
 from service.worker.task import Task
@@ -41,12 +44,13 @@ from service.worker.traced import Told, told
 
 log = logging.getLogger("bladetwin.worker")
 THIN_EVERY = 16
+MOST_TEXT = 3000  # characters of an error, before what is said of its entry
 # SHA-256 of each array of a version, and the arrays to write (None: the name ended)
 Change = tuple[dict[str, str], dict[str, Encoded | None]]
 
 
 class Updater:
-    """Applies pending entries, one rotor at a time."""
+    """Applies pending entries, one rotor at a time. `stopping` says that the worker is to end."""
 
     def __init__(
         self,
@@ -55,12 +59,14 @@ class Updater:
         settings: Settings,
         owner: str,
         role: claiming.Role = "all",
+        stopping: Callable[[], bool] = lambda: False,
     ) -> None:
         self.store = store
         self.science = science
         self.settings = settings
         self.owner = owner
         self.role = role
+        self.interrupt = Interrupt(stopping)
         self._memory = Memories(settings.rotors_in_memory, settings.readings_mb)
         self._thinned: dict[str, int] = {}
 
@@ -81,16 +87,30 @@ class Updater:
         if lease is None:
             return False
         if lease.attempts > self.settings.max_attempts:
-            error = f"{lease.attempts - 1} workers died or lost their lease during the update"
-            leases.fail(self.engine, lease, error, None, 0.0, block=True)
-            trim(self.engine, lease.rotor_id, self.settings.keep_events)
+            found = culprit.of_deaths(self.store, lease)
+            self._fail(lease, found.note, found.event, 0.0, block=True)
             return True
         with told(self.store, lease) as trace:
-            self._update(lease, trace)
+            sealed = None
+            try:
+                sealed = self._update(lease, trace)
+            except LostLeaseError as error:
+                trace.failed(error)
+                self._memory.forget(lease.rotor_id)
+                log.warning("%s", error)
+            except (CompiledError, StoreAwayError) as error:
+                trace.failed(error)
+                self.return_unused(lease)
+                raise
+            except Interrupted:
+                trace.span.event("given back")
+                self.return_unused(lease)
+            if sealed is not None:
+                self.thin(lease.rotor_id, sealed)
         return True
 
-    def _update(self, lease: Lease, trace: Told) -> None:
-        """Read, compute, commit; what fails is given back."""
+    def _update(self, lease: Lease, trace: Told) -> int | None:
+        """Read, compute, commit; what fails is given back. The new version, if it is sealed."""
         with self.heartbeats(lease):
             task: Task | None = None
             try:
@@ -98,30 +118,18 @@ class Updater:
                 task = self.read(lease)
                 read = perf_counter()
                 trace.begin(task.memory.through, task.through)
-                with span("compute"):
+                with span("compute"), self.interrupt.allowed():
                     state = self.compute(task, quick=not lease.sealing)
                     change = self.change(task, state)
                 computed = perf_counter()
-            except (CompiledError, StoreAwayError) as error:
-                trace.failed(error)
-                self.return_unused(lease)
+            except (CompiledError, StoreAwayError):
                 raise
             except Exception as error:
                 trace.failed(error)
                 self.give_back(lease, task, error)
-                return
-        try:
-            with span("commit"):
-                version = self.commit(lease, task, state, change)
-        except LostLeaseError as error:
-            trace.failed(error)
-            self._memory.forget(lease.rotor_id)
-            log.warning("%s", error)
-            return
-        except StoreAwayError as error:
-            trace.failed(error)
-            self.return_unused(lease)
-            raise
+                return None
+        with span("commit"):
+            version = self.commit(lease, task, state, change)
         trace.committed(version, sealed=bool(state.meta["sealed"]))
         log.debug(
             "rotor %s: through %d, %d new, sealed %s; read %.1f, update %.1f, commit %.1f ms",
@@ -133,8 +141,7 @@ class Updater:
             1e3 * (computed - read),
             1e3 * (perf_counter() - computed),
         )
-        if state.meta["sealed"]:
-            self.thin(lease.rotor_id, version)
+        return version if state.meta["sealed"] else None
 
     def read(self, lease: Lease) -> Task:
         """The rotor, its entries up to the head, and the state before them."""
@@ -211,8 +218,9 @@ class Updater:
         return version
 
     def return_unused(self, lease: Lease) -> None:
-        """A database that is away or full, or code still to be loaded, is not the rotor's fault:
-        it must not be blocked for it. Where even that cannot be written the lease runs out."""
+        """A database that is away or full, code still to be loaded, a worker that is to end: none
+        is the rotor's fault, and it must not be blocked for it. Where even that cannot be written
+        the lease runs out."""
         self._memory.forget(lease.rotor_id)
         with suppress(StoreAwayError):
             leases.return_unused(self.engine, lease)
@@ -221,17 +229,26 @@ class Updater:
         """Pause and try again, or block the rotor and name the entry that stops it."""
         block = lease.attempts >= self.settings.max_attempts
         event = error.event if isinstance(error, CalibrationError) else None
-        if block and event is None and task is not None and task.pending:
-            event = tasks.culprit(self.science, task)
+        text = f"{type(error).__name__}: {error}"
+        if block and event is None and task is not None:
+            with self.interrupt.allowed():
+                found = culprit.of_failure(self.store, self.science, lease, task)
+            event = found.event
+            if found.note:
+                text = f"{text[:MOST_TEXT].rstrip(' .:')}. {found.note}"
         pause = min(
             self.settings.retry_max_s, self.settings.retry_base_s * 2 ** (lease.attempts - 1)
         )
-        text = f"{type(error).__name__}: {error}"
-        leases.fail(self.engine, lease, text, event, pause, block=block)
-        if block:
-            trim(self.engine, lease.rotor_id, self.settings.keep_events)
+        self._fail(lease, text, event, pause, block=block)
         self._memory.forget(lease.rotor_id)
         log.error("rotor %s: attempt %d failed: %s", lease.rotor_id, lease.attempts, text)
+
+    def _fail(
+        self, lease: Lease, text: str, event: str | None, pause_s: float, *, block: bool
+    ) -> None:
+        leases.fail(self.engine, lease, text, event, pause_s, block=block)
+        if block:
+            trim(self.engine, lease.rotor_id, self.settings.keep_events)
 
     def heartbeats(self, lease: Lease) -> AbstractContextManager[None]:
         """Prolong the lease every third of it, while the block runs."""

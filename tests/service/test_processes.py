@@ -19,6 +19,7 @@ from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import insert, select
 
 from core.observation import Inspection
 from service.bootstrap import EMBEDDED_NICENESS, SEALER_NICENESS, make_store, make_worker
@@ -30,11 +31,14 @@ from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
+from service.store import tables as t
+from service.store.engine import transaction
 from service.store.migrate import migrate
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.postgres import Server
 from service.worker import supervise
-from service.worker.claiming import Role
+from service.worker.claiming import Role, claim
+from service.worker.job_lease import claim_job
 from service.worker.supervise import Supervisor
 
 ROOT = Path(__file__).parents[2]
@@ -167,13 +171,83 @@ def test_a_worker_that_ends_again_and_again_holds_up_no_other_one(
         supervisor.stop()
 
 
+def cursor_of(store: SqlStore) -> tuple[Any, ...]:
+    """(version, owner, attempts) of the one rotor."""
+    c = t.cursor.c
+    with store.read() as tx:
+        return tuple(tx.connection.execute(select(c.version, c.owner, c.attempts)).one())
+
+
+def test_a_worker_that_is_told_to_end_ends_in_the_midst_of_a_sealing(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    post(rotor, reading("a"))
+    assert make_worker(store, FakeScience(provisional=True), settings).updater.run_once()
+    script = str(Path(__file__).with_name("slow_worker.py"))
+    environ = settings.environ() | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    supervisor = Supervisor(
+        store.engine,
+        ["seal"],
+        lambda owner, role: [sys.executable, script, owner, role, str(PATIENCE_S)],
+        environ,
+    )
+    supervisor.start()
+    try:
+        until("a sealing", lambda: cursor_of(store)[1] is not None)
+        assert cursor_of(store)[2] == 1
+    finally:
+        process = supervisor._children[0].process
+        supervisor.stop(patience_s=PATIENCE_S / 2)
+    assert process.returncode == 0, "it was not killed"
+    assert cursor_of(store) == (1, None, 0)
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_the_attempt_of_a_worker_that_was_killed_for_not_ending_is_not_counted(
+    store: SqlStore,
+    settings: Settings,
+    rotor: str,
+    reading: Make,
+    post: Post,
+    tmp_path: Path,
+    ours: bool,
+) -> None:
+    """That of one which died by itself is."""
+    ready = tmp_path / "ready"
+    deaf = (
+        "import pathlib, signal, sys; signal.signal(signal.SIGTERM, signal.SIG_IGN);"
+        f"pathlib.Path({str(ready)!r}).touch(); sys.stdin.read()"
+    )
+    post(rotor, reading("a"))
+    make_worker(store, FakeScience(), settings).drain()
+    request_diagnosis(store, FakeScience(), rotor, (), compare=True, horizon_h=None)
+    post(rotor, reading("b"))
+    supervisor = Supervisor(store.engine, [], lambda owner, role: [sys.executable, "-c", deaf], {})
+    supervisor._children = [supervisor._spawn("all")]
+    (child,) = supervisor._children
+    until("it", ready.exists)
+    assert claim_job(store.engine, child.owner, 60.0, "diagnose") is not None
+    with transaction(store.engine, write=True) as connection:
+        held = {"owner": child.owner, "fence": 1, "attempts": 1, "version": 0, "alarms": 0}
+        connection.execute(insert(t.residual).values(rotor_id=rotor, **held))
+    assert claim(store.engine, child.owner, 60.0) is not None
+    if not ours:
+        child.process.kill()
+        child.process.wait()
+    supervisor.stop(patience_s=0.2)
+    assert child.process.returncode == -signal.SIGKILL
+    counted = 0 if ours else 1
+    assert cursor_of(store) == (1, None, counted)
+    with store.read() as tx:
+        for table in (t.job, t.residual):
+            row = tx.connection.execute(select(table.c.owner, table.c.attempts)).one()
+            assert tuple(row) == (None, counted), table.name
+
+
 def check_undisturbed(store: SqlStore, rotor: str) -> None:
     """The end is what one update of the same readings gives, and the way there has no gap."""
-    from sqlalchemy import select
-
     from core.observation import effective
     from service.entries import entry_of
-    from service.store import tables as t
     from service.store.log import read_entries
 
     view = view_rotor(store, rotor)

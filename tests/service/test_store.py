@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import random
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +16,7 @@ from sqlalchemy.exc import DBAPIError
 from core.digest import state_digest
 from core.errors import InputError, ModelError
 from core.observation import Inspection
+from service.bootstrap import make_worker
 from service.errors import (
     ConflictError,
     DamagedError,
@@ -22,8 +25,11 @@ from service.errors import (
     NotYetError,
     StoreAwayError,
 )
+from service.fake import FakeScience
 from service.handlers.inspections import list_inspections, retract
+from service.handlers.rotors import view_rotor
 from service.ports import StateRecord
+from service.settings import Settings
 from service.store import cache
 from service.store import tables as t
 from service.store.cache import OVERHEAD, ArrayCache, Checked
@@ -31,7 +37,8 @@ from service.store.encoding import DamagedArrayError, decode, encode
 from service.store.engine import LIMITS, open_engine, transaction
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore
-from service.store.versions import thin, write_state
+from service.store.versions import dropped, thin, write_state
+from service.worker.loop import Worker
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
@@ -109,18 +116,18 @@ def test_the_list_says_which_readings_count(
     assert status == {"a": "replaced", "b": "counts", "c": "counts", "d": "retracted"}
 
 
-def _write(store: SqlStore, version: int, **arrays: float | None) -> None:
+def _write(store: SqlStore, version: int, sealed: bool = True, **arrays: float | None) -> None:
     changed = {
         name: None if value is None else encode(np.array([value])) for name, value in arrays.items()
     }
-    meta = {"v": version, "sealed": True, "events_digest": "e", "algorithm_version": "a-1"}
+    meta = {"v": version, "sealed": sealed, "events_digest": "e", "algorithm_version": "a-1"}
     with store.write() as tx:
         sha256 = digests(tx.connection, "r1")
         sha256 |= {name: one.sha256 for name, one in changed.items() if one is not None}
         sha256 = {name: sha256[name] for name in sha256 if changed.get(name, True) is not None}
         digest = state_digest(meta, sha256)
         record = StateRecord(
-            "r1", version, version, "rotor-blade", "1", "a-1", True, digest, "e", meta, 0.0
+            "r1", version, version, "rotor-blade", "1", "a-1", sealed, digest, "e", meta, 0.0
         )
         write_state(tx.connection, record, changed)
         tx.connection.execute(t.cursor.update().values(version=version, applied_seq=version))
@@ -145,24 +152,75 @@ def test_thinning_keeps_new_versions_checkpoints_and_all_that_they_need(
 ) -> None:
     for version in range(1, 13):
         changed = {"always": float(version)} | ({"once": 7.5} if version == 2 else {})
-        _write(store, version, **changed)
-    assert thin(store.engine, rotor, keep=3, every=4, chunk=2) == 7
+        _write(store, version, True, **changed)
+    assert thin(store.engine, rotor, keep=3, every=4, chunk=2) == 6
     assert thin(store.engine, rotor, keep=3, every=4) == 0
     with store.read() as tx:
         kept = tx.connection.execute(select(t.state.c.version).order_by(t.state.c.version))
-        assert list(kept.scalars()) == [4, 8, 10, 11, 12]
+        assert list(kept.scalars()) == [4, 8, 9, 10, 11, 12]
         rows = (
             select(func.count()).select_from(t.state_array).where(t.state_array.c.name == "always")
         )
-        assert tx.connection.execute(rows).scalar() == 5
+        assert tx.connection.execute(rows).scalar() == 6
     fresh = SqlStore(store.engine)
-    for version in (4, 8, 10, 11, 12):
+    for version in (4, 8, 9, 10, 11, 12):
         assert float(fresh.arrays(rotor, version)("always")[0]) == version
         assert float(fresh.arrays(rotor, version)("once")[0]) == 7.5
     with store.read() as tx, pytest.raises(GoneError):
         tx.states.get(rotor, 5)
     with store.read() as tx, pytest.raises(NotFoundError):
         tx.states.get(rotor, 13)
+
+
+def _kept(store: SqlStore, rotor: str) -> list[int]:
+    kept = select(t.state.c.version).where(t.state.c.rotor_id == rotor)
+    with store.read() as tx:
+        return list(tx.connection.execute(kept.order_by(t.state.c.version)).scalars())
+
+
+def test_checkpoints_are_the_sealed_ones_of_a_rotor_read_one_reading_at_a_time(
+    store: SqlStore, settings: Settings, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    """Its even versions are provisional, and so was every n-th one."""
+    worker.drain()
+    other = make_worker(store, FakeScience(provisional=True), settings)
+    for i in range(20):
+        post(rotor, reading(f"i{i}", time_h=1000.0 + i))
+        other.drain()
+    assert view_rotor(store, rotor).rotor.version == 41
+    thin(store.engine, rotor, keep=1, every=4)
+    assert _kept(store, rotor) == [15, 23, 31, 35, 39, 41]
+    with store.read() as tx:
+        assert {tx.states.get(rotor, version).sealed for version in _kept(store, rotor)} == {True}
+        assert tx.states.get(rotor, 15).through_seq == 7
+        with pytest.raises(GoneError) as gone:
+            tx.states.get(rotor, 16)
+    assert gone.value.kept == ((15, 7), (23, 11))
+    fresh = SqlStore(store.engine)
+    for version in _kept(store, rotor):
+        assert fresh.arrays(rotor, version)("column/B1")[0] > 0
+
+
+def test_checkpoints_are_few_however_long_a_rotor_lives() -> None:
+    """And those that are there are the same, whenever and however often it was thinned."""
+    chosen = random.Random(20310507)
+    sealed = [chosen.random() < 0.3 for _ in range(1501)]
+    kept: list[int] = []
+    for last in range(1, 1501):
+        kept.append(last)
+        if chosen.random() < 0.1 or last == 1500:
+            gone = dropped([(one, sealed[one]) for one in kept], last, 5)
+            kept = [one for one in kept if one not in set(gone)]
+            at_once = dropped([(one, sealed[one]) for one in range(1, last + 1)], last, 5)
+            assert kept == sorted(set(range(1, last + 1)) - set(at_once))
+            assert len(kept) <= 2 * math.log2(max(last / 5, 1)) + 2
+            assert not dropped([(one, sealed[one]) for one in kept], last, 5)
+
+
+def test_of_versions_none_of_which_is_sealed_the_last_one_stays() -> None:
+    one_sealed = [(1, False), (2, True), (3, False), (4, False)]
+    assert dropped(one_sealed, 4, 4) == [1, 3, 4]
+    assert dropped([(one, False) for one, _ in one_sealed], 4, 4) == [1, 2, 3]
 
 
 def test_a_rotor_without_posterior_says_what_to_wait_for(store: SqlStore, rotor: str) -> None:
@@ -228,13 +286,13 @@ def test_an_array_of_a_version_that_is_gone_is_not_replaced_by_an_older_one(
 ) -> None:
     monkeypatch.setattr(cache, "MOST_CHECKED", most)
     _write(store, 4, a=4.5)
-    _write(store, 5, a=5.5)
+    _write(store, 5, sealed=False, a=5.5)
     with store.read() as tx:
         state = tx.states.get(rotor, 5)
     arrays = store.arrays(rotor, 5)
     _write(store, 6, a=6.5)
     assert _array(store, 6) == 6.5
-    assert thin(store.engine, rotor, keep=1, every=4) == 1
+    assert thin(store.engine, rotor, keep=1, every=8) == 1
     with store.read() as tx, pytest.raises(GoneError):
         tx.states.reader(state)("a")
     with pytest.raises(GoneError):

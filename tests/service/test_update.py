@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import time
 from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
@@ -21,7 +23,8 @@ from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
 from service.store import tables as t
 from service.store.unit_of_work import SqlStore
-from service.worker import task, update
+from service.worker import claiming, lease, task, update
+from service.worker.claiming import Role
 from service.worker.loop import Worker
 
 Make = Callable[..., Inspection]
@@ -302,22 +305,210 @@ def test_a_database_that_is_away_or_full_never_blocks_a_rotor(
     assert view_rotor(store, rotor).has_applied(1)
 
 
-def test_an_entry_that_kills_every_worker_blocks_its_rotor(
+def die(store: SqlStore, settings: Settings, role: Role = "all") -> None:
+    """As many workers claim the rotor and die as may."""
+    for i in range(settings.max_attempts):
+        assert claiming.claim(store.engine, f"dead{i}", 60.0, role=role) is not None
+        assert lease.release(store.engine, f"dead{i}") == 1
+
+
+def test_an_entry_that_kills_every_worker_blocks_its_rotor_and_is_named(
     store: SqlStore, settings: Settings, worker: Worker, rotor: str, reading: Make, post: Post
 ) -> None:
-    from service.worker import claiming, lease
-
     post(rotor, reading("a"))
-    for i in range(settings.max_attempts):
-        assert claiming.claim(store.engine, f"dead{i}", 60.0) is not None
-        assert lease.release(store.engine, f"dead{i}") == 1
+    die(store, settings)
     worker.drain()
     view = view_rotor(store, rotor).rotor
-    assert view.blocked
-    assert "workers died" in str(view.last_error)
+    assert (view.blocked, view.last_error_event) == (True, "a")
+    assert "5 workers died or lost their lease during the update" in str(view.last_error)
+    assert str(view.last_error).endswith("Not applied yet: entry 1 (a).")
     retry(store, rotor)
     worker.drain()
     assert view_rotor(store, rotor).has_applied(1)
+
+
+def test_of_several_entries_that_kill_every_worker_none_is_named_but_which_they_are(
+    store: SqlStore, settings: Settings, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    post(rotor, reading("a"), reading("b"))
+    worker.drain()
+    post(rotor, reading("c"))
+    retract(store, rotor, "b")
+    die(store, settings)
+    worker.drain()
+    view = view_rotor(store, rotor).rotor
+    assert (view.blocked, view.last_error_event) == (True, None)
+    assert "Not applied yet: entries 3 (c) to 4 (b)." in str(view.last_error)
+
+
+@pytest.mark.parametrize("later", [False, True])
+def test_of_a_sealing_that_kills_every_worker_no_entry_is_blamed(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post, later: bool
+) -> None:
+    """Least of all one that came after it."""
+    worker = make_worker(store, FakeScience(provisional=True), settings)
+    post(rotor, reading("a"), reading("b"))
+    assert worker.updater.run_once()
+    die(store, settings, "seal")
+    if later:
+        post(rotor, reading("innocent"))
+    worker.drain()
+    view = view_rotor(store, rotor).rotor
+    assert (view.blocked, view.last_error_event) == (True, None)
+    text = str(view.last_error)
+    assert "workers died" in text
+    expected = (
+        "applied yet: entry 3 (innocent)." if later else "sealed yet: entries 1 (a) to 2 (b)."
+    )
+    assert text.endswith(f"Not {expected}")
+    assert ("during the sealing" in text) is not later
+
+
+@pytest.mark.parametrize("also", [(), ("b",)])
+def test_a_reading_that_stops_the_sealing_is_named_where_it_alone_is_new(
+    store: SqlStore,
+    settings: Settings,
+    rotor: str,
+    reading: Make,
+    post: Post,
+    also: tuple[str, ...],
+) -> None:
+    class Sealing(Choosy):
+        def update(self, *given: Any, quick: bool) -> FakeState:
+            if quick:
+                return FakeScience.update(self, *given, quick=quick)
+            return super().update(*given, quick=quick)
+
+    worker = make_worker(store, Sealing(provisional=True), settings)
+    post(rotor, reading("a"))
+    worker.drain()
+    post(rotor, reading("culprit", campaign="bad"), *(reading(name) for name in also))
+    worker.drain()
+    view = view_rotor(store, rotor).rotor
+    assert (view.blocked, view.applied_seq) == (True, 2 + len(also))
+    assert "no particle explains it" in str(view.last_error)
+    assert view.last_error_event == (None if also else "culprit")
+    if also:
+        assert "explains it. To try each alone takes too long" in str(view.last_error)
+        assert "Not sealed yet: entries 2 (culprit) to 3 (b)." in str(view.last_error)
+
+
+class Short(FakeScience):
+    """Has no memory for the updates that `refuses` names by their number: 1, 2 …"""
+
+    refuses: Callable[[int], bool]
+    tried: list[int]
+
+    def __init__(self, refuses: Callable[[int], bool]) -> None:
+        super().__init__()
+        object.__setattr__(self, "refuses", refuses)
+        object.__setattr__(self, "tried", [])
+
+    def update(
+        self, card: ModelCard, rotor: RotorSpec, readings: Any, *given: Any, **more: Any
+    ) -> Any:
+        self.tried.append(len(readings))
+        if self.refuses(len(self.tried)):
+            raise MemoryError
+        return super().update(card, rotor, readings, *given, **more)
+
+
+def test_no_reading_is_named_where_the_update_passes_on_another_try(
+    store: SqlStore, settings: Settings, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    post(rotor, *[reading(f"i{i}") for i in range(5)])
+    short = Short(lambda number: number <= settings.max_attempts)
+    make_worker(store, short, settings).drain()
+    view = view_rotor(store, rotor).rotor
+    assert (view.blocked, view.last_error_event) == (True, None)
+    assert view.last_error == "MemoryError. It passed on another try, so no entry is named."
+    assert short.tried == [5] * (settings.max_attempts + 1)
+    retry(store, rotor)
+    worker.drain()
+    assert view_rotor(store, rotor).has_applied(5)
+
+
+def test_no_reading_is_named_where_the_update_fails_without_the_new_ones_too(
+    store: SqlStore, settings: Settings, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    post(rotor, reading("a"))
+    worker.drain()
+    post(rotor, reading("b"), reading("c"))
+    make_worker(store, Short(lambda number: True), settings).drain()
+    view = view_rotor(store, rotor).rotor
+    assert (view.blocked, view.last_error_event) == (True, None)
+    assert "fails without the new entries, too" in str(view.last_error)
+    assert "Not applied yet: entries 2 (b) to 3 (c)." in str(view.last_error)
+
+
+def test_an_entry_that_is_no_reading_is_named_as_well(
+    store: SqlStore, settings: Settings, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    class Small(FakeScience):
+        def update(self, *given: Any, **more: Any) -> FakeState:
+            if "B4" in given[1].blades:
+                raise ValueError("four blades")
+            return super().update(*given, **more)
+
+    worker.drain()
+    post(rotor, reading("a"))
+    add_blade(store, rotor, BladeRecord("B4"))
+    post(rotor, reading("b"))
+    make_worker(store, Small(), settings).drain()
+    view = view_rotor(store, rotor).rotor
+    assert (view.blocked, view.last_error_event) == (True, "blade/B4")
+    assert view.last_error == "ValueError: four blades"
+
+
+def test_nobody_takes_a_rotor_while_its_culprit_is_looked_for(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    taken: list[object] = []
+
+    class Slow(Choosy):
+        def update(self, *given: Any, **more: Any) -> FakeState:
+            if taken:
+                time.sleep(0.9)
+            taken.append(claiming.claim(store.engine, "other", 0.6))
+            return super().update(*given, **more)
+
+    once = settings.model_copy(update={"max_attempts": 1, "lease_s": 0.6})
+    post(rotor, *[reading(f"i{i}") for i in range(3)], reading("culprit", campaign="bad"))
+    make_worker(store, Slow(), once).drain()
+    assert view_rotor(store, rotor).rotor.last_error_event == "culprit"
+    assert taken == [None] * 5, "the attempt, another one, one without, and two of the bisection"
+
+
+def test_a_worker_that_is_told_to_end_gives_what_it_computes_back_uncounted(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    class Told(FakeScience):
+        def update(self, *given: Any, quick: bool) -> FakeState:
+            if not quick:
+                try:
+                    signal.raise_signal(signal.SIGTERM)
+                except Exception:
+                    pytest.fail("it is no failure of the computing")
+                reached.append("")
+            return super().update(*given, quick=quick)
+
+    reached: list[str] = []
+    worker = make_worker(store, Told(provisional=True), settings)
+    before = signal.signal(signal.SIGTERM, worker.stop)
+    try:
+        post(rotor, reading("a"))
+        worker.drain()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert not reached, "negative control: the sealing began and did not go on"
+    with store.read() as tx:
+        row = tx.connection.execute(select(t.cursor)).one()
+    assert (row.version, row.owner, row.lease_until, row.attempts) == (1, None, None, 0)
+    assert (row.dirty, row.last_error) == (True, None)
+    make_worker(store, FakeScience(), settings).drain()
+    state = view_rotor(store, rotor).state
+    assert state is not None
+    assert state.sealed
 
 
 def test_a_field_of_a_whole_mesh_is_applied(
