@@ -17,8 +17,13 @@ def digest_of_json(data: object) -> tuple[str, str]:
 
 
 def told_of(blade: BladeRecord) -> Json:
-    """A blade as its digest sees it, which knows no field that it does not use."""
+    """A blade as its digest sees it, which knows no field that it does not use.
+
+    Of -0.0 SQLite keeps 0.0.
+    """
     told = asdict(blade)
+    if blade.time_h0 is not None:
+        told["time_h0"] = blade.time_h0 + 0.0
     if blade.known is None:
         del told["known"]
     return told

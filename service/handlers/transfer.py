@@ -66,6 +66,7 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
         origin=rotor.origin,
         adopt=rotor.adopt,
         digest=rotor.digest,
+        created_at=rotor.created_at,
     )
     model = {"id": card.id, "version": card.version, "digest": card.digest}
     facts: Json = {"release": release, "rotor": rotor.id, "model": model, "head_seq": head}
@@ -105,7 +106,10 @@ def _entries(store: Store, rotor_id: str, head: int) -> Iterator[Event]:
 
 
 def _told_entry(event: Event) -> Json:
-    return {name: getattr(event, name) for name in EntryLine.model_fields}
+    told = {name: getattr(event, name) for name in EntryLine.model_fields}
+    if event.posted_by is None:
+        del told["posted_by"]
+    return told
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +162,7 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
             told.seed,
             head_seq=count,
             digest=digest,
-            created_at=0.0,
+            created_at=told.created_at or 0.0,
             network=told.network,
             adopt=told.adopt,
             origin=None if origin == name else origin,

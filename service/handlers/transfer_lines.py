@@ -26,6 +26,7 @@ Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=TEXT_PATTERN)]
 Name = Annotated[str, StringConstraints(max_length=200, pattern=TEXT_PATTERN)]
 Seq = Annotated[int, Field(ge=0, lt=2**62)]
+Moment = Annotated[FiniteFloat, Field(ge=0, lt=1e11)]  # s since 1970
 
 
 class Line(BaseModel):
@@ -48,6 +49,7 @@ class RotorLine(Line):
     origin: Id | None
     digest: Name
     adopt: Adopt = "never"
+    created_at: Moment | None = None
 
 
 class BladeLine(Line):
@@ -71,7 +73,8 @@ class EntryLine(Line):
     time_h: FiniteFloat | None
     body: str
     digest: Annotated[str, StringConstraints(max_length=64, pattern=r"^[0-9a-f]+$")]
-    received_at: Annotated[FiniteFloat, Field(ge=0, lt=1e11)]
+    received_at: Moment
+    posted_by: Annotated[str, StringConstraints(max_length=40, pattern=TEXT_PATTERN)] | None = None
 
 
 class NamedLine(Line):

@@ -25,7 +25,7 @@ from service.errors import (
     LostLeaseError,
 )
 from service.fake import FakeScience
-from service.handlers.rotors import add_blade, retire_blade, retry, view_rotor
+from service.handlers.rotors import add_blade, create_rotor, retire_blade, retry, view_rotor
 from service.ports import BladeRecord, NewEvent
 from service.settings import Settings
 from service.store import intact
@@ -177,6 +177,12 @@ def test_a_blade_that_joined_or_left_is_held_against_its_entries(
     assert [(one.part, one.name, one.from_log) for one in found] == [("blade", blade, False)]
     with pytest.raises(DamagedRotorError, match=f"blade {blade}: "):
         rebuild.repair(worker.updater, worn, [], renew=True)
+
+
+def test_a_blade_s_hour_of_minus_zero_is_no_damage(store: SqlStore, rotor: str) -> None:
+    add_blade(store, rotor, BladeRecord("B4", time_h0=-0.0))
+    create_rotor(store, "r2", "rotor-blade", [BladeRecord("B1", time_h0=-0.0)], 64, 7)
+    assert findings(store, rotor) == findings(store, "r2") == []
 
 
 def test_bytes_of_an_array_that_changed_are_named_and_written_again(
@@ -431,7 +437,6 @@ def test_the_real_calibration_gives_its_sealed_posterior_again_from_the_log(
     store: SqlStore, settings: Settings, reading: Make, post: Post
 ) -> None:
     from service.handlers.models import register_builtins
-    from service.handlers.rotors import create_rotor
 
     science = formula_science()
     with store.write() as tx:
