@@ -39,7 +39,7 @@ def circles(tx: Transaction, rotor_id: str, items: Sequence[Item]) -> list[Input
             shown = " → ".join([*path, own])
             around |= dict.fromkeys(path, shown if len(shown) <= LONGEST else f"{shown[:LONGEST]}…")
         elif own not in around:
-            ends |= path.keys()
+            ends.update(path)
         if own in around:
             problem = f"leads back to {own} ({around[own]})"
             remedy = "give a correction a new id, and name the reading that it corrects"
