@@ -19,7 +19,7 @@ from service.pauses import set_aside
 from service.ports import Science
 from service.settings import Settings
 from service.store.engine import is_sqlite, open_engine
-from service.store.migrate import current, migrate, newest
+from service.store.migrate import current, migrate, newest, remedy, revisions
 from service.store.unit_of_work import SqlStore
 from service.telemetry import configure_logs
 from service.worker.claiming import Role
@@ -74,10 +74,9 @@ def prepare(store: SqlStore, settings: Settings) -> None:
         migrate(store.engine)
         return
     found, needed = current(store.engine), newest()
-    if found != needed:
+    if (do := remedy(found, needed, revisions())) is not None:
         raise SchemaError(
-            f"the database has schema {found}, this release needs {needed}. "
-            "To mend it: run `bladetwin migrate`."
+            f"the database has schema {found}, this release needs {needed}. To mend it: {do}."
         )
 
 
@@ -98,10 +97,13 @@ def make_app(store: SqlStore, science: Science, settings: Settings) -> FastAPI:
     from service.api.waiting import Changes
 
     changes = Changes(lambda: open_wake(store.engine, "bladetwin_applied", settings.poll_ms))
-    needed = newest()
-    return create_app(
-        Services(store, science, settings, changes), lambda: (current(store.engine), needed)
-    )
+    needed, known = newest(), revisions()
+
+    def schema() -> tuple[str | None, str | None]:
+        found = current(store.engine)
+        return found, remedy(found, needed, known)
+
+    return create_app(Services(store, science, settings, changes), schema)
 
 
 def make_worker(

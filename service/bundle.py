@@ -4,11 +4,15 @@
 
     manifest.json   format, schema, release, rotor, model, head_seq, per member its bytes, lines and
                     SHA-256, the newest sealed digests, and the SHA-256 of all that
-    rotor.json      id, model, model_version, particles, seed, network, origin, digest, and `adopt`
-                    where it is not "never"
+    rotor.json      id, model, model_version, particles, seed, network, origin, digest, `adopt`
+                    where it is not "never", `created_at`
     blades.jsonl    one blade a line, in the order of their ids
-    log.jsonl       one entry a line, 1 … head_seq: the columns of the log, with `received_at`;
-                    effects that were adopted or backed out are entries like others
+    log.jsonl       one entry a line, 1 … head_seq: the columns of the log, with `received_at`, and
+                    `posted_by` where it is known; effects that were adopted or backed out are
+                    entries like others
+
+`created_at` and `posted_by` came later than the rest. A file without them is read as before: its
+rotor is created when it is imported, and who posted its entries is not known.
 
 The same rotor gives the same bytes. A file is checked before anything of it is used: only these
 four names, stored or deflated, sizes below limits that are counted while reading, no more than

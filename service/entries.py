@@ -13,6 +13,9 @@ from core.observation import Entry, Inspection
 from service.adopted import KINDS
 from service.ports import Event
 
+READINGS, BLADES = ("inspection", "retraction"), ("blade", "retirement")
+KNOWN = frozenset((*READINGS, *BLADES, *KINDS))
+
 
 def entry_of(event: Event) -> Entry:
     """The log's row as the science knows it; CalibrationError: it is not what was written."""
@@ -42,8 +45,24 @@ def _shared(body: dict[str, Any]) -> dict[str, Any]:
 
 
 def entries_of(events: Sequence[Event]) -> list[Entry]:
-    """Those of the log's rows that concern readings."""
-    return [entry_of(e) for e in events if e.kind in ("inspection", "retraction")]
+    """Those of the log's rows that concern readings.
+
+    CalibrationError: one is of a kind that this release does not know. A newer release wrote it,
+    and a posterior without it would be another one.
+    """
+    for event in events:
+        if event.kind not in KNOWN:
+            raise CalibrationError(
+                f"entry {event.seq} of the log, {event.event_id}, cannot be used: "
+                f"{_stranger(event)}. To mend it: upgrade this worker, and retry the rotor where "
+                "it is blocked by then.",
+                event=event.event_id,
+            )
+    return [entry_of(e) for e in events if e.kind in READINGS]
+
+
+def _stranger(event: Event) -> str:
+    return f"its kind, {event.kind!r}, is none that this release knows"
 
 
 def body_problem(event: Event) -> str | None:
@@ -55,7 +74,7 @@ def body_problem(event: Event) -> str | None:
             columns = (reading.id, reading.replaces, reading.blade, float(reading.time_h))
             if columns != (event.event_id, event.replaces, event.blade, event.time_h):
                 return "its body and its columns name another id, blade, time or reading replaced"
-        elif event.kind in ("retraction", "blade", "retirement"):
+        elif event.kind == "retraction" or event.kind in BLADES:
             digest = sha256(event.body.encode()).hexdigest()
             named = event.replaces if event.kind == "retraction" else event.blade
             if event.event_id != f"{event.kind}/{named}":
@@ -65,7 +84,7 @@ def body_problem(event: Event) -> str | None:
             if event.event_id != f"{event.kind}/{json.loads(event.body)['number']}":
                 return f"it is called {event.event_id!r}, its body says otherwise"
         else:
-            return f"its kind, {event.kind!r}, is none that this release knows"
+            return _stranger(event)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         return f"its body cannot be read: {type(error).__name__}: {error}"
     if digest != event.digest:

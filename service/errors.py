@@ -14,6 +14,7 @@
     ├── KeysMissingError      a server that would refuse every request
     ├── DamagedError          a stored part that is not what was written
     ├── DamagedLogError       an entry of the log that is not what was written
+    ├── DamagedRotorError     a rotor of which nothing is computed: what it rests on is damaged
     ├── WebhooksOffError      webhooks without the key file that their secrets are made of
     ├── NotInstalledError     a format whose library is not installed here
     ├── HeldError             a rotor that a worker holds at the moment
@@ -24,6 +25,8 @@
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from core.errors import BladetwinError
 from core.errors import FaultsError as FaultsError
@@ -122,6 +125,19 @@ class DamagedLogError(BladetwinError):
         super().__init__(
             f"the log of rotor {rotor} is damaged: {entry}: {problem}. To mend it: restore the "
             "database, or import the rotor from a file that was exported before."
+        )
+
+
+class DamagedRotorError(BladetwinError):
+    """What a rotor's versions are computed from is not what was written; none is computed."""
+
+    def __init__(self, rotor: str, problems: Sequence[str]) -> None:
+        self.rotor = rotor
+        self.problems = tuple(problems)
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        super().__init__(
+            f"{problems[0]}{more}. The log cannot make it again; nothing was changed. To mend it: "
+            "restore the database, or import the rotor from a file that was exported before."
         )
 
 

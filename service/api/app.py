@@ -66,8 +66,11 @@ PROBLEM = {
 }
 
 
-def create_app(services: Services, revisions: Callable[[], tuple[str | None, str]]) -> FastAPI:
-    """The application over wired parts; `revisions` gives the schema found and needed."""
+def create_app(services: Services, schema: Callable[[], tuple[str | None, str | None]]) -> FastAPI:
+    """The application over wired parts.
+
+    schema   the revision that the database has, and what to do where it is not this release's
+    """
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -90,7 +93,7 @@ def create_app(services: Services, revisions: Callable[[], tuple[str | None, str
         telemetry={"tracing": False, "logs": False},
     )
     app.state.services = services
-    app.state.revisions = revisions
+    app.state.schema = schema
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
     for module in (

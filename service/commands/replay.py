@@ -89,10 +89,10 @@ def verify(
     patience: Patience = 30.0,
     as_json: Json = False,
 ) -> None:
-    """Check every stored byte against its digest: log, versions, arrays, and the models.
+    """Check what is stored against its digests: log, rotor, blades, versions, arrays, models.
 
     Exit status: 0 sound (or mended), 3 damage that --repair mends, 4 damage that the log cannot
-    mend (an entry of the log, a model), 1 refused.
+    mend (an entry of the log, a rotor's or a blade's row, a model), 1 refused.
     """
     from service.store.audit import audit
     from service.store.engine import snapshot

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from core.observation import Entry
 from service.adopted import ADOPTION, BACK_OUT, adopted_at, entries
+from service.digests import digest_of_json
 from service.errors import AdoptionError, NotFoundError
 from service.handlers.adoptable import (
     claimed,
@@ -24,7 +25,6 @@ from service.handlers.adoptable import (
     told_effects,
 )
 from service.handlers.diagnoses import found_in
-from service.handlers.rotors import digest_of_json
 from service.ports import Event, JobRecord, Json, NewEvent, Science, Store, Transaction
 from service.variant import with_more
 

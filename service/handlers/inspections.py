@@ -15,12 +15,12 @@ from heapq import nsmallest
 from core.errors import InputError
 from core.network import Network
 from core.observation import Covers, Inspection, faults, replaced
+from service.digests import digest_of_json
 from service.errors import MOST_FAULTS, FaultsError, NotFoundError
-from service.handlers.rotors import digest_of_json
+from service.handlers.circles import circles
 from service.ports import Appended, Event, Json, NewEvent, Store, Transaction
 
 SHOWN = 8
-LONGEST = 200  # characters of a circle that a fault shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,39 +106,6 @@ def faults_of(
         for error in faults(reading, network, model, where):
             prefixed = error.what if error.what.startswith(where) else f"{where}{error.what}"
             found.append(type(error)(prefixed, error.value, error.problem, error.remedy))
-    return found
-
-
-def circles(tx: Transaction, rotor_id: str, items: Sequence[Item]) -> list[InputError]:
-    """Corrections that lead back to themselves: they would replace one another, and none count.
-
-    Which of them came first is a matter of arrival, so that the one that closes it is refused.
-    """
-    named = {i.reading.id: i.reading.replaces for i in items if i.reading.replaces is not None}
-    links: dict[str, str | None] = dict(named)
-    ends, around = set[str](), dict[str, str]()  # what leads to an end; what stands in a circle
-    found: list[InputError] = []
-    for item in items:
-        own = item.reading.id
-        if named.get(own, own) == own or len(found) > MOST_FAULTS:
-            continue
-        path: dict[str, None] = {}
-        above: str | None = own
-        while above is not None and not (above in path or above in ends or above in around):
-            path[above] = None
-            if above not in links:
-                event = tx.log.find(rotor_id, above)
-                links[above] = None if event is None else event.replaces
-            above = links[above]
-        if above == own and path:
-            shown = " → ".join([*path, own])
-            around |= dict.fromkeys(path, shown if len(shown) <= LONGEST else f"{shown[:LONGEST]}…")
-        elif own not in around:
-            ends |= path.keys()
-        if own in around:
-            problem = f"leads back to {own} ({around[own]})"
-            remedy = "give a correction a new id, and name the reading that it corrects"
-            found.append(InputError(f"{item.where}replaces", named[own], problem, remedy))
     return found
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from hashlib import sha256
+from dataclasses import dataclass, replace
 
 from core.errors import InputError
 from service.adopted import Adopted, adopted_at
+from service.digests import digest_of_json, digest_of_rotor, told_of
 from service.errors import ConflictError, FaultsError, NotFoundError
 from service.ports import (
     Adopt,
@@ -46,12 +45,6 @@ class RotorView:
         return self.rotor.version > 0 and self.rotor.applied_seq >= seq
 
 
-def digest_of_json(data: object) -> tuple[str, str]:
-    """A body as canonical JSON, and its SHA-256."""
-    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
-    return text, sha256(text.encode()).hexdigest()
-
-
 def check_network(store: Store, science: Science, model_id: str, network: Json | None) -> ModelCard:
     """The model's newest version; refuses a network that it cannot be varied to."""
     with store.read() as tx:
@@ -66,29 +59,6 @@ def _registered(tx: Transaction, model_id: str) -> ModelCard:
     except NotFoundError as error:
         fault = InputError("model", model_id, "is not registered", error.remedy)
         raise FaultsError([fault]) from None
-
-
-def told_of(blade: BladeRecord) -> Json:
-    """A blade as its digest sees it, which knows no field that it does not use."""
-    told = asdict(blade)
-    if blade.known is None:
-        del told["known"]
-    return told
-
-
-def digest_of_rotor(
-    rotor_id: str,
-    model_id: str,
-    blades: Sequence[BladeRecord],
-    particles: int,
-    seed: int,
-    network: Json | None,
-    adopt: Adopt = "never",
-) -> str:
-    """What tells a repeated creation from another one; `blades` as at the creation, by id."""
-    body = [rotor_id, model_id, [told_of(b) for b in blades], particles, seed]
-    told = [] if network is None and adopt == "never" else [network]
-    return digest_of_json([*body, *told, *([] if adopt == "never" else [adopt])])[1]
 
 
 def create_rotor(

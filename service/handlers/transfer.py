@@ -11,7 +11,7 @@ Every line is held against the log's own digests before the one transaction that
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,10 @@ from pydantic import ValidationError
 
 from core.errors import InputError
 from service import bundle
+from service.digests import as_created, digest_of_rotor
 from service.entries import body_problem
 from service.errors import ConflictError, DamagedError, DamagedLogError, NotFoundError, NotYetError
-from service.handlers.rotors import blades_at, digest_of_rotor
+from service.handlers.rotors import blades_at
 from service.handlers.transfer_lines import (
     EntryLine,
     NamedLine,
@@ -65,6 +66,7 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
         origin=rotor.origin,
         adopt=rotor.adopt,
         digest=rotor.digest,
+        created_at=rotor.created_at,
     )
     model = {"id": card.id, "version": card.version, "digest": card.digest}
     facts: Json = {"release": release, "rotor": rotor.id, "model": model, "head_seq": head}
@@ -104,7 +106,10 @@ def _entries(store: Store, rotor_id: str, head: int) -> Iterator[Event]:
 
 
 def _told_entry(event: Event) -> Json:
-    return {name: getattr(event, name) for name in EntryLine.model_fields}
+    told = {name: getattr(event, name) for name in EntryLine.model_fields}
+    if event.posted_by is None:
+        del told["posted_by"]
+    return told
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,9 +152,8 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
         count = checked_log(file, blades, varied, told.network, asked)
         name = told.id if as_id is None else _named(as_id)
         origin = told.origin or told.id
-        first = [replace(b, retired_seq=None) for b in blades if b.added_seq == 0]
-        asks = (told.network, told.adopt)
-        digest = digest_of_rotor(name, told.model, first, told.particles, told.seed, *asks)
+        asks = (told.particles, told.seed, told.network, told.adopt)
+        digest = digest_of_rotor(name, told.model, as_created(blades), *asks)
         record = RotorRecord(
             name,
             told.model,
@@ -158,7 +162,7 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
             told.seed,
             head_seq=count,
             digest=digest,
-            created_at=0.0,
+            created_at=told.created_at or 0.0,
             network=told.network,
             adopt=told.adopt,
             origin=None if origin == name else origin,

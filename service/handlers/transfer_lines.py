@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints, ValidationError
@@ -17,8 +16,8 @@ from core.errors import BladetwinError, InputError
 from core.observation import Inspection, check
 from service.adopted import KINDS, Adopted
 from service.bundle import Bundle, BundleError
+from service.digests import as_created, digest_of_blade, digest_of_rotor
 from service.entries import body_problem
-from service.handlers.rotors import digest_of_json, digest_of_rotor, told_of
 from service.names import ID_PATTERN, TEXT_PATTERN
 from service.ports import Adopt, BladeRecord, Event, Json, ModelCard
 from service.variant import check_known
@@ -27,6 +26,7 @@ Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=TEXT_PATTERN)]
 Name = Annotated[str, StringConstraints(max_length=200, pattern=TEXT_PATTERN)]
 Seq = Annotated[int, Field(ge=0, lt=2**62)]
+Moment = Annotated[FiniteFloat, Field(ge=0, lt=1e11)]  # s since 1970
 
 
 class Line(BaseModel):
@@ -49,6 +49,7 @@ class RotorLine(Line):
     origin: Id | None
     digest: Name
     adopt: Adopt = "never"
+    created_at: Moment | None = None
 
 
 class BladeLine(Line):
@@ -72,7 +73,8 @@ class EntryLine(Line):
     time_h: FiniteFloat | None
     body: str
     digest: Annotated[str, StringConstraints(max_length=64, pattern=r"^[0-9a-f]+$")]
-    received_at: Annotated[FiniteFloat, Field(ge=0, lt=1e11)]
+    received_at: Moment
+    posted_by: Annotated[str, StringConstraints(max_length=40, pattern=TEXT_PATTERN)] | None = None
 
 
 class NamedLine(Line):
@@ -102,9 +104,8 @@ def read_blades(file: Bundle, told: RotorLine, card: ModelCard) -> list[BladeRec
     if names != sorted(set(names)):
         raise BundleError(file.path, "blades.jsonl is not ordered by id, or names a blade twice")
     check_known(card.network, [(f"blade {blade.id}: ", blade) for blade in blades])
-    first = [replace(b, retired_seq=None) for b in blades if b.added_seq == 0]
-    asks = (told.network, told.adopt)
-    made = digest_of_rotor(told.id, told.model, first, told.particles, told.seed, *asks)
+    asks = (told.particles, told.seed, told.network, told.adopt)
+    made = digest_of_rotor(told.id, told.model, as_created(blades), *asks)
     if made != told.digest:
         raise BundleError(file.path, "rotor.json and blades.jsonl do not have the rotor's digest")
     return blades
@@ -170,8 +171,7 @@ def _unfit(
     if blade is None:
         return f"its blade, {event.blade!r}, is not in blades.jsonl"
     if event.kind == "blade":
-        alone = replace(blade, added_seq=0, retired_seq=None)
-        same = blade.added_seq == event.seq and digest_of_json(told_of(alone))[1] == event.digest
+        same = blade.added_seq == event.seq and digest_of_blade(blade) == event.digest
         return None if same else "blades.jsonl says something else of the blade"
     if event.kind == "retirement":
         return None if blade.retired_seq == event.seq else "blades.jsonl says otherwise"

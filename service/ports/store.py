@@ -92,6 +92,10 @@ class Log(Protocol):
         """What retracts or corrects these readings, and what retracts that; without bodies."""
         ...
 
+    def replaced(self, rotor_id: str, ids: Sequence[str]) -> dict[str, str | None]:
+        """What each of these entries replaces; those that are not there are left out."""
+        ...
+
     def entries(self, rotor_id: str, after: int, through: int, limit: int) -> list[Event]: ...
     def restore(self, rotor_id: str, events: Sequence[Event]) -> None:
         """Append entries of another database to a new rotor, with their own numbers and times."""

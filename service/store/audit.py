@@ -1,8 +1,9 @@
 """Every stored part of a rotor held against what it was called when it was written.
 
-The log has a digest in each entry, numbers without a gap and a head; a version has its digest,
-made from the SHA-256 of its arrays, and the digest of the readings that it rests on, which the log
-gives again; an array row has the SHA-256 of its bytes. What does not agree is a `Finding`.
+The log has a digest in each entry, numbers without a gap and a head; the rotor has its digest, and
+blades have entries of the log (`service.store.creation`); a version has its digest, made from the
+SHA-256 of its arrays, and the digest of the readings that it rests on, which the log gives again;
+an array row has the SHA-256 of its bytes. What does not agree is a `Finding`.
 
 Rows are read one by one in one snapshot, so that neither size nor a worker at work matters.
 """
@@ -22,22 +23,22 @@ from core.observation import digest_of, effective
 from service.entries import body_problem, entries_of
 from service.errors import NotFoundError
 from service.ports import Event, Json, ModelCard, Science
-from service.store import intact
+from service.store import creation, intact
 from service.store import tables as t
 from service.store.encoding import DamagedArrayError, Encoded, decode
 from service.store.log import read_entries
 from service.store.states import digests, stored
 from service.store.versions import ENDED
 
-Part = Literal["log", "state", "array", "model"]
+Part = Literal["log", "rotor", "blade", "state", "array", "model"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One damaged part.
 
-    part      log, state, array or model
-    name      of the entry, the array or the model; of a state its version
+    part      log, rotor, blade, state, array or model
+    name      of the entry, the rotor, blade, array or model; of a state its version
     version   that the row belongs to; None: of no version
     """
 
@@ -63,14 +64,24 @@ class Finding:
 
 def audit(connection: Connection, rotor_id: str) -> list[Finding]:
     """Everything of a rotor that is not what was written."""
+    events, lost = audit_source(connection, rotor_id)
+    sound = not any(one.part == "log" for one in lost)
+    arrays = list(_of_arrays(connection, rotor_id))
+    return [*lost, *_of_states(connection, rotor_id, events if sound else [], sound), *arrays]
+
+
+def audit_source(connection: Connection, rotor_id: str) -> tuple[list[Event], list[Finding]]:
+    """A rotor's log, and what is wrong with it, with the rotor's row or with a blade's: what every
+    version is computed from, and nothing makes again."""
     head = select(t.rotor.c.head_seq).where(t.rotor.c.id == rotor_id)
     head_seq = connection.execute(head).scalar()
     if head_seq is None:
         raise NotFoundError("rotor", rotor_id, "GET /v1/rotors lists those that exist")
     events = read_entries(connection, rotor_id, 0, 2**62)
-    log = list(_of_log(rotor_id, head_seq, events))
-    arrays = list(_of_arrays(connection, rotor_id))
-    return [*log, *_of_states(connection, rotor_id, [] if log else events, not log), *arrays]
+    lost = list(_of_log(rotor_id, head_seq, events))
+    odd = creation.problems(connection, rotor_id, None if lost else events)
+    lost += [Finding(part, rotor_id, None, name, problem) for part, name, problem in list(odd)]
+    return events, lost
 
 
 def _of_log(rotor_id: str, head_seq: int, events: list[Event]) -> Iterator[Finding]:

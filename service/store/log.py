@@ -7,12 +7,13 @@ transaction the rotor's cursor becomes dirty; workers are notified when it flips
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sqlalchemy import (
     ColumnElement,
     Connection,
+    Select,
     bindparam,
     false,
     insert,
@@ -39,6 +40,10 @@ CHUNK = 500
 # Statements of every post and read, built and understood once.
 _HEAD = select(t.rotor.c.head_seq).where(t.rotor.c.id == bindparam("rotor")).with_for_update()
 _KNOWN = select(t.entry.c.event_id, t.entry.c.digest, t.entry.c.seq).where(
+    t.entry.c.rotor_id == bindparam("rotor"),
+    t.entry.c.event_id.in_(bindparam("ids", expanding=True)),
+)
+_REPLACED = select(t.entry.c.event_id, t.entry.c.replaces).where(
     t.entry.c.rotor_id == bindparam("rotor"),
     t.entry.c.event_id.in_(bindparam("ids", expanding=True)),
 )
@@ -141,13 +146,18 @@ class SqlLog:
             self._mark_dirty(rotor_id, head)
         return answers
 
-    def _known(self, rotor_id: str, ids: list[str]) -> dict[str, tuple[str | None, int]]:
-        found: dict[str, tuple[str | None, int]] = {}
+    def _known(self, rotor_id: str, ids: Sequence[str]) -> dict[str, tuple[str | None, int]]:
+        rows = self._named(_KNOWN, rotor_id, ids)
+        return {event_id: (digest, seq) for event_id, digest, seq in rows}
+
+    def replaced(self, rotor_id: str, ids: Sequence[str]) -> dict[str, str | None]:
+        """What each of these entries replaces; those that are not there are left out."""
+        return dict(self._named(_REPLACED, rotor_id, ids))
+
+    def _named(self, query: Select[Any], rotor_id: str, ids: Sequence[str]) -> Iterator[Any]:
         for start in range(0, len(ids), CHUNK):
             asked = {"rotor": rotor_id, "ids": ids[start : start + CHUNK]}
-            rows = self._connection.execute(_KNOWN, asked)
-            found |= {row[0]: (row[1], row[2]) for row in rows}
-        return found
+            yield from self._connection.execute(query, asked)
 
     def _mark_dirty(self, rotor_id: str, head: int) -> None:
         """Note that there is work; workers are woken when there was none pending before."""

@@ -10,6 +10,7 @@ PostgreSQL lets one go first, and the others find nothing left to do.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 from alembic import command
@@ -23,6 +24,7 @@ from service.errors import SchemaError
 from service.store.engine import is_sqlite, transaction
 
 LOCK = 0x626C6164
+UPGRADE = "upgrade this process to the release that migrated the database"
 
 
 def script_folder() -> Path:
@@ -56,7 +58,7 @@ def migrate(engine: Engine) -> str:
         if found is not None and found not in revisions():
             raise SchemaError(
                 f"the database has schema {found}, which this release does not know (its newest is "
-                f"{newest()}); nothing was changed. To mend it: use the release that wrote it."
+                f"{newest()}); nothing was changed. To mend it: {UPGRADE}."
             )
         command.upgrade(_config(connection), "head")
     return newest()
@@ -71,6 +73,18 @@ def revisions() -> frozenset[str]:
     """Every revision that this release knows."""
     walked = ScriptDirectory.from_config(_config()).walk_revisions()
     return frozenset(str(one.revision) for one in walked)
+
+
+def remedy(found: str | None, needed: str, known: Collection[str]) -> str | None:
+    """What to do about a database with schema `found`; None: it is the one that is needed.
+
+    known   every revision that the release has (`revisions`)
+    """
+    if found == needed:
+        return None
+    if found is None or found in known:
+        return f"run `bladetwin migrate`: revision {needed} is needed"
+    return f"{UPGRADE} (revision {needed} is the newest that this one knows)"
 
 
 def current(engine: Engine) -> str | None:

@@ -163,9 +163,12 @@ class SqlRecords:
         self._connection.execute(end)
 
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool:
-        """Write a new rotor with its blades and a dirty cursor; False: the id is taken."""
+        """Write a new rotor with its blades and a dirty cursor; False: the id is taken.
+
+        One whose `created_at` is 0 is created now.
+        """
         values = {name: getattr(rotor, name) for name in t.rotor.c.keys()}  # noqa: SIM118
-        values |= {"created_at": now_s(), "network": _text(rotor.network)}
+        values |= {"created_at": rotor.created_at or now_s(), "network": _text(rotor.network)}
         if not insert_new(self._connection, t.rotor, values):
             return False
         self._connection.execute(

@@ -25,10 +25,10 @@ from core.errors import ModelError
 from core.observation import effective
 from service.adopted import adopted_at
 from service.entries import entries_of
-from service.errors import DamagedError, GoneError, HeldError, NotFoundError
+from service.errors import DamagedError, DamagedRotorError, GoneError, HeldError, NotFoundError
 from service.ports import Json, RotorState, Science
 from service.store import tables as t
-from service.store.audit import Finding, array_problem, array_row
+from service.store.audit import Finding, array_problem, array_row, audit_source
 from service.store.encoding import Encoded, decode, encode
 from service.store.engine import snapshot, transaction
 from service.store.log import read_entries
@@ -145,9 +145,14 @@ def repair(
 ) -> Repair:
     """Mend the versions that the findings name; `renew`: make the newest again in any case.
 
-    HeldError: a worker holds the rotor. LostLeaseError: somebody took it meanwhile.
+    DamagedRotorError: the log, the rotor's row or a blade's is damaged. HeldError: a worker holds
+    the rotor. LostLeaseError: somebody took it meanwhile.
     """
     engine = updater.engine
+    with snapshot(engine) as connection:
+        _, lost = audit_source(connection, rotor_id)
+    if lost:
+        raise DamagedRotorError(rotor_id, [str(one) for one in lost])
     lease = claiming.claim_rotor(engine, rotor_id, updater.owner, updater.settings.lease_s)
     if lease is None:
         with transaction(engine, write=False) as connection:

@@ -605,7 +605,7 @@ def test_a_file_whose_adoption_does_not_go_on_from_the_network_before_it_is_refu
         ({"number": 2}, "its body says otherwise"),
         ({"after": {"effects": {"biases": [{}]}}}, "network"),
     ):
-        from service.handlers.rotors import digest_of_json
+        from service.digests import digest_of_json
 
         text_, digest = digest_of_json(body | change)
         log = [*rows["log.jsonl"][:12], rows["log.jsonl"][12] | {"body": text_, "digest": digest}]

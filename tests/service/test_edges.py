@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import delete
+from sqlalchemy import delete, event
 
 from core.observation import Inspection
 from service.api.problems import MOST_FAULTS, bounded
@@ -23,6 +23,7 @@ from service.handlers import rows
 from service.handlers.inspections import FEW, Item, post_inspections
 from service.store import tables as t
 from service.store.engine import transaction
+from service.store.log import CHUNK
 from service.store.states import digests
 from service.store.trail import LONGEST_NAME
 from service.store.unit_of_work import SqlStore
@@ -181,6 +182,33 @@ def test_a_correction_that_closes_a_circle_is_refused(api: httpx.Client, rotor: 
     assert sent(("b", None)).status_code == 202, "negative control: it corrects nothing"
     assert sent(("a", "b")).status_code == 202, "again"
     assert api.get(ROTOR).json()["head_seq"] == 4
+
+
+def test_a_batch_of_corrections_asks_the_log_by_chunks_and_reads_no_body(
+    store: SqlStore, rotor: str, post: Post, reading: Reading
+) -> None:
+    """It is asked while the rotor is locked, and on SQLite every writer waits."""
+    count, levels = 1200, 3
+    chunks = -(-count // CHUNK)
+    for level in range(levels):
+        above = [f"{level - 1}-{i}" if level else None for i in range(count)]
+        post(rotor, *(reading(f"{level}-{i}", replaces=a) for i, a in enumerate(above)))
+    said: list[str] = []
+
+    def note(connection: Any, cursor: Any, statement: str, *rest: Any) -> None:
+        said.append(statement)
+
+    last = [reading(f"last-{i}", replaces=f"{levels - 1}-{i}") for i in range(count)]
+    event.listen(store.engine, "before_cursor_execute", note)
+    try:
+        assert post(rotor, *last) == (levels + 1) * count
+    finally:
+        event.remove(store.engine, "before_cursor_execute", note)
+    asked = [s for s in said if s.startswith("SELECT") and "FROM event" in s]
+    assert len(asked) == (levels + 1) * chunks, "each level of the chains, and what is known"
+    assert not [s for s in asked if "event.body" in s]
+    with pytest.raises(FaultsError, match="0-7 → last-7 → 2-7 → 1-7 → 0-7"):
+        post(rotor, reading("0-7", replaces="last-7"))
 
 
 def test_a_long_address_of_a_proxy_is_cut_in_the_audit_trail(

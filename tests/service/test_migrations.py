@@ -7,6 +7,7 @@ import threading
 import time
 from hashlib import sha256
 
+import httpx
 import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
@@ -151,3 +152,21 @@ def test_who_comes_second_waits_for_a_long_migration(
     assert done == [migrations.newest()]
     for engine in (first, second):
         engine.dispose()
+
+
+@pytest.mark.parametrize(
+    ("statement", "remedy", "found"),
+    [
+        ("UPDATE alembic_version SET version_num = '9999'", "upgrade this process", "9999"),
+        ("UPDATE alembic_version SET version_num = '0001'", "run `bladetwin migrate`", "0001"),
+        ("DELETE FROM alembic_version", "run `bladetwin migrate`", None),
+    ],
+)
+def test_another_schema_is_not_ready_and_says_whether_to_migrate_or_to_upgrade(
+    api: httpx.Client, store: SqlStore, statement: str, remedy: str, found: str | None
+) -> None:
+    with store.write() as tx:
+        tx.connection.execute(text(statement))
+    answer = api.get("/readyz")
+    assert (answer.status_code, answer.json()["schema"]) == (503, found)
+    assert answer.json()["remedy"].startswith(remedy)

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from core.digest import state_digest
 from core.observation import Inspection, effective
-from service.bootstrap import make_worker
+from service.bootstrap import make_worker, prepare
 from service.cli import app
 from service.entries import entries_of
 from service.errors import SchemaError
@@ -264,5 +264,9 @@ def test_a_database_of_a_newer_release_is_refused_and_left_alone(bare_url: str) 
         connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     with pytest.raises(SchemaError, match="9999"):
         migrations.migrate(engine)
+    for when in ("never", "always"):
+        settings = Settings(database_url=bare_url, migrate=when, science="fake")
+        with pytest.raises(SchemaError, match=r"9999.*To mend it: upgrade this process"):
+            prepare(SqlStore(engine), settings)
     assert migrations.current(engine) == "9999"
     engine.dispose()

@@ -13,12 +13,20 @@ from sqlalchemy import select, text
 from typer.testing import CliRunner
 
 from core.observation import Inspection
+from service import entries
 from service.bootstrap import make_worker
 from service.cli import app as commands
-from service.errors import DamagedError, GoneError, HeldError, LostLeaseError
+from service.digests import digest_of_json
+from service.errors import (
+    DamagedError,
+    DamagedRotorError,
+    GoneError,
+    HeldError,
+    LostLeaseError,
+)
 from service.fake import FakeScience
-from service.handlers.rotors import add_blade, view_rotor
-from service.ports import BladeRecord
+from service.handlers.rotors import add_blade, create_rotor, retire_blade, retry, view_rotor
+from service.ports import BladeRecord, NewEvent
 from service.settings import Settings
 from service.store import intact
 from service.store import tables as t
@@ -88,6 +96,20 @@ DAMAGE: list[tuple[str, str, str, bool]] = [
     ("UPDATE event SET digest = 'x' WHERE seq = 1", "log", "i0", False),
     ("DELETE FROM event WHERE seq = 2", "log", "2", False),
     ("UPDATE rotor SET head_seq = 4", "log", "4", False),
+    ("UPDATE rotor SET seed = 8", "rotor", "r1", False),
+    ("UPDATE rotor SET particles = 65", "rotor", "r1", False),
+    ("UPDATE rotor SET adopt = 'effect'", "rotor", "r1", False),
+    ("UPDATE rotor SET network = '{}'", "rotor", "r1", False),
+    ("UPDATE rotor SET network = '{'", "rotor", "r1", False),
+    ("UPDATE rotor SET digest = 'x'", "rotor", "r1", False),
+    ("UPDATE blade SET lot = 'L9' WHERE id = 'B1'", "rotor", "r1", False),
+    ("UPDATE blade SET known = '{\"load\": 1.5}' WHERE id = 'B2'", "rotor", "r1", False),
+    ("UPDATE blade SET known = '{' WHERE id = 'B2'", "rotor", "r1", False),
+    ("DELETE FROM blade WHERE id = 'B3'", "rotor", "r1", False),
+    ("INSERT INTO blade (rotor_id, id, added_seq) VALUES ('r1', 'B9', 0)", "rotor", "r1", False),
+    ("INSERT INTO blade (rotor_id, id, added_seq) VALUES ('r1', 'B9', 2)", "blade", "B9", False),
+    ("UPDATE blade SET added_seq = 2 WHERE id = 'B1'", "blade", "B1", False),
+    ("UPDATE blade SET retired_seq = 2 WHERE id = 'B1'", "blade", "B1", False),
 ]  # fmt: skip
 
 
@@ -111,6 +133,11 @@ def test_each_damaged_part_is_named_and_mended_from_the_log_where_the_log_has_it
     assert (part, name) in [(one.part, one.name) for one in found], found
     assert all(one.from_log == mendable for one in found)
     if not mendable:
+        with pytest.raises(DamagedRotorError, match="import the rotor"):
+            rebuild.repair(worker.updater, worn, found, renew=True)
+        with transaction(store.engine, write=False) as connection:
+            query = text("SELECT version FROM cursor")
+            assert connection.execute(query).scalar() == 4, "nothing was made"
         return
     done = rebuild.repair(worker.updater, worn, found)
     assert findings(store, worn) == []
@@ -124,6 +151,38 @@ def test_each_damaged_part_is_named_and_mended_from_the_log_where_the_log_has_it
     else:
         assert done.version is None
         assert [content(store, version) for version in (1, 2, 3, 4)] == before
+
+
+@pytest.mark.parametrize(
+    ("statement", "blade"),
+    [
+        ("UPDATE blade SET known = '{\"load\": 1.5}' WHERE id = 'B4'", "B4"),
+        ("UPDATE blade SET lot = 'L9' WHERE id = 'B4'", "B4"),
+        ("UPDATE blade SET time_h0 = 100.75 WHERE id = 'B4'", "B4"),
+        ("UPDATE blade SET added_seq = 3 WHERE id = 'B4'", "B4"),
+        ("DELETE FROM blade WHERE id = 'B4'", "B4"),
+        ("UPDATE blade SET retired_seq = NULL WHERE id = 'B1'", "B1"),
+        ("UPDATE blade SET retired_seq = 4 WHERE id = 'B1'", "B1"),
+    ],
+)
+def test_a_blade_that_joined_or_left_is_held_against_its_entries(
+    store: SqlStore, worker: Worker, worn: str, statement: str, blade: str
+) -> None:
+    add_blade(store, worn, BladeRecord("B4", lot="Ω-7", time_h0=100.5))
+    retire_blade(store, worn, "B1")
+    worker.drain()
+    assert findings(store, worn) == []
+    damage(store, statement)
+    found = findings(store, worn)
+    assert [(one.part, one.name, one.from_log) for one in found] == [("blade", blade, False)]
+    with pytest.raises(DamagedRotorError, match=f"blade {blade}: "):
+        rebuild.repair(worker.updater, worn, [], renew=True)
+
+
+def test_a_blade_s_hour_of_minus_zero_is_no_damage(store: SqlStore, rotor: str) -> None:
+    add_blade(store, rotor, BladeRecord("B4", time_h0=-0.0))
+    create_rotor(store, "r2", "rotor-blade", [BladeRecord("B1", time_h0=-0.0)], 64, 7)
+    assert findings(store, rotor) == findings(store, "r2") == []
 
 
 def test_bytes_of_an_array_that_changed_are_named_and_written_again(
@@ -241,6 +300,29 @@ def test_a_damaged_entry_of_the_log_blocks_its_rotor_and_is_named(
     assert (view.blocked, view.last_error_event, view.version) == (True, "b", 0)
 
 
+def test_an_entry_of_a_newer_release_blocks_its_rotor_until_the_worker_is_upgraded(
+    store: SqlStore,
+    worker: Worker,
+    worn: str,
+    reading: Make,
+    post: Post,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with store.write() as tx:
+        tx.log.append(worn, [NewEvent("spell/1", "spell", *digest_of_json({}))])
+    post(worn, reading("later", value=0.2, time_h=20_000.0))
+    worker.drain()
+    view = view_rotor(store, worn).rotor
+    assert (view.blocked, view.last_error_event) == (True, "spell/1")
+    assert (view.version, view.applied_seq) == (4, 3), "nothing is passed over"
+    assert "'spell', is none that this release knows" in str(view.last_error)
+    assert "upgrade this worker" in str(view.last_error)
+    monkeypatch.setattr(entries, "KNOWN", entries.KNOWN | {"spell"})
+    retry(store, worn)
+    worker.drain()
+    assert view_rotor(store, worn).rotor.applied_seq == 5
+
+
 def test_a_damaged_version_that_was_provisional_is_dropped(
     store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
 ) -> None:
@@ -355,7 +437,6 @@ def test_the_real_calibration_gives_its_sealed_posterior_again_from_the_log(
     store: SqlStore, settings: Settings, reading: Make, post: Post
 ) -> None:
     from service.handlers.models import register_builtins
-    from service.handlers.rotors import create_rotor
 
     science = formula_science()
     with store.write() as tx:
@@ -412,9 +493,27 @@ def test_the_exit_status_tells_sound_from_damaged_from_lost(
     damage(store, "UPDATE event SET digest = 'x' WHERE seq = 1")
     code, told = run("verify", worn, "--repair")
     assert (code, told["repairs"]) == (4, []), "nothing is computed from a damaged log"
+    code, error = run("replay", worn, "--repair")
+    assert (code, "is damaged" in str(error)) == (1, True)
     code, error = run("verify", "nobody")
     assert code == 1
     assert "'nobody' does not exist" in str(error)
+
+
+def test_a_damaged_rotor_is_named_and_nothing_is_computed_from_it(
+    store: SqlStore, worn: str, run: Callable[..., tuple[int, Any]]
+) -> None:
+    damage(store, "UPDATE rotor SET seed = 8")
+    code, told = run("verify", "--repair")
+    assert (code, told["repairs"]) == (4, [])
+    (one,) = told["findings"]
+    assert (one["part"], one["name"], one["mendable"]) == ("rotor", worn, False)
+    damage(store, "UPDATE state SET digest = 'x' WHERE version = 4")
+    code, error = run("replay", worn, "--repair")
+    assert (code, type(error)) == (1, DamagedRotorError)
+    assert "restore the database, or import the rotor" in str(error)
+    with store.read() as tx:
+        assert tx.records.rotor(worn).version == 4
 
 
 def test_a_repair_that_mends_nothing_is_not_called_mended(

@@ -14,13 +14,13 @@ import pytest
 from sqlalchemy import bindparam, func, select, text
 from typer.testing import CliRunner
 
-from core.errors import BladetwinError, InputError
+from core.errors import BladetwinError, InputError, RangeError
 from core.observation import Inspection
 from service import bundle
 from service.bootstrap import make_worker
 from service.bundle import BundleError
 from service.cli import app as commands
-from service.errors import ConflictError, DamagedLogError
+from service.errors import ConflictError, DamagedLogError, GoneError
 from service.fake import FakeScience
 from service.handlers.inspections import Item, list_inspections, post_inspections, retract
 from service.handlers.models import register_builtins
@@ -339,7 +339,44 @@ FORGERIES: dict[str, tuple[Forge, str]] = {
     "unknown blade": (body(blade="B9"), "name another id, blade"),
     "text as unit": (body(unit=5), "are texts"),
     "no numbers": (body(values=["x"]), "cannot be read"),
+    "long poster": (line("log.jsonl", 0, posted_by="k" * 41), "log.jsonl, line 1: posted_by"),
+    "created later": (line("rotor.json", 0, created_at=1e12), "rotor.json: created_at"),
 }
+
+
+def test_who_posted_what_and_when_the_rotor_was_created_come_along(
+    store: SqlStore, elsewhere: SqlStore, science: FakeScience, lived: str, tmp_path: Path
+) -> None:
+    with transaction(store.engine, write=True) as connection:
+        connection.execute(text("UPDATE event SET posted_by = 'key-1' WHERE seq < 3"))
+        connection.execute(text("UPDATE event SET posted_by = 'loopback' WHERE seq = 3"))
+        connection.execute(text("UPDATE rotor SET created_at = created_at - 3600"))
+    export_rotor(store, lived, tmp_path / "r1.zip", "test")
+    import_rotor(elsewhere, science, tmp_path / "r1.zip")
+    assert log_of(elsewhere, "r1") == log_of(store, "r1")
+    here, there = view_rotor(store, "r1").rotor, view_rotor(elsewhere, "r1").rotor
+    assert there.created_at == here.created_at
+    listed = list_inspections(elsewhere, "r1", 0, 100)
+    assert [one.posted_by for one in listed[:4]] == ["key-1", "key-1", "loopback", None]
+    with elsewhere.read() as tx:
+        with pytest.raises(GoneError):
+            tx.states.as_of("r1", here.created_at + 60.0)
+        with pytest.raises(RangeError, match="the rotor's time till now"):
+            tx.states.as_of("r1", here.created_at - 60.0)
+
+
+def test_a_file_that_does_not_say_so_is_read_as_before(
+    store: SqlStore, elsewhere: SqlStore, science: FakeScience, file: Path
+) -> None:
+    members = unpacked(file)
+    assert b"posted_by" not in members["log.jsonl"]
+    row = json.loads(members["rotor.json"])
+    del row["created_at"]
+    packed(agreed(members | {"rotor.json": json.dumps(row).encode() + b"\n"}), file)
+    before = view_rotor(store, "r1").rotor.created_at
+    import_rotor(elsewhere, science, file)
+    assert view_rotor(elsewhere, "r1").rotor.created_at > before, "at the import"
+    assert log_of(elsewhere, "r1") == log_of(store, "r1")
 
 
 def packed(members: Members, path: Path) -> None:

@@ -24,12 +24,12 @@ async def healthz() -> dict[str, str]:
 def readyz(request: Request) -> JSONResponse:
     checks: dict[str, Any] = {}
     try:
-        found, needed = request.app.state.revisions()
+        found, remedy = request.app.state.schema()
         checks["database"] = "answers"
         checks["schema"] = found
-        ready = found == needed
+        ready = remedy is None
         if not ready:
-            checks["remedy"] = f"run `bladetwin migrate`: revision {needed} is needed"
+            checks["remedy"] = remedy
     except StoreAwayError as error:
         ready = False
         checks["database"] = error.cause

@@ -1,0 +1,54 @@
+"""What rotors, blades and entries of the log are called by: SHA-256 of their content."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from hashlib import sha256
+
+from service.ports import Adopt, BladeRecord, Json
+
+
+def digest_of_json(data: object) -> tuple[str, str]:
+    """A body as canonical JSON, and its SHA-256."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
+    return text, sha256(text.encode()).hexdigest()
+
+
+def told_of(blade: BladeRecord) -> Json:
+    """A blade as its digest sees it, which knows no field that it does not use.
+
+    Of -0.0 SQLite keeps 0.0.
+    """
+    told = asdict(blade)
+    if blade.time_h0 is not None:
+        told["time_h0"] = blade.time_h0 + 0.0
+    if blade.known is None:
+        del told["known"]
+    return told
+
+
+def digest_of_blade(blade: BladeRecord) -> str:
+    """That of its entry of the log, where it joined later."""
+    return digest_of_json(told_of(replace(blade, added_seq=0, retired_seq=None)))[1]
+
+
+def as_created(blades: Sequence[BladeRecord]) -> list[BladeRecord]:
+    """Those of a rotor's creation, as they were then; `blades` by id."""
+    return [replace(blade, retired_seq=None) for blade in blades if blade.added_seq == 0]
+
+
+def digest_of_rotor(
+    rotor_id: str,
+    model_id: str,
+    blades: Sequence[BladeRecord],
+    particles: int,
+    seed: int,
+    network: Json | None,
+    adopt: Adopt = "never",
+) -> str:
+    """What tells a repeated creation from another one; `blades` as at the creation, by id."""
+    body = [rotor_id, model_id, [told_of(b) for b in blades], particles, seed]
+    told = [] if network is None and adopt == "never" else [network]
+    return digest_of_json([*body, *told, *([] if adopt == "never" else [adopt])])[1]
