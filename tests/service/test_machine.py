@@ -215,19 +215,20 @@ class Machine(RuleBasedStateMachine):
         content = "\n".join([",".join(columns), *lines])
         self.posted(rotor, many, content=content, headers={"content-type": "text/csv"})
 
-    @rule(rotor=rotors, one=readings, between=st.none() | readings)
-    def post_if_it_stands(self, rotor: str, one: Json, between: Json | None) -> None:
+    @rule(rotor=rotors, one=readings, between=st.booleans())
+    def post_if_it_stands(self, rotor: str, one: Json, between: bool) -> None:
         """If-Match: accepted where nothing came between, else nothing is done."""
         model = self.model.get(rotor)
         if model is None:
             return
         header = {"If-Match": self.send("GET", self.path(rotor)).headers["etag"]}
-        before = len(model.entries)
-        if between is not None:
-            self.post_one(rotor, between)
-        if len(model.entries) == before:
+        if not between:
             self.posted(rotor, [one], json=one, headers=header)
-        elif not model.wrong([one]):
+            return
+        self.keys += 1
+        fresh = {"blade": "B1", "quantity": "elongation", "time_h": 500.0, "value": 0.1}
+        self.post_one(rotor, fresh | {"id": f"n{self.keys}"})
+        if not model.wrong([one]):
             path = self.path(rotor, "inspections")
             assert self.send("POST", path, json=one, headers=header).status_code == 412
 
