@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from core.errors import InputError, ModelError
+from core.errors import CalibrationError, InputError, ModelError
 from service.api.problems import (
     MOST_FAULTS,
     Fault,
@@ -32,6 +32,7 @@ from service.errors import (
     AdoptionError,
     ConflictError,
     DamagedError,
+    DamagedLogError,
     FaultsError,
     GoneError,
     NotFoundError,
@@ -125,6 +126,15 @@ async def _damaged(request: Request, error: Any) -> JSONResponse:
     return problem(request, 503, "damaged", str(error), faults)
 
 
+async def _damaged_log(request: Request, error: Any) -> JSONResponse:
+    """An entry that is not what was written, or none that this release knows."""
+    log.error("%s", error)
+    entry = error.entry if isinstance(error, DamagedLogError) else error.event
+    remedy = "restore the database, or import the rotor from an exported file"
+    faults = [fault("entry", entry, "is not what was written, or is not known", remedy)]
+    return problem(request, 503, "damaged", str(error), faults)
+
+
 async def _unfit(request: Request, error: Any) -> JSONResponse:
     log.error("%s", error)
     return problem(request, 503, "model-unfit", str(error))
@@ -166,6 +176,8 @@ HANDLERS = {
     PreconditionError: _moved_on,
     WebhooksOffError: _hooks_off,
     DamagedError: _damaged,
+    DamagedLogError: _damaged_log,
+    CalibrationError: _damaged_log,
     ModelError: _unfit,
     NotInstalledError: _not_installed,
     HTTPException: _routed,
