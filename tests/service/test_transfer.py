@@ -20,7 +20,7 @@ from service import bundle
 from service.bootstrap import make_worker
 from service.bundle import BundleError
 from service.cli import app as commands
-from service.errors import ConflictError, DamagedLogError, GoneError
+from service.errors import ConflictError, DamagedLogError, DamagedRotorError, GoneError
 from service.fake import FakeScience
 from service.handlers.inspections import Item, list_inspections, post_inspections, retract
 from service.handlers.models import register_builtins
@@ -240,6 +240,26 @@ def test_a_model_that_the_release_does_not_have_is_refused_by_name(
         import_rotor(elsewhere, other, file)
     with elsewhere.read() as tx:
         assert tx.records.rotors("", 10) == []
+
+
+@pytest.mark.parametrize(
+    ("table", "change"),
+    [
+        ("rotor", "seed = seed + 1"),
+        ("rotor", "particles = 2 * particles"),
+        ("blade", "lot = 'L9' WHERE added_seq = 0"),
+        ("blade", "slot = '9' WHERE added_seq > 0"),
+    ],
+)
+def test_a_damaged_rotor_is_not_exported_and_no_good_file_is_lost(
+    store: SqlStore, lived: str, file: Path, table: str, change: str
+) -> None:
+    before = file.read_bytes()
+    with transaction(store.engine, write=True) as connection:
+        assert connection.execute(text(f"UPDATE {table} SET {change}")).rowcount >= 1
+    with pytest.raises(DamagedRotorError):
+        export_rotor(store, lived, file, "test")
+    assert file.read_bytes() == before
 
 
 def test_a_damaged_log_is_not_exported(store: SqlStore, lived: str, tmp_path: Path) -> None:
