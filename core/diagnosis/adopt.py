@@ -158,7 +158,7 @@ def _blades(cell: Cell, facts: Mapping[str, Facts]) -> tuple[str, ...] | None:
 
 
 def _room(model: Model, drift: Drift, low: float, high: float, size: float) -> tuple[float, float]:
-    """The amplitudes that keep the input inside the runs, over its prior."""
+    """The amplitudes that keep the input inside the runs, over its prior, to their last hour."""
     base = model.surrogate.base if isinstance(model.surrogate, Driven) else model.surrogate
     if not isinstance(base, Surrogate):
         raise InputError(
@@ -172,7 +172,12 @@ def _room(model: Model, drift: Drift, low: float, high: float, size: float) -> t
     parameter = model.network.parameter(drift.input)
     own, asleep = box[drift.input], parameter.level == "dormant"
     at = [parameter.nominal] if asleep else [parameter.prior.low, parameter.prior.high]
-    s = drift.shape.values
+    s = np.concatenate(
+        [
+            drift.shape.over(zero, zero + base.horizon_h)
+            for zero in {0.0, *dict(drift.since).values()}
+        ]
+    )
     for x in at:
         assert x is not None
         for v in (float(s.min()), float(s.max())):

@@ -53,7 +53,7 @@ class Driven:
     fixed    inputs held at a value, which are no inputs of this surrogate
     anchor   a finer surrogate that answers where nothing runs (`core.surrogate.anchor`)
 
-    Raises InputError for a course that leaves the surrogate's box.
+    Raises InputError for a course that leaves the surrogate's box within its horizon.
     """
 
     base: Surrogate
@@ -88,7 +88,7 @@ class Driven:
         reached = list(self._range(own)) if fixed is None else [fixed]
         for d in self.drifts:
             if d.input == own.name:
-                s = d.shape.values
+                s = d.shape.over(0.0, self.horizon_h)
                 reached = [
                     float(d.moved(x, a, at))
                     for x in reached

@@ -91,6 +91,9 @@ def drift(course: list[tuple[float, float]], moved: str, how: How = "plus") -> D
         # anywhere in 2/3 … 4/3, in runs of 0.4 … 4/3: the thin ones bind, and none grows
         (drift([(1e4, -1.0)], "tbc_thickness", "times"), (0.0, 0.4)),
         (drift([(1e4, -1.0)], "tbc_thickness"), (0.0, 2 / 3 - 0.4)),
+        # what it would become after the runs' 150,000 h counts for nothing: there is no such blade
+        (drift([(1.5e5, -1.0), (1.8e5, -1.2)], "tbc_thickness", "times"), (0.0, 0.4)),
+        (drift([(1.5e5, -0.5), (1.5e5, -1.0)], "tbc_thickness", "times"), (0.0, 0.4)),
         # anywhere in 0.8 … 1.0, in runs of 0.78 … 1.045
         (drift([(1e4, 1.0)], "t1t_rate"), (-0.02, 0.045)),
     ],
@@ -99,6 +102,13 @@ def test_an_amplitude_keeps_its_input_inside_the_runs_over_the_whole_prior(
     one: Drift, room: tuple[float, float]
 ) -> None:
     assert _room(rotor_blade_wide(), one, -10.0, 10.0, 0.05) == pytest.approx(room, abs=1e-9)
+
+
+def test_by_the_rotor_s_hours_the_youngest_blade_s_last_hour_counts() -> None:
+    """0.045 of room above: s is 1.4 where its 150,000 h end, after 170,000 h of the rotor."""
+    course = Course.of([(0.0, 0.0), (1.5e5, 1.0), (1.7e5, 1.4), (1.9e5, 1.8)])
+    one = Drift("effect", "t1t_rate", course, since=(("young", 2e4),))
+    assert _room(rotor_blade_wide(), one, 0.0, 10.0, 0.01)[1] == pytest.approx(0.045 / 1.4)
 
 
 def test_room_that_the_runs_have_beyond_what_was_asked_is_not_given() -> None:
