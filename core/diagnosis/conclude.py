@@ -150,15 +150,14 @@ def conclude(
     gained: float,
     held: tuple[Held, ...],
     refused: Mapping[tuple[str, ...], str],
-    open_: Mapping[str, float] | None = None,
+    gone: Sequence[str] = (),
     ends: Sequence[str] = (),
 ) -> Verdict:
     """The verdict on the effects `names` that are in the model, from all that was seen.
 
     after    p of what is left; held: whether amplitudes agree between halves
     refused  hypotheses that the runs have no room for, with the reason
-    open_    effects that were taken, could not be told from their rivals and left again, as chance
-             explains the readings without them; by what they gained besides, together [nat]
+    gone     effects that were taken and left again (`leaving`), in words
     ends     amplitudes that lean on the end of their room, in words
     """
     reasons = [*_against(names, after, held, refused), *ends]
@@ -189,12 +188,7 @@ def conclude(
             for name, claim in claims.items()
             if claim not in (None, name)
         ]
-        if open_:
-            gain = next(iter(open_.values()))
-            whys.append(
-                f"{' and '.join(open_)} would gain {gain:.1f} nat more; what is left without has "
-                f"p = {after:.2g} and no name of its own"
-            )
+        whys += gone
         return replace(said, names=tuple(sure), reasons=tuple(whys))
     doubt = [t for t in took if any(claims.get(n, n) is None for n in t.took)]
     rest = {n for turn in doubt for n in turn.in_doubt}

@@ -13,6 +13,7 @@
        each has to earn its place beside all others, or it leaves.
     5. What was taken but could not be told from its rivals leaves again where chance explains the
        readings without it: a name that is not settled must not keep those that are from being said.
+       So does one beside which the others' amplitudes do not hold (`leaving`).
     6. The amplitudes have to hold (`verdict`) and to lie inside of their room, and what is left has
        to be chance (`conclude`).
 
@@ -32,6 +33,7 @@ from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.densities import leans
 from core.diagnosis.grammar import Cell
+from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.verdict import Verdict, judge
 from core.errors import InputError
@@ -111,12 +113,12 @@ def diagnose(
             break  # what came has left again
         seen.append(frozenset(taken.effects))
     turns = [search.standing(turn, taken) for turn in turns]
-    after, open_ = found.p, dict[str, float]()
-    if (fewer := search.without_open(taken, turns)) is not None:
-        gone = [c.name for c in taken.effects if c not in fewer[0].effects]
-        open_ = dict.fromkeys(gone, taken.gained - fewer[0].gained)
-        taken, after = fewer
-        turns = [search.standing(turn, taken) for turn in turns]
+    after, gone = found.p, list[str]()
+    for leave in (without_open, without_unsteady):
+        if (fewer := leave(search, taken, turns)) is not None:
+            taken, after = fewer.rest, fewer.p
+            gone.append(fewer.told)
+            turns = [search.standing(turn, taken) for turn in turns]
     verdict = conclude(
         first,
         [c.name for c in taken.effects],
@@ -125,7 +127,7 @@ def diagnose(
         taken.gained,
         case.halves(model, state, taken),
         search.refused,
-        open_,
+        gone,
         [end for c in taken.effects if (end := _end(c, model, taken)) is not None],
     )
     return Diagnosis(

@@ -170,7 +170,7 @@ class Search:
             owed[cells[i]] = self.prices.get(cells[i], 0.0) - credit
         return owed
 
-    def _only(self, taken: Rival, effects: tuple[Cell, ...]) -> Rival | None:
+    def only(self, taken: Rival, effects: tuple[Cell, ...]) -> Rival | None:
         """Calibrated with some of the effects that are taken."""
         gone = [c for c in taken.effects if c not in effects]
         return self.calibrated(effects, lambda: without(taken.model, taken.state, gone, self.model))
@@ -178,7 +178,7 @@ class Search:
     def needed(self, taken: Rival) -> Rival:
         """Without the effects that do not earn their place beside the others."""
         for out in taken.effects if len(taken.effects) > 1 else ():
-            rest = self._only(taken, tuple(c for c in taken.effects if c != out))
+            rest = self.only(taken, tuple(c for c in taken.effects if c != out))
             if rest is not None and taken.gained < rest.gained + self.paid.get(out, 0.0):
                 return self.needed(rest)
         return taken
@@ -216,21 +216,6 @@ class Search:
         }
         found = reweighed((*turn.hypotheses, *new), gains)
         return replace(turn, hypotheses=found, rivals=rivals, cells=cells, before=before)
-
-    def without_open(self, taken: Rival, turns: Sequence[Turn]) -> tuple[Rival, float] | None:
-        """Without the effects whose turn left their names open, and the p of what is then left.
-
-        None where no effect is open, none is settled, or more than chance is left without them.
-        """
-        claims = {n: turn.claim(n) for turn in turns for n in turn.took}
-        sure = tuple(c for c in taken.effects if claims.get(c.name) is not None)
-        if not 0 < len(sure) < len(taken.effects):
-            return None
-        rest = self._only(taken, sure)
-        if rest is None:
-            return None
-        _, found = self.left(rest, len(turns))
-        return (rest, found.p) if found.word == "adequate" else None
 
 
 def prices(scan: Scan) -> dict[Cell, float]:

@@ -75,11 +75,10 @@ def test_every_turn_has_to_settle() -> None:
 
 def test_an_open_one_that_chance_explains_leaves_the_others_their_names_and_is_told() -> None:
     first, second = turn("wear", wear=0.99, gain=0.01), turn("offset", offset=0.55, gain=0.45)
-    found = conclude(ALARM, ("wear",), 0.3, [first, second], 20.0, (), {}, {"offset": 5.1})
+    told = "offset would gain 5.1 nat more"
+    found = conclude(ALARM, ("wear",), 0.3, [first, second], 20.0, (), {}, [told])
     assert (found.word, found.names) == ("effect", ("wear",))
-    assert found.reasons[1] == (
-        "offset would gain 5.1 nat more; what is left without has p = 0.3 and no name of its own"
-    )
+    assert found.reasons[1] == told
 
 
 def test_of_a_pair_the_one_that_is_sure_keeps_its_name_when_the_other_has_left() -> None:

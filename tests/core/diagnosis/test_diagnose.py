@@ -21,6 +21,7 @@ from core.diagnosis.conclude import Rival, Turn
 from core.diagnosis.families import FAMILIES, families_for
 from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis
+from core.diagnosis.leaving import without_open
 from core.diagnosis.pictures import pictures
 from core.diagnosis.search import Search
 from core.diagnosis.verdict import LEFT
@@ -184,14 +185,15 @@ def test_what_could_not_be_told_apart_leaves_where_chance_explains_the_rest(
     names = [c.name for c in offsets]
     either = tuple(Hypothesis((i,), (n,), 9.0, 0.5) for i, n in enumerate(names))
     open_ = Turn(either, (names[0],), {}, tuple(offsets), (bend,))
-    fewer = search.without_open(taken, [sure, open_])
+    fewer = without_open(search, taken, [sure, open_])
     assert (fewer is not None) is leaves
     if fewer is not None:
-        assert fewer[0].effects == (bend,)
-        assert fewer[1] > LEFT
+        assert fewer.rest.effects == (bend,)
+        assert fewer.p > LEFT
+        assert fewer.told.startswith(names[0])
     told = replace(either[0], weight=0.95), replace(either[1], weight=0.05)
-    assert search.without_open(taken, [sure, replace(open_, hypotheses=told)]) is None
-    assert search.without_open(taken, [open_]) is None  # nothing is sure: it stays, and is said
+    assert without_open(search, taken, [sure, replace(open_, hypotheses=told)]) is None
+    assert without_open(search, taken, [open_]) is None  # nothing is sure: it stays, and is said
 
 
 @pytest.mark.parametrize(("more", "word"), [(0.0, "effect"), (0.3, "unattributed")])
