@@ -27,6 +27,8 @@ and trained surrogates, which the row of their model names.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
 its own; `rotor.adopt` says whether a diagnosis is adopted by itself. `cursor.outbox_dropped` is the
 newest note of the outbox that is no longer kept.
+`compatible_since` has one row: the oldest revision whose processes may run on this schema
+(`service.store.migrate`).
 """
 
 from __future__ import annotations
@@ -322,6 +324,10 @@ blob = Table(
     Column("sha256", String(64), primary_key=True),
     Column("part", Integer, primary_key=True, autoincrement=False),
     Column("data", LargeBinary, nullable=False),
+)
+
+compatible_since = Table(
+    "compatible_since", metadata, Column("revision", String(32), primary_key=True)
 )
 
 # Array bytes do not compress; PostgreSQL need not try.
