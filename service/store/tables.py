@@ -22,6 +22,8 @@ its queue; `fence`, `owner` and `lease_until` are those of whoever computes them
 requests with an Idempotency-Key were answered, until it expires.
 `webhook` is served by one worker at a time, under fence and lease like a rotor; `delivery` has a
 row for each event that it is to be told, written in the transaction in which that happens.
+`untold` counts, for each webhook and rotor, deliveries that are not sent any more: dropped where
+too many waited, or dead and no longer kept.
 `blob` holds files in parts by their SHA-256: runs that were uploaded, until their job has ended,
 and trained surrogates, which the row of their model names.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
@@ -316,6 +318,16 @@ delivery = Table(
     UniqueConstraint("message_id"),
     Index("ix_delivery_heads", "webhook_id", "status", "rotor_id", "id"),
     Index("ix_delivery_webhook_id_id", "webhook_id", "id"),
+)
+
+untold = Table(
+    "untold",
+    metadata,
+    Column("webhook_id", NAME, ForeignKey("webhook.id"), primary_key=True),
+    Column("rotor_id", NAME, primary_key=True),
+    Column("count", BIG, nullable=False),
+    Column("first_at", Double, nullable=False),
+    Column("last_at", Double, nullable=False),
 )
 
 blob = Table(
