@@ -12,6 +12,9 @@ down_revision = ${repr(down_revision)}
 branch_labels = None
 depends_on = None
 
+# Whether processes of older releases may go on: what they write stays valid and whole.
+OLDER_MAY_RUN = False
+
 
 def upgrade() -> None:
     ${upgrades if upgrades else "pass"}

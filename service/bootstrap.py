@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -19,7 +20,7 @@ from service.pauses import set_aside
 from service.ports import Science
 from service.settings import Settings
 from service.store.engine import is_sqlite, open_engine
-from service.store.migrate import current, migrate, newest, remedy, revisions
+from service.store.migrate import migrate, newest, revisions, standing
 from service.store.unit_of_work import SqlStore
 from service.telemetry import configure_logs
 from service.worker.claiming import Role
@@ -30,6 +31,8 @@ from service.worker.wake import open_wake
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
+
+log = logging.getLogger("bladetwin")
 
 
 def make_science(settings: Settings, store: SqlStore, *, kept: bool = False) -> Science:
@@ -66,18 +69,22 @@ def make_store(settings: Settings) -> SqlStore:
 
 
 def prepare(store: SqlStore, settings: Settings) -> None:
-    """Migrate where the settings say so; SchemaError where the schema is not this release's."""
+    """Migrate where the settings say so; SchemaError where this release may not run on it."""
     wanted = settings.migrate == "always" or (
         settings.migrate == "auto" and is_sqlite(store.engine)
     )
+    needed = newest()
     if wanted:
-        migrate(store.engine)
-        return
-    found, needed = current(store.engine), newest()
-    if (do := remedy(found, needed, revisions())) is not None:
-        raise SchemaError(
-            f"the database has schema {found}, this release needs {needed}. To mend it: {do}."
-        )
+        found: str | None = migrate(store.engine)
+    else:
+        found, do = standing(store.engine, needed, revisions())
+        if do is not None:
+            raise SchemaError(
+                f"the database has schema {found}, this release needs {needed}. To mend it: {do}."
+            )
+    if found != needed:
+        log.warning("the database has the newer schema %s; this release (%s) may run on it, "
+                    "and should be upgraded", found, needed)  # fmt: skip
 
 
 def check_keys(store: SqlStore, settings: Settings) -> None:
@@ -99,11 +106,9 @@ def make_app(store: SqlStore, science: Science, settings: Settings) -> FastAPI:
     changes = Changes(lambda: open_wake(store.engine, "bladetwin_applied", settings.poll_ms))
     needed, known = newest(), revisions()
 
-    def schema() -> tuple[str | None, str | None]:
-        found = current(store.engine)
-        return found, remedy(found, needed, known)
-
-    return create_app(Services(store, science, settings, changes), schema)
+    return create_app(
+        Services(store, science, settings, changes), lambda: standing(store.engine, needed, known)
+    )
 
 
 def make_worker(

@@ -100,17 +100,26 @@ def worker(
 
 
 @app.command()
-def migrate(as_json: Json = False) -> None:
+def migrate(
+    patience: Annotated[
+        float, typer.Option(help="Try for so long to have the tables of a PostgreSQL in use, s.")
+    ] = 60.0,
+    as_json: Json = False,
+) -> None:
     """Bring the database to this release's schema."""
     from service.bootstrap import make_store
     from service.store.migrate import migrate as upgrade
+    from service.store.migrate import newest
 
     store = make_store(Settings.load())
     try:
-        revision = upgrade(store.engine)
+        revision = upgrade(store.engine, patience)
     finally:
         store.close()
-    say({"revision": revision}, f"schema is at revision {revision}", as_json=as_json)
+    line = f"schema is at revision {revision}"
+    if revision != (own := newest()):
+        line += f", newer than this release's {own}, which may run on it; nothing was changed"
+    say({"revision": revision}, line, as_json=as_json)
 
 
 @app.command("compile")

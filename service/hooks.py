@@ -9,6 +9,7 @@ sealed     a rotor has a new sealed version
 blocked    a rotor is blocked; its error, and the entry that stops it
 alarm      a sealed version is not to be trusted, and the one before was (health)
 diagnosed  a diagnosis is done; its verdict
+gap        some of a rotor's were dropped, for too many waited; told unasked
 =========  ====================================================================
 """
 
@@ -20,6 +21,7 @@ from typing import Any, Literal, Protocol, get_args
 
 Kind = Literal["sealed", "blocked", "alarm", "diagnosed"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+GAP = "gap"
 Status = Literal["pending", "delivered", "dead"]
 STATUSES: tuple[Status, ...] = get_args(Status)
 
@@ -50,6 +52,7 @@ class WebhookRecord:
 class DeliveryRecord:
     """One event for one webhook. `message_id` is the same however often it is sent.
 
+    event        one of `KINDS`, or `GAP`
     number       its place in the order in which a rotor's events are sent
     attempts     sendings that were answered with anything but 2xx, or not at all, and the last
     not_before   when a pending one is sent at the earliest, s since 1970
@@ -90,7 +93,7 @@ class Webhooks(Protocol):
     def find(self, webhook_id: str) -> WebhookRecord | None: ...
     def page(self, after: str, limit: int) -> list[WebhookRecord]: ...
     def counts(self, ids: Sequence[str]) -> dict[str, dict[str, int]]:
-        """Deliveries of each webhook by status."""
+        """Deliveries of each webhook by status; `dropped`: those that are not sent any more."""
         ...
 
     def delete(self, webhook_id: str) -> bool:

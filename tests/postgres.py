@@ -52,7 +52,7 @@ DECLARE one record;
 BEGIN
   SET LOCAL session_replication_role = replica;  -- neither order nor triggers
   FOR one IN SELECT tablename AS name FROM pg_tables
-    WHERE schemaname = 'public' AND tablename <> 'alembic_version'
+    WHERE schemaname = 'public' AND tablename NOT IN ('alembic_version', 'compatible_since')
   LOOP EXECUTE format('DELETE FROM public.%I', one.name); END LOOP;
   FOR one IN SELECT sequencename AS name, start_value AS first FROM pg_sequences
     WHERE schemaname = 'public'

@@ -83,6 +83,7 @@ def of_database(found: Gauges | None) -> list[str]:
         ("jobs", "gauge", "Jobs queued or at work.", found.jobs),
         ("deliveries_pending", "gauge", "To be sent to webhooks.", found.deliveries_pending),
         ("deliveries_dead", "gauge", "Given up; sent when asked.", found.deliveries_dead),
+        ("deliveries_dropped", "gauge", "Not sent any more.", found.deliveries_dropped),
         ("residual_alarms", "gauge", "Tests of residuals that alarm.", found.alarms),
         ("entries_applied_total", "counter", "Entries applied.", found.applied),
         ("versions_total", "counter", "Versions of posteriors written.", found.versions),

@@ -261,6 +261,7 @@ class WebhookDeliveries(TypedDict):
     pending: int
     delivered: int
     dead: int
+    dropped: int
 
 
 class Webhook(TypedDict):

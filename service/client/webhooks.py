@@ -45,7 +45,7 @@ def create_webhook(
 
 
 def webhook(webhook: str) -> Steps[answers.Webhook]:
-    """A webhook, with how many deliveries are pending, delivered and dead."""
+    """A webhook, with how many deliveries are pending, delivered, dead and dropped."""
     return ask("GET", path("webhooks", webhook))
 
 

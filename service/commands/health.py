@@ -24,7 +24,7 @@ def health(
 ) -> None:
     """Ask a service whether it is ready. Exit status: 0 ready, 1 not.
 
-    Ready: it answers, its database does, and the schema is this release's (GET /readyz).
+    Ready: it answers, its database does, and its schema is one that it may run on (GET /readyz).
     """
     base = url or address(Settings.load())
     told = _asked(f"{base.rstrip('/')}/readyz", timeout)

@@ -205,6 +205,7 @@ class Gauges:
     jobs: int
     deliveries_pending: int
     deliveries_dead: int
+    deliveries_dropped: int
     alarms: int
 
 

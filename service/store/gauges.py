@@ -39,6 +39,7 @@ def read_gauges(connection: Connection) -> Gauges:
     queued = select(func.count()).where(j.status.in_(("queued", "running")))
     of_hooks = select(t.delivery.c.status, func.count()).group_by(t.delivery.c.status)
     deliveries = {row[0]: row[1] for row in connection.execute(of_hooks)}
+    dropped = select(func.coalesce(func.sum(t.untold.c.count), 0))
     alarms = select(func.coalesce(func.sum(t.residual.c.alarms), 0))
     return Gauges(
         rotors=row.rotors,
@@ -55,5 +56,6 @@ def read_gauges(connection: Connection) -> Gauges:
         jobs=int(connection.execute(queued).scalar_one()),
         deliveries_pending=deliveries.get("pending", 0),
         deliveries_dead=deliveries.get("dead", 0),
+        deliveries_dropped=int(connection.execute(dropped).scalar_one()),
         alarms=int(connection.execute(alarms).scalar_one()),
     )

@@ -22,11 +22,15 @@ its queue; `fence`, `owner` and `lease_until` are those of whoever computes them
 requests with an Idempotency-Key were answered, until it expires.
 `webhook` is served by one worker at a time, under fence and lease like a rotor; `delivery` has a
 row for each event that it is to be told, written in the transaction in which that happens.
+`untold` counts, for each webhook and rotor, deliveries that are not sent any more: dropped where
+too many waited, or dead and no longer kept.
 `blob` holds files in parts by their SHA-256: runs that were uploaded, until their job has ended,
 and trained surrogates, which the row of their model names.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
 its own; `rotor.adopt` says whether a diagnosis is adopted by itself. `cursor.outbox_dropped` is the
 newest note of the outbox that is no longer kept.
+`compatible_since` has one row: the oldest revision whose processes may run on this schema
+(`service.store.migrate`).
 """
 
 from __future__ import annotations
@@ -316,12 +320,26 @@ delivery = Table(
     Index("ix_delivery_webhook_id_id", "webhook_id", "id"),
 )
 
+untold = Table(
+    "untold",
+    metadata,
+    Column("webhook_id", NAME, ForeignKey("webhook.id"), primary_key=True),
+    Column("rotor_id", NAME, primary_key=True),
+    Column("count", BIG, nullable=False),
+    Column("first_at", Double, nullable=False),
+    Column("last_at", Double, nullable=False),
+)
+
 blob = Table(
     "blob",
     metadata,
     Column("sha256", String(64), primary_key=True),
     Column("part", Integer, primary_key=True, autoincrement=False),
     Column("data", LargeBinary, nullable=False),
+)
+
+compatible_since = Table(
+    "compatible_since", metadata, Column("revision", String(32), primary_key=True)
 )
 
 # Array bytes do not compress; PostgreSQL need not try.

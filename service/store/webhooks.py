@@ -7,20 +7,18 @@ its row is locked. Only the first pending one of a webhook and rotor (its head) 
 from __future__ import annotations
 
 import json
-import os
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, RowMapping, delete, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
-from service.hooks import DeliveryRecord, WebhookRecord, kind_of
-from service.moments import moment
+from service.hooks import GAP, DeliveryRecord, WebhookRecord, kind_of
 from service.store import tables as t
 from service.store.engine import now_s
+from service.store.untold import bound, count_untold, message, written
 
-w, d = t.webhook.c, t.delivery.c
+w, d, u = t.webhook.c, t.delivery.c, t.untold.c
 
 
 def tell(connection: Connection, rotor_id: str, note: str, payload: dict[str, Any]) -> None:
@@ -36,12 +34,12 @@ def tell(connection: Connection, rotor_id: str, note: str, payload: dict[str, An
     if not asked:
         return
     data = {"rotor": rotor_id} | {k: v for k, v in payload.items() if k != "sealed"}
-    told = {"type": kind, "timestamp": moment(time.time()), "data": data}
-    body = json.dumps(told, separators=(",", ":"), allow_nan=False)
-    shared = {"rotor_id": rotor_id, "event": kind, "body": body, "status": "pending"}
+    shared = {"rotor_id": rotor_id, "event": kind, "body": written(kind, data)}
+    shared |= {"status": "pending"}
     for webhook_id in asked:
-        row = shared | {"message_id": f"msg_{os.urandom(16).hex()}", "webhook_id": webhook_id}
+        row = shared | {"message_id": message(), "webhook_id": webhook_id}
         connection.execute(insert(t.delivery).values(**row, attempts=0, created_at=now_s()))
+        bound(connection, webhook_id, rotor_id)
 
 
 def _knows(row: Any, rotor_id: str) -> bool:
@@ -90,6 +88,9 @@ class SqlWebhooks:
             query.group_by(d.webhook_id, d.status)
         ):
             found[webhook_id][status] = number
+        lost = select(u.webhook_id, func.sum(u.count)).where(u.webhook_id.in_(ids))
+        for webhook_id, number in self._connection.execute(lost.group_by(u.webhook_id)):
+            found[webhook_id]["dropped"] = int(number)
         return found
 
     def delete(self, webhook_id: str) -> bool:
@@ -97,6 +98,7 @@ class SqlWebhooks:
         if self._connection.execute(own).first() is None:
             return False
         self._connection.execute(delete(t.delivery).where(d.webhook_id == webhook_id))
+        self._connection.execute(delete(t.untold).where(u.webhook_id == webhook_id))
         self._connection.execute(delete(t.webhook).where(w.id == webhook_id))
         return True
 
@@ -145,10 +147,18 @@ def delivery_of(row: RowMapping) -> DeliveryRecord:
 
 
 def prune(connection: Connection, webhook_id: str, kept: Mapping[str, int]) -> None:
-    """Keep the newest of a webhook's deliveries of each status; pending ones all stay."""
+    """Keep the newest of a webhook's deliveries of each status named; count dead ones that go.
+
+    How many may wait is another matter (`service.store.untold`).
+    """
+    own_row = select(w.id).where(w.id == webhook_id).with_for_update(read=True, key_share=True)
+    if connection.execute(own_row).first() is None:
+        return
     for status, count in kept.items():
         own = (d.webhook_id == webhook_id) & (d.status == status)
         last = select(d.id).where(own).order_by(d.id.desc()).offset(count).limit(1)
         number = connection.execute(last).scalar()
         if number is not None:
+            if status == "dead":
+                count_untold(connection, webhook_id, own & (d.id <= number) & (d.event != GAP))
             connection.execute(delete(t.delivery).where(own, d.id <= number))

@@ -9,7 +9,8 @@ tells by the id.
 A message that was not answered with 2xx is sent again after a pause, doubled each time up to
 `webhook_retry_max_s` and shortened by chance (by up to half), while later ones of the same rotor
 wait; after `webhook_max_attempts` it is dead: kept (the newest ten thousand), shown, skipped, until
-somebody asks for it to be tried again.
+somebody asks for it to be tried again. How many may wait is bounded where they are written
+(`service.store.untold`).
 """
 
 from __future__ import annotations

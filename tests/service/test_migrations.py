@@ -167,6 +167,7 @@ def test_another_schema_is_not_ready_and_says_whether_to_migrate_or_to_upgrade(
 ) -> None:
     with store.write() as tx:
         tx.connection.execute(text(statement))
+        tx.connection.execute(text("DELETE FROM compatible_since"))
     answer = api.get("/readyz")
     assert (answer.status_code, answer.json()["schema"]) == (503, found)
     assert answer.json()["remedy"].startswith(remedy)

@@ -258,10 +258,12 @@ def test_a_migration_that_commits_in_between_would_be_seen_torn(bare_url: str) -
 
 
 def test_a_database_of_a_newer_release_is_refused_and_left_alone(bare_url: str) -> None:
+    """One that does not say that older releases may run on it (`test_rolling`)."""
     engine = open_engine(bare_url)
     migrations.migrate(engine)
     with transaction(engine, write=True) as connection:
         connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+        connection.execute(text("DELETE FROM compatible_since"))
     with pytest.raises(SchemaError, match="9999"):
         migrations.migrate(engine)
     for when in ("never", "always"):

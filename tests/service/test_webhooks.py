@@ -110,6 +110,12 @@ def told(receiver: Receiver) -> list[tuple[str, str]]:
     return [(one["rotor"], one["error"]) for one in data]
 
 
+def counted(client: Client) -> tuple[int, ...]:
+    """Deliveries that are pending, delivered, dead and dropped."""
+    told = client.webhook("ops")["deliveries"]
+    return told["pending"], told["delivered"], told["dead"], told["dropped"]
+
+
 def listed(store: SqlStore, status: str | None = None) -> list[DeliveryRecord]:
     return list_deliveries(store, "ops", status, None, 1000)
 
@@ -137,9 +143,19 @@ def test_a_webhook_is_made_told_read_and_deleted_over_http(
             client.create_webhook("ops", receiver.url, events=["alarm"])
         post(rotor, reading("i1"))
         worker.drain()
-        assert client.webhook("ops")["deliveries"] == {"pending": 1, "delivered": 0, "dead": 0}
+        assert client.webhook("ops")["deliveries"] == {
+            "pending": 1,
+            "delivered": 0,
+            "dead": 0,
+            "dropped": 0,
+        }
         sender(store, settings).drain()
-        assert client.webhook("ops")["deliveries"] == {"pending": 0, "delivered": 1, "dead": 0}
+        assert client.webhook("ops")["deliveries"] == {
+            "pending": 0,
+            "delivered": 1,
+            "dead": 0,
+            "dropped": 0,
+        }
         (got,) = receiver.got
         read = read_webhook(secret, got.headers, got.body)
         assert read["data"] == {"rotor": rotor, "version": 1, "through_seq": 1}
@@ -338,7 +354,12 @@ def test_a_dead_letter_is_shown_lets_others_pass_and_is_sent_when_asked(
     assert [error for _, error in told(receiver)] == ["e0", "e0", "e0", "e1"]
     with serving() as http:
         client = Client(http=http)
-        assert client.webhook("ops")["deliveries"] == {"pending": 0, "delivered": 1, "dead": 1}
+        assert client.webhook("ops")["deliveries"] == {
+            "pending": 0,
+            "delivered": 1,
+            "dead": 1,
+            "dropped": 0,
+        }
         assert "\nbladetwin_deliveries_dead 1\n" in http.get("/metrics").text
         (dead,) = client.deliveries("ops", "dead")
         assert (dead["attempts"], dead["last_error"]) == (3, "answered with status 500")

@@ -39,7 +39,7 @@ WEBHOOK = having(
     events=each(TEXT),
     rotors=maybe(each(TEXT)),
     created_at=TEXT,
-    deliveries=having(pending=WHOLE, delivered=WHOLE, dead=WHOLE),
+    deliveries=having(pending=WHOLE, delivered=WHOLE, dead=WHOLE, dropped=WHOLE),
 )
 DELIVERY = having(
     id=TEXT,
@@ -112,7 +112,8 @@ SURFACE = having(
 GAUGES = {
     **dict.fromkeys(("rotors", "backlog", "applied", "versions", "seals", "takeovers"), WHOLE),
     **dict.fromkeys(("dirty", "blocked", "provisional", "jobs"), WHOLE),
-    **dict.fromkeys(("deliveries_pending", "deliveries_dead", "alarms"), WHOLE),
+    **dict.fromkeys(("deliveries_pending", "deliveries_dead", "deliveries_dropped"), WHOLE),
+    "alarms": WHOLE,
     "least_ess_ratio": maybe(NUMBER),
     "oldest_s": NUMBER,
 }

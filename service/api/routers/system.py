@@ -20,7 +20,7 @@ async def healthz() -> dict[str, str]:
     return {"status": "alive"}
 
 
-@router.get("/readyz", summary="The database answers and has this release's schema")
+@router.get("/readyz", summary="The database answers, with a schema that this release may run on")
 def readyz(request: Request) -> JSONResponse:
     checks: dict[str, Any] = {}
     try:

@@ -23,7 +23,7 @@ def webhook_out(found: WebhookRecord, counts: dict[str, int]) -> dict[str, Any]:
         "events": list(found.events),
         "rotors": None if found.rotors is None else list(found.rotors),
         "created_at": moment(found.created_at),
-        "deliveries": {status: counts.get(status, 0) for status in STATUSES},
+        "deliveries": {name: counts.get(name, 0) for name in (*STATUSES, "dropped")},
     }
 
 

@@ -1,0 +1,398 @@
+"""A release is changed under a service at work: a newer schema below older processes, and a
+migration beside ingest."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from alembic import command
+from alembic.config import Config
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, Engine, text
+from typer.testing import CliRunner
+
+from service.bootstrap import prepare
+from service.cli import app
+from service.errors import SchemaError, StoreAwayError
+from service.settings import Settings
+from service.store import engine as engines
+from service.store import migrate as migrations
+from service.store import standstill
+from service.store.engine import is_sqlite, open_engine, transaction
+from service.store.unit_of_work import SqlStore
+from service.worker.loop import Worker
+
+Serving = Callable[..., AbstractContextManager[httpx.Client]]
+NEXT = '''
+"""Another release's."""
+import sqlalchemy as sa
+from alembic import op
+
+revision, down_revision = "9999", "{before}"
+branch_labels = depends_on = None
+{says}
+
+def upgrade():
+    for table in ("event", "rotor", "cursor"):
+        op.add_column(table, sa.Column("later", sa.Text(), nullable=True))
+    op.create_index("ix_event_later", "event", ["rotor_id", "later"])
+'''
+MAY, MAY_NOT = "OLDER_MAY_RUN = True", "OLDER_MAY_RUN = False"
+
+
+@pytest.fixture
+def later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Inside, this process is one of a release that has one more migration."""
+    own = migrations.script_folder()
+
+    @contextmanager
+    def release(says: str) -> Iterator[None]:
+        folder = tmp_path / f"migrations-{len(list(tmp_path.iterdir()))}"
+        shutil.copytree(own, folder, ignore=shutil.ignore_patterns("__pycache__"))
+        more = NEXT.format(before=migrations.newest(), says=says)
+        (folder / "versions" / "9999_next.py").write_text(more)
+        with monkeypatch.context() as patch:
+            patch.setattr(migrations, "script_folder", lambda: folder)
+            yield
+
+    return release
+
+
+@pytest.fixture
+def url(request: pytest.FixtureRequest) -> Iterator[str]:
+    """A PostgreSQL without tables."""
+    databases = request.getfixturevalue("databases")
+    name = databases.bare()
+    yield databases.url(name)
+    databases.drop(name)
+
+
+@pytest.fixture
+def database_url(bare_url: str) -> str:
+    """A migrated database of its own, whose schema the test may change."""
+    engine = open_engine(bare_url)
+    migrations.migrate(engine)
+    engine.dispose()
+    return bare_url
+
+
+def one(name: str) -> dict[str, Any]:
+    return {"id": name, "blade": "B1", "quantity": "elongation", "time_h": 8e3, "value": 0.11}
+
+
+def test_an_older_process_goes_on_where_all_newer_migrations_say_that_it_may(
+    serving: Serving, store: SqlStore, settings: Settings, worker: Worker, rotor: str,
+    later: Callable[..., Any], caplog: pytest.LogCaptureFixture,
+) -> None:  # fmt: skip
+    """It serves, writes and works; one that is started now starts, too, and says so."""
+    needed = migrations.newest()
+    with serving() as client:
+        with later(MAY):
+            assert migrations.migrate(store.engine) == "9999"
+        answer = client.get("/readyz")
+        assert (answer.status_code, answer.json()["schema"]) == (200, "9999")
+        assert client.post(f"/v1/rotors/{rotor}/inspections", json=one("i1")).status_code == 202
+        worker.drain()
+        assert client.get(f"/v1/rotors/{rotor}").json()["posterior"]["sealed"] is True
+    for when in ("never", "always"):
+        caplog.clear()
+        prepare(store, settings.model_copy(update={"migrate": when}))
+        assert f"newer schema 9999; this release ({needed}) may run on it" in caplog.text
+    done = CliRunner().invoke(
+        app, ["migrate"], env={"BLADETWIN_DATABASE_URL": settings.database_url}
+    )
+    assert (done.exit_code, "9999, newer than" in done.output) == (0, True), done.output
+    assert migrations.current(store.engine) == "9999"
+
+
+@pytest.mark.parametrize("says", [MAY_NOT, ""])
+def test_an_older_process_is_not_ready_where_one_says_that_it_may_not_or_nothing(
+    says: str, serving: Serving, store: SqlStore, settings: Settings, later: Callable[..., Any]
+) -> None:
+    with serving() as client:
+        with later(says):
+            migrations.migrate(store.engine)
+        answer = client.get("/readyz")
+    assert answer.status_code == 503
+    assert answer.json()["remedy"].startswith("upgrade this process")
+    assert "the database needs 9999" in answer.json()["remedy"]
+    for when in ("never", "always"):
+        with pytest.raises(SchemaError, match=r"9999.*upgrade this process"):
+            prepare(store, settings.model_copy(update={"migrate": when}))
+
+
+def test_every_migration_from_the_first_that_is_looked_at_says_whether_older_processes_may_go_on(
+    bare_url: str,
+) -> None:
+    line = list(ScriptDirectory.from_config(migrations._config()).walk_revisions())
+    numbers = [script.revision for script in line]
+    for script in line[: numbers.index("0012") + 1]:
+        assert isinstance(script.module.OLDER_MAY_RUN, bool), f"{script.revision} does not say"
+    engine = open_engine(bare_url)
+    migrations.migrate(engine)
+    with transaction(engine, write=False) as connection:
+        assert migrations._since(connection) == migrations.oldest() >= "0012"
+    engine.dispose()
+
+
+# -- a migration beside ingest, on PostgreSQL ------------------------------------------------------
+
+LOCK_ROTOR = "SELECT head_seq FROM rotor WHERE id = 'r1' FOR UPDATE"
+ENTRY = (
+    "INSERT INTO event (rotor_id, seq, event_id, kind, blade, time_h, body, digest, received_at) "
+    "VALUES ('r1', :seq, :id, 'inspection', 'B1', 8000, '{}', 'd', 0)"
+)
+
+
+def posted(connection: Connection, name: str, between: Callable[[], None] = lambda: None) -> None:
+    """What a post of the first release does."""
+    seq = connection.execute(text(LOCK_ROTOR)).scalar_one() + 1
+    between()
+    connection.execute(text(ENTRY), {"seq": seq, "id": name})
+    connection.execute(text("UPDATE rotor SET head_seq = :seq WHERE id = 'r1'"), {"seq": seq})
+    connection.execute(text("UPDATE cursor SET dirty = true WHERE rotor_id = 'r1'"))
+
+
+def at(engine: Engine, revision: str) -> None:
+    """The schema of a revision, with a rotor."""
+    with transaction(engine, write=True) as connection:
+        command.upgrade(migrations._config(connection), revision)
+        for statement in (
+            "INSERT INTO model VALUES ('m', '1', 'd', '{}', '{}', 0)",
+            "INSERT INTO rotor (id, model_id, model_version, particles, seed, head_seq, digest,"
+            " created_at) VALUES ('r1', 'm', '1', 64, 7, 0, 'd', 0)",
+            "INSERT INTO cursor (rotor_id, applied_seq, version, dirty, fence, sealing, attempts,"
+            " blocked) VALUES ('r1', 0, 0, false, 0, false, 0, false)",
+        ):
+            connection.execute(text(statement))
+
+
+def waiting_for_locks(engine: Engine) -> int:
+    query = "SELECT count(*) FROM pg_locks WHERE NOT granted AND locktype = 'relation'"
+    with transaction(engine, write=False) as connection:
+        return int(connection.execute(text(query)).scalar_one())
+
+
+def until(condition: Callable[[], bool], patience_s: float = 60.0) -> None:
+    end = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def bare(url: str) -> Iterator[Engine]:
+    engine = open_engine(url)
+    yield engine
+    engine.dispose()
+
+
+@pytest.fixture
+def busy(bare: Engine) -> Engine:
+    at(bare, "0003")
+    return bare
+
+
+def migrating(engine: Engine, **given: Any) -> tuple[threading.Thread, list[Any]]:
+    """A migration in a thread, and what came of it."""
+    told: list[Any] = []
+
+    def run() -> None:
+        try:
+            told.append(migrations.migrate(engine, **given))
+        except Exception as error:
+            told.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread, told
+
+
+def test_a_post_that_has_its_rotor_and_a_migration_do_not_wait_for_each_other(
+    busy: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """0004 changes `event` and 0006 `rotor`; a post takes them the other way round."""
+    monkeypatch.setattr(migrations, "PAUSE_S", 0.05)
+    with transaction(busy, write=True) as connection:
+        began: list[tuple[threading.Thread, list[Any]]] = []
+
+        def between() -> None:
+            began.append(migrating(busy))
+            until(lambda: waiting_for_locks(busy) > 0)
+
+        posted(connection, "i1", between)
+    thread, told = began[0]
+    thread.join(60)
+    assert told == [migrations.newest()]
+    with transaction(busy, write=False) as connection:
+        assert connection.execute(text("SELECT count(*) FROM event")).scalar() == 1
+
+
+def test_table_by_table_one_of_the_two_is_ended(
+    busy: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Negative control: what the migrations do by themselves."""
+    monkeypatch.setattr(migrations, "lock_all", lambda *_: None)
+    told: list[Any] = []
+    try:
+        with transaction(busy, write=True) as connection:
+            began: list[tuple[threading.Thread, list[Any]]] = []
+
+            def between() -> None:
+                began.append(migrating(busy))
+                until(lambda: waiting_for_locks(busy) > 0)
+
+            posted(connection, "i1", between)
+    except StoreAwayError as error:
+        told.append(error.cause)
+    thread, of_migration = began[0]
+    thread.join(60)
+    told += [one.cause for one in of_migration if isinstance(one, StoreAwayError)]
+    assert told == ["DeadlockDetected"]
+
+
+@pytest.mark.parametrize("revision", ["0001", "0003", "0005"])
+def test_ingest_goes_on_while_a_database_is_migrated(
+    bare: Engine, revision: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Posts, claims and reads of the first release: none is refused, none is lost."""
+    monkeypatch.setattr(migrations, "PAUSE_S", 0.1)
+    engine = bare
+    at(engine, revision)
+    stop, faults, done = threading.Event(), list[BaseException](), list[str]()
+
+    def keep(work: Callable[[Connection, str], None], name: str) -> None:
+        number = 0
+        while not stop.wait(random.uniform(0.0, 0.02)):
+            number += 1
+            try:
+                with transaction(engine, write=True) as connection:
+                    work(connection, f"{name}-{number}")
+            except BaseException as error:
+                faults.append(error)
+            else:
+                done.append(f"{name}-{number}")
+
+    def claim(connection: Connection, name: str) -> None:
+        """A worker: cursor before log, and the rotor last."""
+        own = "SELECT fence FROM cursor WHERE rotor_id = 'r1' FOR UPDATE"
+        connection.execute(text(own))
+        connection.execute(text("SELECT count(*) FROM event"))
+        connection.execute(text("SELECT count(*) FROM state_array"))
+
+    def read(connection: Connection, name: str) -> None:
+        for table in ("state", "event", "rotor", "job"):
+            connection.execute(text(f"SELECT count(*) FROM {table}"))
+
+    works = [("p", posted), ("q", posted), ("r", posted), ("c", claim), ("s", read)]
+    threads = [threading.Thread(target=keep, args=(work, name)) for name, work in works]
+    for thread in threads:
+        thread.start()
+    until(lambda: len(done) > 20)
+    try:
+        assert migrations.migrate(engine) == migrations.newest()
+        so_far = len(done)
+        until(lambda: len(done) > so_far + 20)
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join(60)
+    assert faults == []
+    with transaction(engine, write=False) as connection:
+        kept = {row[0] for row in connection.execute(text("SELECT event_id FROM event"))}
+    assert kept == {name for name in done if name[0] in "pqr"}
+
+
+def test_who_holds_a_table_for_too_long_is_named_and_nothing_is_changed(
+    busy: Engine, url: str
+) -> None:
+    """A backup, say; meanwhile posts go through, and the next attempt after it does as well."""
+    with transaction(busy, write=True) as connection:
+        connection.execute(text("SET LOCAL application_name = 'nightly backup'"))
+        connection.execute(text("LOCK TABLE blade IN ACCESS SHARE MODE"))
+        pid = connection.execute(text("SELECT pg_backend_pid()")).scalar()
+        thread, told = migrating(busy, patience_s=3.0)
+        names: list[str] = []
+        while thread.is_alive():
+            names.append(f"i{len(names)}")
+            with transaction(busy, write=True) as other:
+                posted(other, names[-1])
+            time.sleep(0.01)
+            connection.execute(text("SELECT 1"))
+        assert isinstance(told[0], SchemaError), told
+        assert f"process {pid} (nightly backup) for" in str(told[0])
+        assert "nothing was changed" in str(told[0])
+        done = CliRunner().invoke(
+            app, ["migrate", "--patience", "0"], env={"BLADETWIN_DATABASE_URL": url}
+        )
+        assert "in 1 attempts within 0 s" in str(done.exception)
+    assert migrations.current(busy) == "0003"
+    assert migrations.migrate(busy) == migrations.newest()
+    with transaction(busy, write=False) as connection:
+        assert connection.execute(text("SELECT count(*) FROM event")).scalar() == len(names) > 5
+
+
+def test_an_attempt_that_holds_a_table_ends_before_deadlocks_are_looked_for(busy: Engine) -> None:
+    """And the table that it could not have is waited for, by who holds nothing, next time."""
+    order = standstill.first_order()
+    with transaction(busy, write=False) as connection:
+        assert connection.execute(text("SHOW deadlock_timeout")).scalar() == "1s"
+    with transaction(busy, write=True) as other:
+        other.execute(text("LOCK TABLE state IN ACCESS SHARE MODE"))
+        times = []
+        for attempt, asked in [(1, order), (1, ["state"]), (5, ["state"])]:
+            begun = time.monotonic()
+            with pytest.raises(standstill.InUseError) as told, transaction(busy, write=True) as own:
+                standstill.lock_all(own, asked, attempt)
+            assert told.value.table == "state"
+            times.append(time.monotonic() - begun)
+    assert times[0] < 0.9
+    assert times[1] >= 0.5
+    assert times[2] >= 2.0, "for an autovacuum to be ended"
+
+
+def test_a_post_that_waits_too_long_for_a_migration_is_told_to_come_again(
+    serving: Serving, store: SqlStore, settings: Settings, rotor: str,
+    later: Callable[..., Any], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """And one that does not simply takes its time."""
+    if is_sqlite(store.engine):
+        pytest.skip("SQLite has one writer, who is waited for 30 s")
+    monkeypatch.setattr(engines, "SILENT_S", 0.5)  # locks are waited for 1 s
+    store.engine.dispose()
+    upgrade = command.upgrade
+
+    def slowly(config: Config, revision: str) -> None:
+        upgrade(config, revision)
+        config.attributes["connection"].execute(text("SELECT pg_sleep(2.5)"))
+
+    monkeypatch.setattr(command, "upgrade", slowly)
+    with serving() as client, later(MAY):
+        engine = open_engine(settings.database_url)
+        thread, told = migrating(engine)
+        until(lambda: locked(engine))
+        answer = client.post(f"/v1/rotors/{rotor}/inspections", json=one("i1"))
+        assert (answer.status_code, answer.headers["retry-after"]) == (503, "1")
+        thread.join(60)
+        assert told == ["9999"]
+        answer = client.post(f"/v1/rotors/{rotor}/inspections", json=one("i1"))
+        assert answer.status_code == 202
+        engine.dispose()
+
+
+def locked(engine: Engine) -> bool:
+    query = (
+        "SELECT count(*) FROM pg_locks WHERE granted AND mode = 'AccessExclusiveLock'"
+        " AND relation = 'event'::regclass"
+    )
+    with transaction(engine, write=False) as connection:
+        return bool(connection.execute(text(query)).scalar_one())
