@@ -124,10 +124,10 @@ class SqlStates:
         raise GoneError(what, "at", moment(at), near)
 
     def _received_by(self, rotor_id: str, at: float) -> tuple[int, int]:
-        """(the last of the entries that all came by a moment, the cursor)."""
+        """(the last of the entries that all came by a moment, the cursor; -1: nothing yet)."""
         end = end_of(at)
         c, e = t.cursor.c, t.entry.c
-        rotor = select(t.rotor.c.head_seq, t.rotor.c.created_at, c.applied_seq)
+        rotor = select(t.rotor.c.head_seq, t.rotor.c.created_at, c.applied_seq, c.version)
         row = self._connection.execute(
             rotor.join(t.cursor, c.rotor_id == t.rotor.c.id).where(t.rotor.c.id == rotor_id)
         ).one_or_none()
@@ -142,7 +142,8 @@ class SqlStates:
             raise RangeError("at", moment(at), problem, "ask for a moment inside, or leave it out")
         later = select(func.min(e.seq)).where(e.rotor_id == rotor_id, e.received_at >= end)
         after = self._connection.execute(later).scalar()
-        return (row.head_seq if after is None else after - 1), row.applied_seq
+        through = row.head_seq if after is None else after - 1
+        return through, row.applied_seq if row.version else -1
 
     def _nearest(
         self, rotor_id: str, column: Column[Any], value: int

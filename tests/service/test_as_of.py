@@ -148,6 +148,17 @@ def test_what_is_not_computed_yet_says_what_to_wait_for(
     assert "wait_for=6" in answer.json()["detail"]
 
 
+@pytest.mark.parametrize("path", KINDS)
+def test_of_a_rotor_without_any_version_nothing_is_gone(
+    api: httpx.Client, rotor: str, path: str
+) -> None:
+    now = api.get("/v1/rotors/r1").json()["created_at"]
+    url, _, query = f"/v1/rotors/r1{path}".partition("?")
+    answer = api.get(url, params=dict(httpx.QueryParams(query)) | {"at": now})
+    assert answer.status_code == 409
+    assert "wait_for=0" in answer.json()["detail"]
+
+
 @pytest.mark.parametrize(
     "given",
     [
