@@ -12,7 +12,7 @@ from core.errors import InputError, RangeError
 from service.adopted import adopted_at
 from service.errors import FaultsError, NotFoundError, NotYetError
 from service.handlers.moments import summary
-from service.handlers.rotors import state_of
+from service.handlers.rotors import reading, state_of
 from service.ports import (
     BladeRecord,
     Get,
@@ -78,7 +78,7 @@ def basis(
     store: Store, science: Science, rotor_id: str, which: Which, blade: str | None = None
 ) -> Basis:
     """The version asked for; the blade, if named, must exist in it."""
-    with store.read() as tx:
+    with reading(store, rotor_id, which) as tx:
         rotor = tx.records.rotor(rotor_id)
         found = None if blade is None else tx.records.blade(rotor_id, blade)
         if blade is not None and found is None:

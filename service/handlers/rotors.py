@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 from core.errors import InputError
@@ -135,7 +136,7 @@ def created_before(
 
 def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
     """The rotor as it stands, with the blades and the posterior of the version asked for."""
-    with store.read() as tx:
+    with reading(store, rotor_id, which) as tx:
         if which.newest:
             return view_in(tx, rotor_id)
         rotor = tx.records.rotor(rotor_id)
@@ -152,6 +153,11 @@ def view_in(tx: Transaction, rotor_id: str) -> RotorView:
     state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
     through = 0 if state is None else state.through_seq
     return RotorView(rotor, blades, state, adopted_at(tx, rotor, through))
+
+
+def reading(store: Store, rotor_id: str, which: Which) -> AbstractContextManager[Transaction]:
+    """The transaction in which `state_of` finds the version asked for."""
+    return store.read() if which.at is None else store.read_as_of(rotor_id, which.at)
 
 
 def state_of(tx: Transaction, rotor_id: str, which: Which) -> StateRecord:

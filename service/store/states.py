@@ -11,7 +11,6 @@ each array with the SHA-256 that the digest was made from: what was damaged is n
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from sys import intern
 from typing import Any
@@ -35,8 +34,8 @@ from service.store import intact
 from service.store import tables as t
 from service.store.cache import ArrayCache, Checked, Key
 from service.store.encoding import DamagedArrayError, Encoded, decode
-from service.store.engine import now_s
 from service.store.gathered import Gathered
+from service.store.settled import end_of
 
 NEWEST = (
     select(t.state.c.version, t.state.c.digest)
@@ -46,12 +45,18 @@ NEWEST = (
 
 
 class SqlStates:
-    """The `States` of one transaction."""
+    """The `States` of one transaction.
 
-    def __init__(self, connection: Connection, cache: ArrayCache, checked: Checked) -> None:
+    settled   until when it sees every entry of the rotor that it was opened for (`settled`)
+    """
+
+    def __init__(
+        self, connection: Connection, cache: ArrayCache, checked: Checked, settled: float = 0.0
+    ) -> None:
         self._connection = connection
         self._cache = cache
         self._checked = checked
+        self._settled = settled
 
     def get(self, rotor_id: str, version: int | None = None) -> StateRecord:
         """The newest version, or the one asked for; DamagedError: it is not what was written."""
@@ -98,6 +103,7 @@ class SqlStates:
 
         at   seconds since 1970, as the log's `received_at`; told to the millisecond, so that an
              entry of that very millisecond counts
+        In a transaction of `SqlStore.read_as_of`; in another one every moment is in the future.
         Raises RangeError for a moment before the rotor or in the future, NotYetError where it is
         still to be computed, GoneError with the nearest versions where it is not kept.
         """
@@ -118,12 +124,10 @@ class SqlStates:
         raise GoneError(what, "at", moment(at), near)
 
     def _received_by(self, rotor_id: str, at: float) -> tuple[int, int]:
-        """(the last of the entries that all came by a moment, the cursor)."""
-        end = (math.floor(1000.0 * at + 1e-3) + 1) / 1000.0
+        """(the last of the entries that all came by a moment, the cursor; -1: nothing yet)."""
+        end = end_of(at)
         c, e = t.cursor.c, t.entry.c
-        rotor = select(
-            t.rotor.c.head_seq, t.rotor.c.created_at, c.applied_seq, now_s().label("now")
-        )
+        rotor = select(t.rotor.c.head_seq, t.rotor.c.created_at, c.applied_seq, c.version)
         row = self._connection.execute(
             rotor.join(t.cursor, c.rotor_id == t.rotor.c.id).where(t.rotor.c.id == rotor_id)
         ).one_or_none()
@@ -132,12 +136,14 @@ class SqlStates:
         times = select(func.min(e.received_at)).where(e.rotor_id == rotor_id)
         first = self._connection.execute(times).scalar()
         begun = row.created_at if first is None else min(row.created_at, first)
-        if not (begun < end and at <= row.now):
-            problem = f"lies outside {moment(begun)} … {moment(row.now)}, the rotor's time till now"
+        if not (begun < end and at <= self._settled):
+            now = moment(self._settled)
+            problem = f"lies outside {moment(begun)} … {now}, the rotor's time till now"
             raise RangeError("at", moment(at), problem, "ask for a moment inside, or leave it out")
         later = select(func.min(e.seq)).where(e.rotor_id == rotor_id, e.received_at >= end)
         after = self._connection.execute(later).scalar()
-        return (row.head_seq if after is None else after - 1), row.applied_seq
+        through = row.head_seq if after is None else after - 1
+        return through, row.applied_seq if row.version else -1
 
     def _nearest(
         self, rotor_id: str, column: Column[Any], value: int

@@ -20,6 +20,7 @@ from service.store.keys import SqlKeys
 from service.store.log import SqlLog
 from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
+from service.store.settled import settled
 from service.store.states import SqlStates
 from service.store.trail import SqlAudit
 from service.store.webhooks import SqlWebhooks
@@ -35,11 +36,12 @@ class SqlTransaction:
         cache: ArrayCache,
         checked: Checked,
         posted_by: str | None = None,
+        settled: float = 0.0,
     ) -> None:
         self.connection = connection
         self.records = SqlRecords(connection)
         self.log = SqlLog(connection, posted_by)
-        self.states = SqlStates(connection, cache, checked)
+        self.states = SqlStates(connection, cache, checked, settled)
         self.outbox = SqlOutbox(connection)
         self.keys = SqlKeys(connection)
         self.audit = SqlAudit(connection)
@@ -77,6 +79,12 @@ class SqlStore:
     def read(self) -> Iterator[SqlTransaction]:
         with transaction(self.engine, write=False) as connection:
             yield SqlTransaction(connection, self.cache, self.checked)
+
+    @contextmanager
+    def read_as_of(self, rotor_id: str, at: float) -> Iterator[SqlTransaction]:
+        until = settled(self.engine, rotor_id, at)
+        with transaction(self.engine, write=False) as connection:
+            yield SqlTransaction(connection, self.cache, self.checked, settled=until)
 
     @contextmanager
     def write(self) -> Iterator[SqlTransaction]:

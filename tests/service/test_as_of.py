@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import text
+from sqlalchemy import Connection, select, text
 
 from core.observation import Inspection
 from service.client import Client
 from service.handlers.rotors import add_blade, retire_blade
 from service.moments import moment
-from service.ports import BladeRecord
+from service.ports import BladeRecord, NewEvent
 from service.settings import Settings
-from service.store.engine import transaction
+from service.store.engine import now_s, open_engine, transaction
+from service.store.log import SqlLog
+from service.store.settled import end_of, settled
 from service.store.unit_of_work import SqlStore
 from service.store.versions import thin
 from service.worker.loop import Worker
@@ -144,6 +148,17 @@ def test_what_is_not_computed_yet_says_what_to_wait_for(
     assert "wait_for=6" in answer.json()["detail"]
 
 
+@pytest.mark.parametrize("path", KINDS)
+def test_of_a_rotor_without_any_version_nothing_is_gone(
+    api: httpx.Client, rotor: str, path: str
+) -> None:
+    now = api.get("/v1/rotors/r1").json()["created_at"]
+    url, _, query = f"/v1/rotors/r1{path}".partition("?")
+    answer = api.get(url, params=dict(httpx.QueryParams(query)) | {"at": now})
+    assert answer.status_code == 409
+    assert "wait_for=0" in answer.json()["detail"]
+
+
 @pytest.mark.parametrize(
     "given",
     [
@@ -170,6 +185,70 @@ def test_waiting_is_not_mixed_with_a_version(api: httpx.Client, aged: str) -> No
     answer = api.get("/v1/rotors/r1", params={"version": 2, "wait_for": 1})
     assert answer.status_code == 422
     assert answer.json()["faults"][0]["field"] == "wait_for"
+
+
+def clock(connection: Connection) -> float:
+    return float(connection.execute(select(now_s())).scalar_one())
+
+
+@contextmanager
+def under_way(settings: Settings, rotor: str) -> Iterator[float]:
+    """An entry of another process that has its time and is not committed; a moment after it."""
+    engine = open_engine(settings.database_url)
+    with transaction(engine, write=True) as connection:
+        event = NewEvent("late", "retirement", "{}", "digest", blade="B2")
+        SqlLog(connection).append(rotor, [event])
+        got = text("SELECT received_at FROM event WHERE event_id = 'late'")
+        received = connection.execute(got).scalar_one()
+        while (now := clock(connection)) < received + 0.01:
+            pass
+        yield now
+    engine.dispose()
+
+
+@pytest.mark.parametrize("path", KINDS)
+def test_a_read_as_of_just_now_waits_for_the_entry_that_is_under_way(
+    api: httpx.Client, worker: Worker, rotor: str, settings: Settings, path: str
+) -> None:
+    """It came by then: whoever asks before its commit is told what is told after it."""
+    worker.drain()
+    told: list[httpx.Response] = []
+    with under_way(settings, rotor) as at:
+        asking = threading.Thread(target=lambda: told.append(ask(api, path, at=at)))
+        asking.start()
+        asking.join(0.5)
+    asking.join()
+    again = ask(api, path, at=at)
+    assert (told[0].status_code, told[0].text) == (again.status_code, again.text)
+    assert told[0].status_code == 409
+    assert "wait_for=1" in told[0].json()["detail"]
+
+
+def test_a_moment_before_the_newest_entry_waits_for_nobody(
+    api: httpx.Client, aged: str, settings: Settings
+) -> None:
+    with under_way(settings, aged):
+        for day, version in ((0.5, 1), (1.5, 2), (2.5, 3), (3.5, 4)):
+            then = ask(api, "", at=T0 + day * DAY)
+            assert then.json()["posterior"]["version"] == version
+
+
+def test_a_moment_is_asked_for_when_its_millisecond_is_over(store: SqlStore, rotor: str) -> None:
+    """What is received later in the same millisecond counts as well."""
+    for _ in range(20):
+        with store.read() as tx:
+            at = clock(tx.connection)
+        assert settled(store.engine, rotor, at) >= end_of(at)
+
+
+def test_the_wait_for_what_is_under_way_holds_nobody_up(
+    store: SqlStore, rotor: str, settings: Settings
+) -> None:
+    """Neither the rotor's row nor the database's one writer is kept while the read goes on."""
+    with store.read() as tx:
+        at = clock(tx.connection)
+    with store.read_as_of(rotor, at), under_way(settings, rotor):
+        pass
 
 
 def test_the_client_asks_as_of_a_moment(api: httpx.Client, aged: str) -> None:

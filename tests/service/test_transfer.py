@@ -26,7 +26,7 @@ from service.handlers.inspections import Item, list_inspections, post_inspection
 from service.handlers.models import register_builtins
 from service.handlers.rotors import add_blade, create_rotor, retire_blade, view_rotor
 from service.handlers.transfer import export_rotor, import_rotor
-from service.ports import BladeRecord, Science
+from service.ports import BladeRecord, Science, Which
 from service.science import CoreScience
 from service.settings import Settings
 from service.store import records
@@ -378,11 +378,10 @@ def test_who_posted_what_and_when_the_rotor_was_created_come_along(
     assert there.created_at == here.created_at
     listed = list_inspections(elsewhere, "r1", 0, 100)
     assert [one.posted_by for one in listed[:4]] == ["key-1", "key-1", "loopback", None]
-    with elsewhere.read() as tx:
-        with pytest.raises(GoneError):
-            tx.states.as_of("r1", here.created_at + 60.0)
-        with pytest.raises(RangeError, match="the rotor's time till now"):
-            tx.states.as_of("r1", here.created_at - 60.0)
+    with pytest.raises(GoneError):
+        view_rotor(elsewhere, "r1", Which(at=here.created_at + 60.0))
+    with pytest.raises(RangeError, match="the rotor's time till now"):
+        view_rotor(elsewhere, "r1", Which(at=here.created_at - 60.0))
 
 
 def test_a_file_that_does_not_say_so_is_read_as_before(
