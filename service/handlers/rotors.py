@@ -23,6 +23,7 @@ from service.ports import (
     Transaction,
     Which,
 )
+from service.slots import fault_beside, faults_together
 from service.variant import check_known
 
 NEWEST = Which()
@@ -83,6 +84,8 @@ def create_rotor(
     if twice:
         fault = InputError("blades", twice, "are named twice", "give each blade its own id")
         raise FaultsError([fault])
+    if found := faults_together(blades):
+        raise FaultsError(found)
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
     digest = digest_of_rotor(rotor_id, model_id, ordered, particles, seed, network, adopt)
     with store.write() as tx:
@@ -188,7 +191,11 @@ def retry(store: Store, rotor_id: str) -> RotorRecord:
 
 
 def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
-    """A blade joins the rotor; its prior is what the rotor knows."""
+    """A blade joins the rotor; its prior is what the rotor knows.
+
+    FaultsError: its slot is that of a blade that runs. The rotor is locked by then, so that of two
+    blades that come at once the second finds the first.
+    """
     body, digest = digest_of_json(told_of(blade))
     event = NewEvent(f"blade/{blade.id}", "blade", body, digest, blade=blade.id)
     with store.read() as tx:
@@ -202,6 +209,11 @@ def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
             if replace(there, retired_seq=None) != blade:
                 raise ConflictError("blade", blade.id, "choose a new id for the new blade")
             return Appended(event.event_id, 0, False)
+        taken = None
+        if there is None:
+            taken = fault_beside(blade, tx.records.blades(rotor_id), rotor_id)
+        if taken is not None:
+            raise FaultsError([taken])
         answer = tx.log.append(rotor_id, [event])[0]
         if answer.new:
             tx.records.put_blade(rotor_id, replace(blade, added_seq=answer.seq))
