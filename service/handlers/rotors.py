@@ -121,7 +121,8 @@ def created_before(
     adopt: Adopt,
 ) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool] | None:
     """What `create_rotor` gives again for a rotor that is there, whatever models and settings have
-    come since; None: there is none of this content.
+    come since; None: there is none of this content. The request is judged (If-Match) and noted in
+    the audit trail as one that creates is.
 
     particles   None: left to the service, which may have another number now
     """
@@ -133,7 +134,10 @@ def created_before(
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
     count = stored.particles if particles is None else particles
     digest = digest_of_rotor(rotor_id, model_id, ordered, count, seed, network, adopt)
-    return (stored, ordered, False) if digest == stored.digest else None
+    if digest != stored.digest:
+        return None
+    with store.write():
+        return stored, ordered, False
 
 
 def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
