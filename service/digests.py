@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import fields, replace
 from hashlib import sha256
 
 from service.ports import Adopt, BladeRecord, Json
+
+FIELDS = tuple(field.name for field in fields(BladeRecord))
 
 
 def digest_of_json(data: object) -> tuple[str, str]:
@@ -21,7 +23,7 @@ def told_of(blade: BladeRecord) -> Json:
 
     Of -0.0 SQLite keeps 0.0.
     """
-    told = asdict(blade)
+    told = {name: getattr(blade, name) for name in FIELDS}
     if blade.time_h0 is not None:
         told["time_h0"] = blade.time_h0 + 0.0
     if blade.known is None:
@@ -36,7 +38,8 @@ def digest_of_blade(blade: BladeRecord) -> str:
 
 def as_created(blades: Sequence[BladeRecord]) -> list[BladeRecord]:
     """Those of a rotor's creation, as they were then; `blades` by id."""
-    return [replace(blade, retired_seq=None) for blade in blades if blade.added_seq == 0]
+    first = [blade for blade in blades if blade.added_seq == 0]
+    return [b if b.retired_seq is None else replace(b, retired_seq=None) for b in first]
 
 
 def digest_of_rotor(

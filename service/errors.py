@@ -134,10 +134,13 @@ class DamagedRotorError(BladetwinError):
     def __init__(self, rotor: str, problems: Sequence[str]) -> None:
         self.rotor = rotor
         self.problems = tuple(problems)
+        self.remedy = (
+            "restore the database, or import the rotor from a file that was exported before"
+        )
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         super().__init__(
-            f"{problems[0]}{more}. The log cannot make it again; nothing was changed. To mend it: "
-            "restore the database, or import the rotor from a file that was exported before."
+            f"{problems[0]}{more}. The log cannot make it again; nothing was changed. "
+            f"To mend it: {self.remedy}."
         )
 
 

@@ -33,6 +33,7 @@ from service.errors import (
     ConflictError,
     DamagedError,
     DamagedLogError,
+    DamagedRotorError,
     FaultsError,
     GoneError,
     NotFoundError,
@@ -135,6 +136,13 @@ async def _damaged_log(request: Request, error: Any) -> JSONResponse:
     return problem(request, 503, "damaged", str(error), faults)
 
 
+async def _damaged_rotor(request: Request, error: Any) -> JSONResponse:
+    log.error("%s", error)
+    problems = error.problems[:MOST_FAULTS]
+    faults = [fault("rotor", error.rotor, one, error.remedy) for one in problems]
+    return problem(request, 503, "damaged", str(error), faults)
+
+
 async def _unfit(request: Request, error: Any) -> JSONResponse:
     log.error("%s", error)
     return problem(request, 503, "model-unfit", str(error))
@@ -177,6 +185,7 @@ HANDLERS = {
     WebhooksOffError: _hooks_off,
     DamagedError: _damaged,
     DamagedLogError: _damaged_log,
+    DamagedRotorError: _damaged_rotor,
     CalibrationError: _damaged_log,
     ModelError: _unfit,
     NotInstalledError: _not_installed,

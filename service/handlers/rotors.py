@@ -24,6 +24,7 @@ from service.ports import (
     Transaction,
     Which,
 )
+from service.slots import fault_beside, faults_together
 from service.variant import check_known
 
 NEWEST = Which()
@@ -84,6 +85,8 @@ def create_rotor(
     if twice:
         fault = InputError("blades", twice, "are named twice", "give each blade its own id")
         raise FaultsError([fault])
+    if found := faults_together(blades):
+        raise FaultsError(found)
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
     digest = digest_of_rotor(rotor_id, model_id, ordered, particles, seed, network, adopt)
     with store.write() as tx:
@@ -119,7 +122,8 @@ def created_before(
     adopt: Adopt,
 ) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool] | None:
     """What `create_rotor` gives again for a rotor that is there, whatever models and settings have
-    come since; None: there is none of this content.
+    come since; None: there is none of this content. The request is judged (If-Match) and noted in
+    the audit trail as one that creates is.
 
     particles   None: left to the service, which may have another number now
     """
@@ -131,7 +135,10 @@ def created_before(
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
     count = stored.particles if particles is None else particles
     digest = digest_of_rotor(rotor_id, model_id, ordered, count, seed, network, adopt)
-    return (stored, ordered, False) if digest == stored.digest else None
+    if digest != stored.digest:
+        return None
+    with store.write():
+        return stored, ordered, False
 
 
 def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
@@ -194,7 +201,11 @@ def retry(store: Store, rotor_id: str) -> RotorRecord:
 
 
 def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
-    """A blade joins the rotor; its prior is what the rotor knows."""
+    """A blade joins the rotor; its prior is what the rotor knows.
+
+    FaultsError: its slot is that of a blade that runs. The rotor is locked by then, so that of two
+    blades that come at once the second finds the first.
+    """
     body, digest = digest_of_json(told_of(blade))
     event = NewEvent(f"blade/{blade.id}", "blade", body, digest, blade=blade.id)
     with store.read() as tx:
@@ -208,6 +219,11 @@ def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
             if replace(there, retired_seq=None) != blade:
                 raise ConflictError("blade", blade.id, "choose a new id for the new blade")
             return Appended(event.event_id, 0, False)
+        taken = None
+        if there is None:
+            taken = fault_beside(blade, tx.records.blades(rotor_id), rotor_id)
+        if taken is not None:
+            raise FaultsError([taken])
         answer = tx.log.append(rotor_id, [event])[0]
         if answer.new:
             tx.records.put_blade(rotor_id, replace(blade, added_seq=answer.seq))

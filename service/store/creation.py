@@ -2,59 +2,114 @@
 
 A rotor's digest was made from its row and the blades of its creation (`service.digests`). A blade
 that joined or left later has an entry of the log, which has its digest and its place. The log
-cannot make these rows again, so that nothing is to be computed where one of them is damaged.
+cannot make these rows again, so that nothing is to be computed where one of them is damaged:
+whoever computes takes a rotor's blades from `sound_blades`.
 
 What no digest covers has no witness: the version of the model, the `origin` and `created_at`.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal, NamedTuple
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, bindparam, func, select, union_all
 
 from service.digests import as_created, digest_of_blade, digest_of_rotor
 from service.entries import BLADES
-from service.ports import BladeRecord, Event
+from service.errors import DamagedRotorError
+from service.ports import BladeRecord, Event, RotorRecord
 from service.store import tables as t
 from service.store.records import SqlRecords
+
+e = t.entry.c
+Part = Literal["rotor", "blade"]
+Problem = tuple[Part, str, str]
+# Of each kind by itself, so that an index finds them (`service.store.log`).
+_MOVES = union_all(
+    *(
+        select(e.kind, e.blade, e.seq, e.digest).where(
+            e.rotor_id == bindparam("rotor"), e.kind == kind
+        )
+        for kind in BLADES
+    )
+)
+_ENDS = select(
+    t.rotor.c.head_seq, select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery()
+).where(t.rotor.c.id == bindparam("rotor"))
+
+
+class Move(NamedTuple):
+    """An entry by which a blade joined or left."""
+
+    kind: str
+    blade: str
+    seq: int
+    digest: str
+
+
+def sound_blades(connection: Connection, rotor: RotorRecord) -> list[BladeRecord]:
+    """The rotor's blades; DamagedRotorError: its row, or one of theirs, is not what was written.
+
+    A blade may join or leave between two of these questions: what its row does not tell yet is no
+    damage where it came after the rotor was read.
+    """
+    asked = {"rotor": rotor.id}
+    blades = SqlRecords(connection).blades(rotor.id)
+    told = {seq for blade in blades for seq in (blade.added_seq, blade.retired_seq)}
+    moves = [Move(*row) for row in connection.execute(_MOVES, asked)]
+    known = [move for move in moves if move.seq <= rotor.head_seq or move.seq in told]
+    found = list(_problems(rotor, blades, known))
+    head, end = connection.execute(_ENDS, asked).one()
+    if head != (end or 0):
+        found.append(("rotor", rotor.id, f"its head_seq is {head}, the log ends at {end or 0}"))
+    if found:
+        raise DamagedRotorError(
+            rotor.id, [f"rotor {rotor.id}: {part} {name}: {what}" for part, name, what in found]
+        )
+    return blades
 
 
 def problems(
     connection: Connection, rotor_id: str, events: Sequence[Event] | None
-) -> Iterator[tuple[Literal["rotor", "blade"], str, str]]:
+) -> Iterator[Problem]:
     """What in a rotor's row and in those of its blades is not what was written: whose, and what.
 
     events   the rotor's log; None: it is damaged itself, and says nothing
     """
-    row = connection.execute(select(t.rotor).where(t.rotor.c.id == rotor_id)).one()
+    records = SqlRecords(connection)
     try:
-        blades = SqlRecords(connection).blades(rotor_id)
-        network = None if row.network is None else json.loads(row.network)
-    except (ValueError, TypeError) as error:
-        problem = f"its network, or what is known of a blade, is no JSON: {error}"
-        yield "rotor", rotor_id, problem
+        rotor, blades = records.rotor(rotor_id), records.blades(rotor_id)
+    except DamagedRotorError as error:
+        yield "rotor", rotor_id, error.problems[0]
         return
-    asks = (row.particles, row.seed, network, row.adopt)
-    made = digest_of_rotor(row.id, row.model_id, as_created(blades), *asks)
-    if made != row.digest:
+    moves = None
+    if events is not None:
+        moves = [Move(e.kind, e.blade or "", e.seq, e.digest) for e in events if e.kind in BLADES]
+    yield from _problems(rotor, blades, moves)
+
+
+def _problems(
+    rotor: RotorRecord, blades: Sequence[BladeRecord], moves: Iterable[Move] | None
+) -> Iterator[Problem]:
+    asks = (rotor.particles, rotor.seed, rotor.network, rotor.adopt)
+    made = digest_of_rotor(rotor.id, rotor.model_id, as_created(blades), *asks)
+    if made != rotor.digest:
         whose = "its row and the blades of its creation have"
-        problem = f"{whose} digest {made[:12]}…, written was {row.digest[:12]}…"
-        yield "rotor", rotor_id, problem
-    if events is None:
+        problem = f"{whose} digest {made[:12]}…, written was {rotor.digest[:12]}…"
+        yield "rotor", rotor.id, problem
+    if moves is None:
         return
     there = {blade.id: blade for blade in blades}
-    moves = {(e.kind, e.blade or ""): e for e in events if e.kind in BLADES}
-    for name in sorted(there.keys() | {blade for _, blade in moves}):
-        differs = _differs(there.get(name), name, moves)
+    told = {(move.kind, move.blade): move for move in moves}
+    for name in sorted(there.keys() | {blade for _, blade in told}):
+        differs = _differs(there.get(name), name, told)
         if differs is not None:
             yield "blade", name, differs
 
 
 def _differs(
-    blade: BladeRecord | None, name: str, moves: Mapping[tuple[str, str], Event]
+    blade: BladeRecord | None, name: str, moves: Mapping[tuple[str, str], Move]
 ) -> str | None:
     joined, left = moves.get(("blade", name)), moves.get(("retirement", name))
     if blade is None:

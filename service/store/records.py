@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Row, RowMapping, bindparam, insert, select, u
 from sqlalchemy.dialects import postgresql, sqlite
 
 from service import tracing
-from service.errors import NotFoundError
+from service.errors import DamagedRotorError, NotFoundError
 from service.ports import BladeRecord, JobRecord, Json, ModelCard, ResidualRecord, RotorRecord
 from service.store import tables as t
 from service.store.engine import now_s
@@ -207,7 +207,7 @@ class SqlRecords:
     def blades(self, rotor_id: str) -> list[BladeRecord]:
         """Blades by id in byte order: digests rest on it, and databases sort text differently."""
         rows = _BLADES.rows(self._connection, {"rotor": rotor_id})
-        return sorted((_blade(row) for row in rows), key=lambda blade: blade.id)
+        return sorted((_blade(rotor_id, row) for row in rows), key=lambda blade: blade.id)
 
     def blade_ids(self, rotor_id: str) -> set[str]:
         return {name for (name,) in _BLADE_IDS.rows(self._connection, {"rotor": rotor_id})}
@@ -215,7 +215,7 @@ class SqlRecords:
     def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None:
         asked = {"rotor": rotor_id, "blade": blade_id}
         row = self._connection.execute(_ONE_BLADE, asked).one_or_none()
-        return None if row is None else _blade(tuple(row))
+        return None if row is None else _blade(rotor_id, tuple(row))
 
     def put_blade(self, rotor_id: str, blade: BladeRecord) -> None:
         values = asdict(blade) | {"rotor_id": rotor_id, "known": _text(blade.known)}
@@ -256,12 +256,21 @@ def _listed(row: RowMapping) -> JobRecord:
 
 
 def _rotor(row: Row[Any]) -> RotorRecord:
-    return RotorRecord(**dict(row._mapping) | {"network": _read(row.network)})
+    try:
+        network = _read(row.network)
+    except ValueError as error:
+        problem = f"rotor {row.id}: its row's network is no JSON: {error}"
+        raise DamagedRotorError(row.id, [problem]) from None
+    return RotorRecord(**dict(row._mapping) | {"network": network})
 
 
-def _blade(row: tuple[Any, ...]) -> BladeRecord:
+def _blade(rotor_id: str, row: tuple[Any, ...]) -> BladeRecord:
     values = dict(zip(BLADE_NAMES, row, strict=True))
-    return BladeRecord(**values | {"known": _read(values["known"])})
+    try:
+        return BladeRecord(**values | {"known": _read(values["known"])})
+    except ValueError as error:
+        problem = f"rotor {rotor_id}: blade {values['id']}: what its row knows is no JSON: {error}"
+        raise DamagedRotorError(rotor_id, [problem]) from None
 
 
 def _text(value: object) -> str | None:

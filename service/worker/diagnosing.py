@@ -17,6 +17,7 @@ from core.observation import digest_of, effective
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.ports import BladeRecord, Json, Progress, RotorSpec, Science
+from service.store.creation import sound_blades
 from service.store.log import read_entries
 from service.store.unit_of_work import SqlStore
 
@@ -40,10 +41,11 @@ def diagnose(
     through = int(request["through_seq"])
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
+        blades = sound_blades(tx.connection, rotor)
+        blades = [_as_of(through, b) for b in blades if b.added_seq <= through]
         card = tx.records.model(rotor.model_id, rotor.model_version)
         events = read_entries(tx.connection, rotor_id, 0, through)
         network = adopted_at(tx, rotor, through).network
-        blades = [_as_of(through, b) for b in tx.records.blades(rotor_id) if b.added_seq <= through]
     readings = effective(entries_of(events))
     if not readings:
         raise InputError(

@@ -60,12 +60,15 @@ class Replayed:
 
 
 def from_log(store: SqlStore, science: Science, rotor_id: str, through: int) -> Replayed:
-    """The sealed posterior that rests on the entries up to `through`; no stored state is read."""
+    """The sealed posterior that rests on the entries up to `through`; no stored state is read.
+
+    DamagedRotorError: the rotor's row, or a blade's, is not what was written.
+    """
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
+        spec = spec_of(tx, rotor, through)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         events = read_entries(tx.connection, rotor_id, 0, through)
-        spec = spec_of(tx, rotor, through)
         network = adopted_at(tx, rotor, through).network
     readings = effective(entries_of(events))
     varied = science.vary(card, network)

@@ -24,6 +24,7 @@ from service.errors import LostLeaseError, StoreAwayError
 from service.ports import Json, RotorSpec, Science
 from service.settings import Settings
 from service.store import tables as t
+from service.store.creation import sound_blades
 from service.store.engine import now_s, transaction
 from service.store.log import lock_rotor, read_entries
 from service.store.outbox import post
@@ -153,9 +154,10 @@ class Residuals:
         """The residuals of the log through the version's entry, outside any transaction."""
         with self.store.read() as tx:
             rotor = tx.records.rotor(claim.rotor_id)
+            blades = sound_blades(tx.connection, rotor)
+            blades = [b for b in blades if b.added_seq <= claim.through]
             card = tx.records.model(rotor.model_id, rotor.model_version)
             network = adopted_at(tx, rotor, claim.through).network
-            blades = [b for b in tx.records.blades(rotor.id) if b.added_seq <= claim.through]
             readings = effective(
                 entries_of(read_entries(tx.connection, rotor.id, 0, claim.through))
             )

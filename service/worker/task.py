@@ -6,7 +6,8 @@ database. The log only grows: entries that are known already are not read again,
 that the last of them is still the same one.
 
 A state that turns out damaged when it is loaded is left alone: the next version is computed from
-the log without it, and every array is written anew.
+the log without it, and every array is written anew. Nothing is computed from a rotor whose row, or
+a blade's, is not what was written (`service.store.creation`): the log cannot make these again.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from service.entries import entries_of
 from service.errors import DamagedError
 from service.ports import ModelCard, RotorRecord, RotorSpec, Science
 from service.store import tables as t
+from service.store.creation import sound_blades
 from service.store.log import read_entries
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction
@@ -54,8 +56,9 @@ class Task:
 
 
 def spec_of(tx: SqlTransaction, rotor: RotorRecord, through: int) -> RotorSpec:
-    """The rotor as an update through entry `through` sees it."""
-    blades = [b for b in tx.records.blades(rotor.id) if b.added_seq <= through]
+    """The rotor as an update through entry `through` sees it; DamagedRotorError: nothing is to be
+    computed from it. It goes before the model is looked for, which the rotor's row names."""
+    blades = [b for b in sound_blades(tx.connection, rotor) if b.added_seq <= through]
     known = {b.id: b.known for b in blades if b.known is not None}
     name = rotor.origin or rotor.id
     return RotorSpec(name, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)
@@ -65,6 +68,8 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
     """The rotor, its entries up to the head, and the state before them."""
     with store.read() as tx:
         rotor = tx.records.rotor(lease.rotor_id)
+        through = lease.applied_seq if lease.sealing else rotor.head_seq
+        spec = spec_of(tx, rotor, through)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         if memory is not None and not same_history(tx, lease, memory):
             log.warning("rotor %s: the log went another way than this worker saw", rotor.id)
@@ -74,9 +79,7 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
             lease.applied_seq,
         ):
             memory = _restored(store, science, tx, lease, memory)
-        through = lease.applied_seq if lease.sealing else rotor.head_seq
         fresh = read_entries(tx.connection, rotor.id, memory.through, through)
-        spec = spec_of(tx, rotor, through)
         network = adopted_at(tx, rotor, through).network
     readings = entries_of(fresh)
     return Task(
@@ -135,10 +138,10 @@ def anew(store: SqlStore, science: Science, lease: Lease) -> Task:
     """The rotor's entries up to the cursor, and no state: all is computed and written."""
     with store.read() as tx:
         rotor = tx.records.rotor(lease.rotor_id)
-        card = tx.records.model(rotor.model_id, rotor.model_version)
         through = lease.applied_seq
-        events = read_entries(tx.connection, rotor.id, 0, through)
         spec = spec_of(tx, rotor, through)
+        card = tx.records.model(rotor.model_id, rotor.model_version)
+        events = read_entries(tx.connection, rotor.id, 0, through)
         names = digests(tx.connection, rotor.id)
         network = adopted_at(tx, rotor, through).network
     entries = entries_of(events)

@@ -19,6 +19,7 @@ QUICK = [
     "disk full",
     "a byte of a stored array changed",
     "a byte of the log changed",
+    "a byte of the rotor's row changed, or of a blade's",
 ]
 
 

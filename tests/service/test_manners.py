@@ -283,6 +283,16 @@ def test_a_change_is_made_only_while_the_rotor_stands_as_it_was_seen(
             assert refused.status_code == 412, (path, header)
             assert refused.json()["faults"][0]["field"] == "If-Match"
     assert api.post("/v1/models", json=BUILTIN, headers={"If-Match": "*"}).status_code == 412
+    new = {"id": "r2", "model": "rotor-blade", "blades": [{"id": "B1"}], "particles": 64}
+    for status in (404, 201):  # a creation, then its repetition
+        for header in (seen, "*", '"x"'):
+            refused = api.post("/v1/rotors", json=new, headers={"If-Match": header})
+            assert refused.status_code == 412, (status, header)
+            assert "leave If-Match out" in refused.json()["faults"][0]["remedy"]
+        assert api.get("/v1/rotors/r2").status_code == (404 if status == 404 else 200)
+        assert api.post("/v1/rotors", json=new).status_code == 201
+    rows = api.get("/v1/audit", params={"limit": 8}).json()["items"]
+    assert [row["status"] for row in rows] == [201, 412, 412, 412, 201, 412, 412, 412]
     missing = api.post("/v1/rotors/zz/retry", headers={"If-Match": "*"})
     assert missing.status_code == 404
     assert api.get("/v1/rotors/r1").json()["head_seq"] == head

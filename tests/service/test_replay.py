@@ -9,7 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import select, text
+from sqlalchemy import Connection, select, text
 from typer.testing import CliRunner
 
 from core.observation import Inspection
@@ -28,7 +28,7 @@ from service.fake import FakeScience
 from service.handlers.rotors import add_blade, create_rotor, retire_blade, retry, view_rotor
 from service.ports import BladeRecord, NewEvent
 from service.settings import Settings
-from service.store import intact
+from service.store import creation, intact, records
 from service.store import tables as t
 from service.store.audit import Finding, audit
 from service.store.engine import snapshot, transaction
@@ -53,6 +53,10 @@ def damage(store: SqlStore, statement: str, **values: Any) -> None:
 def findings(store: SqlStore, rotor: str) -> list[Finding]:
     with snapshot(store.engine) as connection:
         return audit(connection, rotor)
+
+
+def sound(connection: Connection, rotor: str) -> list[BladeRecord]:
+    return creation.sound_blades(connection, records.SqlRecords(connection).rotor(rotor))
 
 
 def content(store: SqlStore, version: int) -> tuple[Any, ...]:
@@ -153,18 +157,18 @@ def test_each_damaged_part_is_named_and_mended_from_the_log_where_the_log_has_it
         assert [content(store, version) for version in (1, 2, 3, 4)] == before
 
 
-@pytest.mark.parametrize(
-    ("statement", "blade"),
-    [
-        ("UPDATE blade SET known = '{\"load\": 1.5}' WHERE id = 'B4'", "B4"),
-        ("UPDATE blade SET lot = 'L9' WHERE id = 'B4'", "B4"),
-        ("UPDATE blade SET time_h0 = 100.75 WHERE id = 'B4'", "B4"),
-        ("UPDATE blade SET added_seq = 3 WHERE id = 'B4'", "B4"),
-        ("DELETE FROM blade WHERE id = 'B4'", "B4"),
-        ("UPDATE blade SET retired_seq = NULL WHERE id = 'B1'", "B1"),
-        ("UPDATE blade SET retired_seq = 4 WHERE id = 'B1'", "B1"),
-    ],
-)
+OF_BLADES = [
+    ("UPDATE blade SET known = '{\"load\": 1.5}' WHERE id = 'B4'", "B4"),
+    ("UPDATE blade SET lot = 'L9' WHERE id = 'B4'", "B4"),
+    ("UPDATE blade SET time_h0 = 100.75 WHERE id = 'B4'", "B4"),
+    ("UPDATE blade SET added_seq = 3 WHERE id = 'B4'", "B4"),
+    ("DELETE FROM blade WHERE id = 'B4'", "B4"),
+    ("UPDATE blade SET retired_seq = NULL WHERE id = 'B1'", "B1"),
+    ("UPDATE blade SET retired_seq = 4 WHERE id = 'B1'", "B1"),
+]
+
+
+@pytest.mark.parametrize(("statement", "blade"), OF_BLADES)
 def test_a_blade_that_joined_or_left_is_held_against_its_entries(
     store: SqlStore, worker: Worker, worn: str, statement: str, blade: str
 ) -> None:
@@ -177,6 +181,113 @@ def test_a_blade_that_joined_or_left_is_held_against_its_entries(
     assert [(one.part, one.name, one.from_log) for one in found] == [("blade", blade, False)]
     with pytest.raises(DamagedRotorError, match=f"blade {blade}: "):
         rebuild.repair(worker.updater, worn, [], renew=True)
+
+
+HEAD = ("UPDATE rotor SET head_seq = 7", "rotor", "r1", False)
+OF_ROTORS = [row[:3] for row in [*DAMAGE, HEAD] if row[1] in ("rotor", "blade")]
+OF_ROTORS += [(statement, "blade", blade) for statement, blade in OF_BLADES]
+
+
+@pytest.fixture
+def moved(store: SqlStore, worker: Worker, worn: str) -> str:
+    """The worn rotor after a blade joined and another left."""
+    add_blade(store, worn, BladeRecord("B4", lot="Ω-7", time_h0=100.5))
+    retire_blade(store, worn, "B1")
+    worker.drain()
+    return worn
+
+
+def test_every_damage_of_a_row_is_noticed_before_anything_is_computed(
+    store: SqlStore, moved: str
+) -> None:
+    for statement, part, name in OF_ROTORS:
+        with store.engine.connect() as connection, connection.begin() as begun:
+            connection.execute(text(statement))
+            with pytest.raises(DamagedRotorError, match="import the rotor") as told:
+                sound(connection, moved)
+            begun.rollback()
+        network, knows = "network = '{'" in statement, "known = '{'" in statement
+        where = "its row's network" if network else "blade B2" if knows else f"{part} {name}"
+        assert f"rotor {moved}: {where}" in "\n".join(told.value.problems), statement
+
+
+@pytest.mark.parametrize("knows", [True, False], ids=["knows", "new"])
+@pytest.mark.parametrize(
+    ("statement", "whose"),
+    [("UPDATE rotor SET seed = 8", "rotor r1"), (OF_BLADES[1][0], "blade B4"), (HEAD[0], "head")],
+)
+def test_a_damaged_row_blocks_its_rotor_and_is_named(
+    store: SqlStore,
+    worker: Worker,
+    settings: Settings,
+    moved: str,
+    statement: str,
+    whose: str,
+    knows: bool,
+) -> None:
+    """Whether or not the worker knows the rotor from before."""
+    damage(store, statement)
+    damage(store, "UPDATE cursor SET dirty = true, dirty_since = 0")
+    (worker if knows else make_worker(store, FakeScience(), settings)).drain()
+    view = view_rotor(store, moved).rotor
+    assert (view.blocked, view.version, view.attempts) == (True, 5, 5), "nothing was made"
+    assert f"rotor {moved}: " in str(view.last_error)
+    assert whose in str(view.last_error)
+    assert "restore the database, or import the rotor" in str(view.last_error)
+
+
+def test_a_rotor_whose_row_is_as_it_was_again_goes_on(
+    store: SqlStore, worker: Worker, worn: str, reading: Make, post: Post
+) -> None:
+    damage(store, "UPDATE rotor SET seed = 8")
+    post(worn, reading("later", value=0.2, time_h=20_000.0))
+    worker.drain()
+    assert view_rotor(store, worn).rotor.blocked
+    damage(store, "UPDATE rotor SET seed = 7")
+    retry(store, worn)
+    worker.drain()
+    view = view_rotor(store, worn).rotor
+    assert (view.blocked, view.applied_seq) == (False, 4)
+
+
+def test_a_blade_that_joins_or_leaves_while_a_worker_reads_is_no_damage(
+    store: SqlStore, rotor: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each question of PostgreSQL sees what was committed before it; of SQLite, before the first.
+
+    A blade may come before the blades are asked for, or after them.
+    """
+    asked = records.SqlRecords.blades
+
+    def meanwhile(own: Any, rotor_id: str) -> Any:
+        monkeypatch.undo()
+        add_blade(store, rotor, BladeRecord("B4"))
+        found = asked(own, rotor_id)
+        add_blade(store, rotor, BladeRecord("B5"))
+        retire_blade(store, rotor, "B4")
+        return found
+
+    with store.read() as tx:
+        record = tx.records.rotor(rotor)
+        monkeypatch.setattr(records.SqlRecords, "blades", meanwhile)
+        found = {blade.id for blade in creation.sound_blades(tx.connection, record)}
+    lite = store.engine.dialect.name == "sqlite"
+    assert found == {"B1", "B2", "B3"} | (set() if lite else {"B4"})
+
+
+@pytest.mark.parametrize(
+    "statement", ["UPDATE rotor SET network = '{'", "UPDATE blade SET known = '{' WHERE id = 'B2'"]
+)
+def test_a_read_of_a_row_that_is_no_json_is_a_problem_that_says_what_to_do(
+    store: SqlStore, worn: str, api: httpx.Client, statement: str
+) -> None:
+    damage(store, statement)
+    answer = api.get(f"/v1/rotors/{worn}")
+    assert answer.status_code == 503
+    told = answer.json()
+    assert told["type"] == "urn:bladetwin:problem:damaged"
+    assert "no JSON" in told["faults"][0]["problem"]
+    assert "import the rotor" in told["faults"][0]["remedy"]
 
 
 def test_a_blade_s_hour_of_minus_zero_is_no_damage(store: SqlStore, rotor: str) -> None:

@@ -76,7 +76,8 @@ class Bench:
 
     def rotor(self, name: str, readings: int = 3) -> str:
         """A rotor with some readings that nobody has applied yet."""
-        create_rotor(self.store, name, "rotor-blade", [BladeRecord(b) for b in BLADES], 64, 7)
+        blades = [BladeRecord(b, lot="L1") for b in BLADES]
+        create_rotor(self.store, name, "rotor-blade", blades, 64, 7)
         for i in range(readings):
             self.post(name, f"i{i}")
         return name

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from sqlalchemy import select, text
+from sqlalchemy import Connection, select, text
 
 from core.errors import BladetwinError
 from service.errors import DamagedError
@@ -67,10 +67,17 @@ FLIP: dict[str, tuple[str, str]] = {
     "description": ("state", "meta"),
     "entry": ("event", "body"),
 }
+SOURCE = ("entry", "rotor")  # what nothing makes again
+OF_A_ROTOR: tuple[tuple[str, str], ...] = (
+    *(("rotor", column) for column in ("particles", "seed", "digest", "adopt")),
+    ("blade", "lot"),
+)
+"""What a rotor's versions are computed from beside its log: tables and columns."""
 
 
 def damaged(what: str) -> Callable[[Bench, int], str]:
-    """One byte of the newest version, or of the log, is another one; or the row is gone."""
+    """One byte of the newest version, of the log or of the rotor's row or a blade's is another one;
+    or the row is gone."""
 
     def trial(bench: Bench, number: int) -> str:
         rotor = bench.rotor(f"r{number}")
@@ -85,13 +92,13 @@ def damaged(what: str) -> Callable[[Bench, int], str]:
             for blade in (None, *BLADES):
                 science = bench.keeper.science
                 posterior(bench.store, science, basis(bench.store, science, rotor, NEWEST, blade))
-            read += f" with version {view.rotor.version}" if what != "entry" else ""
+            read += f" with version {view.rotor.version}" if what not in SOURCE else ""
         except DamagedError:
             read = "a read is refused (503 damaged)"
         with snapshot(bench.store.engine) as connection:
             findings = audit(connection, rotor)
         named = "named by verify" if findings else "NOT FOUND by verify"
-        if what == "entry":
+        if what in SOURCE:
             bench.acknowledged = {k: v for k, v in bench.acknowledged.items() if k[0] != rotor}
             restored = "the worker blocks the rotor"
             bench.post(rotor, "later")
@@ -100,6 +107,8 @@ def damaged(what: str) -> Callable[[Bench, int], str]:
                 record = tx.records.rotor(rotor)
             if not record.blocked:
                 restored = "NOT NOTICED by the worker"
+            elif what == "rotor" and "restore the database" not in str(record.last_error):
+                restored = f"NOT SAID why the worker blocks it: {record.last_error}"
             forget(bench, rotor)
             return f"{read}, {named}; {restored}"
         if number % 2:
@@ -134,6 +143,9 @@ def spoil(bench: Bench, rotor: str, what: str) -> None:
                 {"r": rotor, "v": newest},
             )
             return
+        if what == "rotor":
+            spoil_source(bench, connection, rotor)
+            return
         table, column = FLIP[what]
         order = "seq" if what == "entry" else "version"
         key = "seq" if what == "entry" else ("version, name" if what == "array" else "version")
@@ -153,6 +165,23 @@ def spoil(bench: Bench, rotor: str, what: str) -> None:
             text(f"UPDATE {table} SET {column} = :value WHERE rotor_id = :r AND {where}"),
             {"value": spoilt if what == "array" else spoilt.decode(), "r": rotor, **names},
         )
+
+
+def spoil_source(bench: Bench, connection: Connection, rotor: str) -> None:
+    """Flip one bit of one byte in the rotor's row, or in one of its blades'."""
+    table, column = bench.chosen.choice(OF_A_ROTOR)
+    blade = bench.chosen.choice(BLADES)
+    key = "id = :r" if table == "rotor" else "rotor_id = :r AND id = :b"
+    names = {"r": rotor} if table == "rotor" else {"r": rotor, "b": blade}
+    told = text(f"SELECT {column} FROM {table} WHERE {key}")
+    value = connection.execute(told, names).scalar_one()
+    if isinstance(value, int):
+        spoilt: int | str = value ^ (1 << bench.chosen.randrange(8))
+    else:
+        place = bench.chosen.randrange(len(value))
+        spoilt = value[:place] + chr(ord(value[place]) ^ 1) + value[place + 1 :]
+    change = text(f"UPDATE {table} SET {column} = :value WHERE {key}")
+    connection.execute(change, {"value": spoilt, **names})
 
 
 def forget(bench: Bench, rotor: str) -> None:

@@ -52,6 +52,8 @@ def _faults() -> Iterator[Fault]:
         yield Fault(f"a byte of a stored {what} changed", run, versions=False)
     yield Fault("the newest version's row deleted", in_turn(damage.damaged("row")), versions=False)
     yield Fault("a byte of the log changed", in_turn(damage.damaged("entry")), versions=False)
+    spoilt = in_turn(damage.damaged("rotor"))
+    yield Fault("a byte of the rotor's row changed, or of a blade's", spoilt, versions=False)
     yield Fault("a byte of the model's artefact changed", in_turn(damage.artefact), ("sqlite",))
 
 
