@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import core.builtin
-from core.builtin import creep_specimens
+from core.builtin import creep_specimens, shipped
 from core.discrepancy import parameters
 from core.errors import InputError, ModelError
 from core.model import Model, rotor_blade_wide
@@ -73,7 +73,8 @@ class Models:
             return Model(creep_specimens.network(), creep_specimens.formula())
         if name == WIDE:
             return rotor_blade_wide()
-        return Model(rotor_blade_network(), load(self._folder))
+        whole = shipped.WHOLE[SHIPPED.name] if self._folder == SHIPPED else None
+        return Model(rotor_blade_network(), load(self._folder, whole))
 
     def _trained(self, card: ModelCard) -> Model:
         """A model of a user's runs, by the file that its card names; the lock is held."""

@@ -27,6 +27,7 @@ import core.blade
 from core.archive import Archive, Input, Mesh, Run
 from core.archive.shared import SharedRuns
 from core.blade import DORMANT, BladeRun, Campaign, build_mesh, run_campaign
+from core.builtin import shipped
 from core.builtin.plans import NAME, SEED, STANDARD, WIDE, Plan, design
 from core.errors import ModelError
 from core.network import Network, Parameter, rotor_blade_network
@@ -187,13 +188,13 @@ def blade_digest() -> str:
 @cache
 def load() -> Surrogate:
     """The shipped artefact, read once per process."""
-    return load_artefact(MODEL)
+    return load_artefact(MODEL, shipped.WHOLE[MODEL.name])
 
 
 @cache
 def load_wide() -> Surrogate:
     """The shipped artefact of the wide plan, read once per process."""
-    return load_artefact(WIDE_MODEL)
+    return load_artefact(WIDE_MODEL, shipped.WHOLE[WIDE_MODEL.name])
 
 
 def wide_network() -> Network:

@@ -6,6 +6,10 @@ from and how well it did, and the digest: SHA-256 over ``structure`` and over na
 bytes of every array, modes in single precision however they are stored (`core.surrogate.compact`).
 `load` recomputes it and refuses what differs. The digest says which numbers
 predict; notes on provenance and errors may be added to a manifest without changing it.
+
+So that a changed note is noticed, too, the manifest has a second digest, `whole`: SHA-256 over
+everything else in it. It names nothing, and is in no surrogate's manifest. A manifest from before
+has none and is taken as it is.
 """
 
 from __future__ import annotations
@@ -33,6 +37,7 @@ from core.surrogate.tucker import Factors
 
 SCHEMA = 1
 ARRAYS, MANIFEST = "arrays.npz", "manifest.json"
+WHOLE = "whole"
 Arrays = dict[str, NDArray[Any]]
 _PROCESS = ("z", "weights", "beta", "whiten", "trend", "h_solve")
 
@@ -74,6 +79,12 @@ def _digest(structure: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) ->
     return total.hexdigest()
 
 
+def whole_of(manifest: Mapping[str, Any], but: str = WHOLE) -> str:
+    """SHA-256 over everything in a manifest but one entry, in whatever order and spacing."""
+    rest = {name: value for name, value in manifest.items() if name != but}
+    return sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
 def digest_of(model: Surrogate) -> str:
     """SHA-256 of a surrogate's content."""
     return _digest(*_unpack(model))
@@ -84,7 +95,8 @@ def save(model: Surrogate, directory: str | Path) -> Surrogate:
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     structure, arrays = _unpack(model)
-    notes = {k: v for k, v in model.manifest.items() if k not in ("schema", "digest", "structure")}
+    own = ("schema", "digest", WHOLE, "structure")
+    notes = {k: v for k, v in model.manifest.items() if k not in own}
     digest = _digest(structure, arrays)
     manifest = {"schema": SCHEMA, "digest": digest, **notes, "structure": structure}
     part = directory / f".{ARRAYS}.part"
@@ -94,13 +106,17 @@ def save(model: Surrogate, directory: str | Path) -> Surrogate:
         write(handle, allow_pickle=False, **small)
     os.replace(part, directory / ARRAYS)
     part = directory / f".{MANIFEST}.part"
-    part.write_text(json.dumps(manifest, indent=1) + "\n")
+    kept = {"schema": SCHEMA, "digest": digest, WHOLE: whole_of(manifest)} | manifest
+    part.write_text(json.dumps(kept, indent=1) + "\n")
     os.replace(part, directory / MANIFEST)
     return replace(model, manifest=manifest, digest=digest)
 
 
-def load(directory: str | Path) -> Surrogate:
-    """Read an artefact; a missing, damaged or foreign one is a ModelError."""
+def load(directory: str | Path, whole: str | None = None) -> Surrogate:
+    """Read an artefact; a missing, damaged or foreign one is a ModelError.
+
+    whole   the manifest's digest (`whole_of`) where it is known from elsewhere
+    """
     directory = Path(directory)
     try:
         manifest = json.loads((directory / MANIFEST).read_text())
@@ -120,9 +136,26 @@ def load(directory: str | Path) -> Surrogate:
             f"{directory} is damaged: its content has digest {found[:12]}…, the manifest says "
             f"{str(manifest.get('digest'))[:12]}…. Fetch or train it again"
         )
+    _check_whole(directory, manifest, whole)
+    manifest.pop(WHOLE, None)
     for array in arrays.values():
         array.flags.writeable = False
     return _pack(manifest, arrays)
+
+
+def _check_whole(directory: Path, manifest: Mapping[str, Any], known: str | None) -> None:
+    """ModelError where a note is not what was written."""
+    found, told = whole_of(manifest), manifest.get(WHOLE)
+    if told is None:  # from before; or it has lost its name
+        renamed = (name for name, value in manifest.items() if value == whole_of(manifest, name))
+        told = next((f"{name}=…" for name in renamed), None)
+    for said, where in ((told, "it"), (known, "this release")):
+        if said not in (None, found):
+            raise ModelError(
+                f"{directory} is damaged: its {MANIFEST} has digest {found[:12]}…, {where} says "
+                f"{str(said)[:12]}…: a note on errors or provenance was changed. Fetch or train it "
+                "again"
+            )
 
 
 def _pack(manifest: dict[str, Any], arrays: Arrays) -> Surrogate:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
-from service.studies.chaos import faults, full_disk
+from service.studies.chaos import damage, faults, full_disk
+from service.studies.chaos.bench import Bench
 from tests.chaos import mutants
 
 SEED = 20310504
@@ -37,6 +41,15 @@ def test_a_fault_leaves_everything_whole(name: str, database_url: str) -> None:
     told = faults.tried(fault, kind, database_url, 1, SEED, shown)
     assert told["passed"], told
     assert sum(told["outcomes"].values()) == 1
+
+
+def test_any_byte_of_a_models_artefact_that_changes_is_refused() -> None:
+    """Among them are bytes of notes, which predict nothing."""
+    bench = cast("Bench", SimpleNamespace(chosen=random.Random(SEED)))
+    told = [damage.artefact(bench, number) for number in range(24)]
+    assert set(told) == {
+        f"{name}: refused (ModelError)" for name in ("arrays.npz", "manifest.json")
+    }
 
 
 def test_a_full_disk_of_the_database_server_leaves_everything_whole() -> None:

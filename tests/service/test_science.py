@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +15,9 @@ from core.errors import ModelError
 from core.model import Model
 from core.network import rotor_blade_network
 from core.observation import Inspection
+from core.surrogate.artefact import whole_of
 from core.surrogate.formula import FormulaInput, FormulaModel
+from service import models
 from service.bootstrap import make_worker
 from service.handlers import reads
 from service.handlers.inspections import Item, post_inspections
@@ -26,6 +31,7 @@ from service.store.unit_of_work import SqlStore
 from tests.service.smooth import TRUE, elongation, formula_science
 
 Make = Callable[..., Inspection]
+VERSION = "bd0e81fbaf3e38fb"  # of the shipped model
 
 
 @pytest.fixture
@@ -86,3 +92,29 @@ def test_a_model_of_another_release_is_refused_by_name(real_store: SqlStore) -> 
         card = tx.records.model("rotor-blade")
     with pytest.raises(ModelError, match=card.version):
         CoreScience(model=Model(network, other)).warm(card)
+
+
+def test_a_changed_note_of_a_shipped_model_keeps_it_from_being_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The shipped one is held against the release, even where its own digest was made to fit; a
+    rebuilt one (`BLADETWIN_MODEL_DIR`) against its own."""
+    copy = tmp_path / models.SHIPPED.name
+    shutil.copytree(models.SHIPPED, copy)
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["runs"]["test"] = 340
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(ModelError, match="a note on errors or provenance was changed"):
+        CoreScience(str(copy)).builtin("rotor-blade")
+    manifest["whole"] = whole_of(manifest)
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    assert CoreScience(str(copy)).builtin("rotor-blade").summary["runs"]["test"] == 340
+    monkeypatch.setattr(models, "SHIPPED", copy)
+    with pytest.raises(ModelError, match="this release says"):
+        CoreScience().builtin("rotor-blade")
+
+
+def test_what_a_card_tells_of_a_model_is_what_earlier_releases_registered() -> None:
+    """A manifest's second digest is not among it, or `verify` would find the card changed."""
+    card = CoreScience().builtin("rotor-blade")
+    assert (card.version, "whole" in card.summary) == (VERSION, False)

@@ -216,5 +216,5 @@ def artefact(bench: Bench, number: int) -> str:
         for one in (told, shipped_told):
             del one["summary"]
         if told == shipped_told:
-            return f"{file.name}: a note on errors or provenance differs, nothing that predicts"
+            return f"{file.name}: A CHANGED NOTE TAKEN FOR GOOD"
         return f"{file.name}: TAKEN FOR GOOD"

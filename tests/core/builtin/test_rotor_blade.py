@@ -6,6 +6,8 @@ deformation at 50 nodes and 6 instants.
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +15,14 @@ import pytest
 from numpy.typing import NDArray
 
 from core.blade import BOUNDS, output_times
+from core.builtin import rotor_blade
 from core.builtin.plans import SEED, TRAINING, design
-from core.builtin.rotor_blade import MODEL, blade_digest, load
+from core.builtin.rotor_blade import MODEL, WIDE_MODEL, blade_digest, load
+from core.builtin.shipped import WHOLE
+from core.errors import ModelError
 from core.surrogate import Surrogate
-from core.surrogate.artefact import digest_of
+from core.surrogate.artefact import digest_of, whole_of
+from core.surrogate.artefact import load as load_artefact
 
 Array = NDArray[np.float64]
 LATE = 15  # index of 1000 h
@@ -159,6 +165,27 @@ def test_the_artefact_covers_the_blades_inputs_and_instants(blade: Surrogate) ->
 def test_the_artefact_is_small_and_its_digest_is_that_of_its_content(blade: Surrogate) -> None:
     assert sum(file.stat().st_size for file in MODEL.iterdir()) <= 8_000_000
     assert digest_of(blade) == blade.digest == blade.manifest["digest"]
+
+
+def test_the_release_knows_the_manifests_that_it_ships() -> None:
+    for folder in (MODEL, WIDE_MODEL):
+        assert whole_of(json.loads((folder / "manifest.json").read_text())) == WHOLE[folder.name]
+
+
+def test_a_changed_note_of_a_shipped_model_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where its own digest was made to fit."""
+    copy = tmp_path / MODEL.name
+    shutil.copytree(MODEL, copy)
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["runs"]["test"] = 340
+    manifest["whole"] = whole_of(manifest)
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    assert load_artefact(copy).digest == load_artefact(MODEL).digest
+    monkeypatch.setattr(rotor_blade, "MODEL", copy)
+    with pytest.raises(ModelError, match=r"manifest\.json has digest .* this release says"):
+        rotor_blade.load.__wrapped__()
 
 
 def test_the_polynomials_add_less_than_a_third_of_the_surrogates_own_error(

@@ -54,6 +54,43 @@ def test_the_digest_is_of_the_content_and_not_of_the_notes(
     assert changed.digest != first
 
 
+def flipped(saved: Path, place: int) -> Exception | None:
+    """What loading says of a manifest with one byte changed."""
+    whole = (saved / "manifest.json").read_bytes()
+    spoilt = whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :]
+    (saved / "manifest.json").write_bytes(spoilt)
+    try:
+        load(saved)
+    except ModelError as error:
+        return error
+    finally:
+        (saved / "manifest.json").write_bytes(whole)
+    return None
+
+
+def test_any_byte_of_the_manifest_that_is_changed_is_found(model: Surrogate, saved: Path) -> None:
+    """Of the notes, of their names and of the digests; the structure is the other digest's."""
+    text = (saved / "manifest.json").read_text()
+    told = load(saved).manifest
+    assert "whole" not in told
+    for place in range(text.index('"structure"')):
+        assert flipped(saved, place) is not None, text[place - 20 : place + 20]
+    assert "note" in str(flipped(saved, text.index("stand-in")))
+    assert "note" in str(flipped(saved, text.index('"whole"') + 1)), "its name is lost"
+
+
+def test_a_manifest_from_before_and_one_in_another_order_are_read(saved: Path) -> None:
+    manifest = json.loads((saved / "manifest.json").read_text())
+    turned = dict(reversed(manifest.items()))
+    (saved / "manifest.json").write_text(json.dumps(turned))
+    assert load(saved).manifest["name"] == "stand-in"
+    del manifest["whole"]
+    (saved / "manifest.json").write_text(json.dumps(manifest | {"name": "stand-on"}))
+    assert load(saved).manifest["name"] == "stand-on"
+    with pytest.raises(ModelError, match="this release says 000000"):
+        load(saved, whole="0" * 64)
+
+
 def test_loaded_arrays_cannot_be_written(saved: Path) -> None:
     with pytest.raises(ValueError, match="read-only"):
         load(saved).points[0, 0] = 1.0
