@@ -81,13 +81,17 @@ class Offsets(FakeScience):
             return found
         off = self._off(own)
         campaign = max(off, key=lambda name: abs(off[name]))
+        return found | self.named(card, campaign, off[campaign])
+
+    def named(self, card: ModelCard, campaign: str, size: float) -> Json:
+        """What a diagnosis says that found a campaign's offset of this size [mm]."""
         name = f"campaign offset (campaign {campaign})"
-        more = self._with(card.network, name, campaign, off[campaign])
+        more = self._with(card.network, name, campaign, size)
         cell = {"name": name, "words": name, "family": "campaign offset", "kind": "sensor"}
         cell |= {"target": "elongation", "how": "plus", "shape": "constant", "whom": "campaign"}
-        amplitude = {"mean": off[campaign], "sd": 0.01, "of": "added to elongation"}
+        amplitude = {"mean": size, "sd": 0.01, "of": "added to elongation"}
         effect = cell | {"value": campaign, "clock": "rotor", "step_h": None}
-        return found | {
+        return {
             "verdict": "effect",
             "names": [name],
             "claimed": True,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -25,7 +27,7 @@ from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
 from service.settings import Settings
-from service.store.engine import open_engine
+from service.store.engine import is_sqlite, open_engine
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 
@@ -48,6 +50,25 @@ def store(settings: Settings, science: FakeScience) -> Iterator[SqlStore]:
     register_builtins(opened, science)
     yield opened
     opened.close()
+
+
+@pytest.fixture
+def elsewhere(
+    store: SqlStore, request: pytest.FixtureRequest, tmp_path: Path, sqlite_template: Path
+) -> Iterator[SqlStore]:
+    """An empty, migrated database of the other kind, without any model."""
+    if is_sqlite(store.engine):
+        databases = request.getfixturevalue("databases")
+        name = databases.take()
+        url = databases.url(name)
+    else:
+        shutil.copy(sqlite_template, tmp_path / "elsewhere.db")
+        url = f"sqlite:///{tmp_path / 'elsewhere.db'}"
+    opened = SqlStore(open_engine(url))
+    yield opened
+    opened.close()
+    if is_sqlite(store.engine):
+        databases.give(name)
 
 
 @pytest.fixture

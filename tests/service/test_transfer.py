@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,7 @@ from service.science import CoreScience
 from service.settings import Settings
 from service.store import records
 from service.store import tables as t
-from service.store.engine import is_sqlite, open_engine, transaction
+from service.store.engine import transaction
 from service.store.gathered import Gathered
 from service.store.states import digests
 from service.store.unit_of_work import SqlStore
@@ -40,25 +39,6 @@ from tests.service.smooth import formula_science
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
-
-
-@pytest.fixture
-def elsewhere(
-    store: SqlStore, request: pytest.FixtureRequest, tmp_path: Path, sqlite_template: Path
-) -> Iterator[SqlStore]:
-    """An empty, migrated database of the other kind, without any model."""
-    if is_sqlite(store.engine):
-        databases = request.getfixturevalue("databases")
-        name = databases.take()
-        url = databases.url(name)
-    else:
-        shutil.copy(sqlite_template, tmp_path / "elsewhere.db")
-        url = f"sqlite:///{tmp_path / 'elsewhere.db'}"
-    opened = SqlStore(open_engine(url))
-    yield opened
-    opened.close()
-    if is_sqlite(store.engine):
-        databases.give(name)
 
 
 def work(store: SqlStore, science: Science, settings: Settings) -> None:
