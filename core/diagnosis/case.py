@@ -13,6 +13,7 @@ from core.diagnosis.families import families_for
 from core.diagnosis.following import Physics
 from core.diagnosis.grammar import Cell, Facts, cells
 from core.diagnosis.halves import halves
+from core.diagnosis.parted import parted
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
 from core.diagnosis.scoring import scores
@@ -44,6 +45,9 @@ class Case:
     dealt: int = DEALT
     serving: Sequence[str] = ()
     _seen: dict[tuple[str, str], Scores] = field(default_factory=dict, compare=False, repr=False)
+    _parted: dict[tuple[str, str, str], Held] = field(
+        default_factory=dict, compare=False, repr=False
+    )
 
     @property
     def seed(self) -> int:
@@ -126,7 +130,15 @@ class Case:
         noise = self.noise(model, state)
         physics = _physics(taken.model)
         more = signatures(taken.model, seen, taken.effects, facts, noise, physics)
-        return halves(model, taken.state, seen, taken.effects, facts, noise, more)
+
+        def again(name: str, origin: float, size: float, by: str) -> Held:
+            key = (taken.model.digest, name, by)
+            if key not in self._parted:
+                asked = (taken.model, self.spec, self.readings, name, origin, size, by)
+                self._parted[key] = parted(*asked)
+            return self._parted[key]
+
+        return halves(model, taken.state, seen, taken.effects, facts, noise, more, again)
 
 
 def _base(model: Model) -> Answers:

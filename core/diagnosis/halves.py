@@ -7,15 +7,15 @@ the signature
     g_d = ± df/da      + where a reading is of the first half, − where it is of the second
 
 is zero on average if there is one amplitude; what d could be is d = U_d / (I_d + 1/w²), with a
-prior sd w of `WIDE` expected sizes. As it is asked at the calibrated amplitude and not at none,
-effects that the answer is far from linear in (tertiary creep) are halved rightly too. df/da is
-the regression on a over the particles, in rows that the effect concerns; how it goes with the
-residual is taken from one more effect of the expected size, in proportion.
+prior sd w of `WIDE` expected sizes. It is asked at the calibrated amplitude and not at none. df/da
+is the slope on a, in rows that the effect concerns; how it goes with the residual is taken from one
+more effect of the expected size, in proportion. An amplitude of more than w is outside of that
+prior and of that proportion: each half is asked by itself (`parted`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude, expected
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.masks import masks
+from core.diagnosis.parted import BLADES, HOURS
 from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures
@@ -42,11 +43,13 @@ def halves(
     facts: Mapping[str, Facts],
     noise: Mapping[str, float],
     more: Signatures,
+    again: Callable[[str, float, float, str], Held],
 ) -> tuple[Held, ...]:
     """Of the effects in a state's model, each in both ways of halving where it concerns enough.
 
     before  the model without the effects; state, seen: with them
     more    signatures of the effects once more, in the model that has them
+    again   what each half says by itself of an amplitude: its name, origin, size, how it is halved
     """
     shared = shared_posterior(state.meta, state.arrays.__getitem__)
     others = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
@@ -62,7 +65,10 @@ def halves(
         share = np.where(told, g * size / np.where(told, once, 1.0), 0.0)
         h = np.where(concerned[:, :, c], share * more.h[:, :, c], 0.0)
         for by, half in splits(seen, g):
-            found.append(between(seen, g * size, h, half, cell, by, mean / size))
+            if abs(mean) > WIDE * size:
+                found.append(again(name, origin, size, by))
+            else:
+                found.append(between(seen, g * size, h, half, cell, by, mean / size))
     return tuple(found)
 
 
@@ -75,8 +81,8 @@ def splits(seen: Scores, g: Array) -> list[tuple[str, NDArray[np.bool_]]]:
     blades = np.flatnonzero(concerned.any(axis=1))
     odd = np.broadcast_to(np.isin(np.arange(len(g)), blades[1::2])[:, None], g.shape)
     late = seen.hours > np.median(seen.hours[concerned]) if np.any(concerned) else odd
-    parts = (("in two halves of the blades", odd), ("early and late", late))
-    return [(by, h) for by, h in parts if np.any(concerned & h) and np.any(concerned & ~h)]
+    ways = ((BLADES, odd), (HOURS, late))
+    return [(by, h) for by, h in ways if np.any(concerned & h) and np.any(concerned & ~h)]
 
 
 def between(
