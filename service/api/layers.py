@@ -5,6 +5,7 @@ Measured       counts and times of requests
 Manners        request id, browsers' headers, a line in the log
 Traced         a span of the client's trace, where traces are on
 CORS           where BLADETWIN_CORS_ORIGINS names pages that may call
+Heads          HEAD as GET without its body
 LastResort     an error that nobody foresaw is a problem, too
 Trail          a row of the audit trail for what was refused
 Gate           key, rate, scope, rotor
@@ -22,6 +23,7 @@ from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from service.api.gate import Gate
+from service.api.heads import Heads
 from service.api.kept import Answers
 from service.api.limits import BodyLimit
 from service.api.manners import Manners
@@ -54,11 +56,12 @@ def add_layers(app: FastAPI, services: Services, requests: Requests) -> None:
     app.add_middleware(Gate, store=store, settings=settings)
     app.add_middleware(Trail, store=store)
     app.add_middleware(LastResort)
+    app.add_middleware(Heads)
     if settings.origins:
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.origins,
-            allow_methods=["GET", "POST", "DELETE"],
+            allow_methods=["GET", "HEAD", "POST", "DELETE"],
             allow_headers=SENT,
             expose_headers=SHOWN,
         )

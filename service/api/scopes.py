@@ -110,7 +110,7 @@ class Table:
     >>> Table(RULES).find("GET", "/v1/rotors/r7/posterior").rotor
     'r7'
     >>> Table(RULES).find("PATCH", "/v1/rotors")
-    ['GET', 'POST']
+    ['GET', 'HEAD', 'POST']
     >>> Table(RULES).find("GET", "/v1/engines")
     []
     """
@@ -123,12 +123,13 @@ class Table:
         self._paths = [(compile_path(path)[0], path, by_path[path]) for path in by_path]
 
     def find(self, method: str, path: str) -> Found | list[str]:
-        """The rule, or the methods that the path has: none where there is no such path."""
+        """The rule, or the methods that the path has: none where there is no such path. HEAD is
+        asked for as GET (`service.api.heads`)."""
         for pattern, template, rules in self._paths:
             match = pattern.match(path)
             if match is None:
                 continue
             if method not in rules:
-                return sorted(rules)
+                return sorted({*rules, *(("HEAD",) if "GET" in rules else ())})
             return Found(f"{method} {template}", rules[method], match.groupdict().get("r"))
         return []

@@ -17,6 +17,7 @@ from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
 from service.api.feed import Feed
+from service.api.heads import is_head
 from service.api.problems import RequestError, fault
 from service.api.services import Name, Services, Wired
 from service.handlers import events as use
@@ -41,7 +42,7 @@ async def get_events(
     first = await run_in_threadpool(use.news, services.store, r, known)
     feed: Feed = request.app.state.feed
     return StreamingResponse(
-        stream(services, feed, r, first),
+        iter(()) if is_head(request.scope) else stream(services, feed, r, first),
         media_type="text/event-stream",
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
