@@ -97,6 +97,12 @@ def check_keys(store: SqlStore, settings: Settings) -> None:
         raise KeysMissingError(settings.host)
 
 
+@cache
+def _release() -> tuple[str, frozenset[str]]:
+    """The newest revision and every one that is known: files, which a process reads once."""
+    return newest(), revisions()
+
+
 def make_app(store: SqlStore, science: Science, settings: Settings) -> FastAPI:
     """The API over an open, migrated store. Workers do without it, and load nothing of it."""
     from service.api.app import create_app
@@ -104,7 +110,7 @@ def make_app(store: SqlStore, science: Science, settings: Settings) -> FastAPI:
     from service.api.waiting import Changes
 
     changes = Changes(lambda: open_wake(store.engine, "bladetwin_applied", settings.poll_ms))
-    needed, known = newest(), revisions()
+    needed, known = _release()
 
     return create_app(
         Services(store, science, settings, changes), lambda: standing(store.engine, needed, known)

@@ -27,6 +27,7 @@ def test_every_setting_is_named_with_its_default() -> None:
 def test_the_two_commands_stand_in_the_readme() -> None:
     assert README.count("python3 -m venv") == 2
     assert "<!-- test command -->" in README
+    assert "\nunset PYTHONDONTWRITEBYTECODE && python3" in README, "every start would compile anew"
 
 
 def test_every_route_is_named_and_no_other(tmp_path: Path) -> None:
