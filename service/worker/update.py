@@ -262,8 +262,8 @@ class Updater:
 
         def overdue() -> None:
             log.error(
-                "rotor %s: the %s has taken longer than BLADETWIN_UPDATE_MAX_S = %g s; its lease is "
-                "prolonged no more, and it counts as a death",
+                "rotor %s: the %s has taken longer than BLADETWIN_UPDATE_MAX_S = %g s; its lease "
+                "is prolonged no more, and it counts as a death",
                 lease.rotor_id,
                 "sealing" if lease.sealing else "update",
                 most_s,

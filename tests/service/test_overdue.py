@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from core.observation import Inspection
 from service.bootstrap import make_worker
@@ -90,10 +91,10 @@ def test_a_worker_within_a_process_of_others_loses_its_lease_alone(
     started, go_on = threading.Event(), threading.Event()
 
     class Waiting(FakeScience):
-        def update(self, *given: object, **more: object) -> object:  # type: ignore[override]
+        def update(self, *given: Any, **more: Any) -> Any:
             started.set()
             assert go_on.wait(PATIENCE_S)
-            return super().update(*given, **more)  # type: ignore[arg-type]
+            return super().update(*given, **more)
 
     post(rotor, reading("a"))
     short = settings.model_copy(update={"update_max_s": 0.2, "lease_s": 0.3})
