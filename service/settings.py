@@ -101,6 +101,13 @@ class Settings(BaseModel):
     page_limit: int = Field(200, ge=1, le=10_000, description="most items on one page of a list")
     wait_max_s: float = Field(60.0, ge=0, le=3600, description="longest `timeout` of `wait_for`, s")
     lease_s: float = Field(6.0, gt=0, le=3600, description="a silent worker loses its rotor after")
+    update_max_s: float = Field(
+        3600.0,
+        gt=0,
+        le=604_800,
+        description="an update or a sealing that takes longer counts as the death of its worker, "
+        "whose process ends, s",
+    )
     max_attempts: int = Field(5, ge=1, le=100, description="attempts before a rotor is blocked")
     retry_base_s: float = Field(0.5, ge=0, description="first pause after a failed update, doubled")
     retry_max_s: float = Field(60.0, ge=0, description="longest pause after a failed update, s")

@@ -21,6 +21,7 @@ from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.worker.claiming import Role
 from service.worker.jobs import Jobs
+from service.worker.overdue import ends_process
 from service.worker.residuals import Residuals
 from service.worker.update import Updater
 from service.worker.wake import open_wake
@@ -131,7 +132,12 @@ class Stoppable(Protocol):
 
 
 def run_worker(worker: Stoppable) -> None:
-    """Run in the main thread of a process of its own; SIGTERM and SIGINT stop it."""
+    """Run in the main thread of a process of its own; SIGTERM and SIGINT stop it.
+
+    An update that takes too long ends the process.
+    """
+    if isinstance(worker, Worker):
+        worker.updater.bound = ends_process
     signal.signal(signal.SIGTERM, worker.stop)
     signal.signal(signal.SIGINT, worker.stop)
     worker.run()

@@ -3,7 +3,9 @@
 Read the entries since the cursor, compute outside any transaction while a heartbeat prolongs the
 lease, commit state and cursor together. A state that the science calls provisional is committed
 as such and the rotor stays dirty: the next pass finds nothing pending and seals it. A worker that
-is told to end gives what it computes back unused (`service.worker.interrupt`).
+is told to end gives what it computes back unused (`service.worker.interrupt`). One whose update or
+sealing takes longer than BLADETWIN_UPDATE_MAX_S prolongs its lease no more, and where it has its
+process to itself this ends (`service.worker.overdue`).
 
 An array of the state before that turns out damaged is dealt with as a damaged state is
 (`service.worker.task`): the version is computed from the log, and every array is written anew.
@@ -12,6 +14,7 @@ An array of the state before that turns out damaged is dealt with as a damaged s
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from time import perf_counter
@@ -39,6 +42,7 @@ from service.worker.heartbeat import heartbeats
 from service.worker.interrupt import Interrupt, Interrupted
 from service.worker.lease import Lease
 from service.worker.memory import Memories, Memory
+from service.worker.overdue import Bound, endless
 from service.worker.task import Task
 from service.worker.traced import Told, told
 
@@ -67,6 +71,7 @@ class Updater:
         self.owner = owner
         self.role = role
         self.interrupt = Interrupt(stopping)
+        self.bound: Bound = endless
         self._memory = Memories(settings.rotors_in_memory, settings.readings_mb)
         self._thinned: dict[str, int] = {}
 
@@ -111,7 +116,8 @@ class Updater:
 
     def _update(self, lease: Lease, trace: Told) -> int | None:
         """Read, compute, commit; what fails is given back. The new version, if it is sealed."""
-        with self.heartbeats(lease):
+        most_s = self.settings.update_max_s
+        with self.bound(most_s), self.heartbeats(lease, most_s):
             task: Task | None = None
             try:
                 begun = perf_counter()
@@ -250,7 +256,18 @@ class Updater:
         if block:
             trim(self.engine, lease.rotor_id, self.settings.keep_events)
 
-    def heartbeats(self, lease: Lease) -> AbstractContextManager[None]:
-        """Prolong the lease every third of it, while the block runs."""
+    def heartbeats(self, lease: Lease, most_s: float = math.inf) -> AbstractContextManager[None]:
+        """Prolong the lease every third of it, while the block runs, for `most_s` at most."""
         lease_s = self.settings.lease_s
-        return heartbeats(lambda: leases.heartbeat(self.engine, lease, lease_s), lease_s)
+
+        def overdue() -> None:
+            log.error(
+                "rotor %s: the %s has taken longer than BLADETWIN_UPDATE_MAX_S = %g s; its lease "
+                "is prolonged no more, and it counts as a death",
+                lease.rotor_id,
+                "sealing" if lease.sealing else "update",
+                most_s,
+            )
+
+        beat = lambda: leases.heartbeat(self.engine, lease, lease_s)  # noqa: E731
+        return heartbeats(beat, lease_s, most_s, overdue)

@@ -1,0 +1,135 @@
+"""An update that hangs counts as a death of its worker, and blocks its rotor in the end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from core.observation import Inspection
+from service.bootstrap import make_worker
+from service.fake import FakeScience
+from service.handlers.inspections import retract
+from service.handlers.rotors import create_rotor, view_rotor
+from service.ports import BladeRecord
+from service.settings import Settings
+from service.store.unit_of_work import SqlStore
+from service.worker.heartbeat import heartbeats
+from service.worker.supervise import Supervisor
+from tests.service.test_processes import until
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 60.0
+Make = Callable[..., Inspection]
+Post = Callable[..., int]
+
+
+def test_the_lease_of_what_hangs_is_prolonged_no_more() -> None:
+    beats, over = threading.Event(), threading.Event()
+
+    def beat() -> bool:
+        beats.set()
+        return True
+
+    with heartbeats(beat, 0.03, 0.1, over.set):
+        assert over.wait(PATIENCE_S)
+        assert beats.is_set(), "it was before"
+        beats.clear()
+        assert not beats.wait(0.1)
+
+
+def test_what_ends_in_time_is_not_overdue() -> None:
+    over: list[str] = []
+    with heartbeats(lambda: True, 0.03, PATIENCE_S, lambda: over.append("over")):
+        pass
+    assert over == []
+
+
+def test_hanging_updates_block_their_rotors_and_no_other_one(
+    store: SqlStore, settings: Settings, reading: Make, post: Post
+) -> None:
+    """Whether or not what hangs holds the interpreter's lock; and a sealing that hangs."""
+    names = ("well", "sleeps", "holds", "seals")
+    for name in names:
+        create_rotor(store, name, "rotor-blade", [BladeRecord("B1"), BladeRecord("B2")], 64, 7)
+    make_worker(store, FakeScience(), settings).drain()
+    short = settings.model_copy(update={"update_max_s": 2.0, "max_attempts": 1})
+    script = str(Path(__file__).with_name("hanging_worker.py"))
+    supervisor = Supervisor(
+        store.engine,
+        ["apply", "apply", "seal"],
+        lambda owner, role: [sys.executable, script, owner, role],
+        short.environ() | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+    )
+    seqs = {name: post(name, reading(name)) for name in names}
+    supervisor.start()
+    try:
+        for name in names[1:]:
+            until(name, lambda name=name: view_rotor(store, name).rotor.blocked)
+        until("well", lambda: view_rotor(store, "well").has_applied(seqs["well"]))
+        for name in ("sleeps", "holds"):
+            told = view_rotor(store, name).rotor
+            assert told.last_error_event == name
+            assert "1 workers died or lost their lease during the update" in str(told.last_error)
+            assert (told.version, told.applied_seq) == (1, 0)
+        told = view_rotor(store, "seals").rotor
+        assert "during the sealing. Not sealed yet: entry 1 (seals)" in str(told.last_error)
+        assert not view_rotor(store, "well").rotor.blocked
+        retract(store, "holds", "holds")
+        until("the rest", lambda: view_rotor(store, "holds").has_applied(2))
+    finally:
+        supervisor.stop()
+
+
+def test_a_worker_within_a_process_of_others_loses_its_lease_alone(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    """It would take them with it."""
+    started, go_on = threading.Event(), threading.Event()
+
+    class Waiting(FakeScience):
+        def update(self, *given: Any, **more: Any) -> Any:
+            started.set()
+            assert go_on.wait(PATIENCE_S)
+            return super().update(*given, **more)
+
+    post(rotor, reading("a"))
+    short = settings.model_copy(update={"update_max_s": 0.2, "lease_s": 0.3})
+    first = make_worker(store, Waiting(), short, "first")
+    hanging = threading.Thread(target=first.updater.run_once)
+    hanging.start()
+    assert started.wait(PATIENCE_S)
+    second = make_worker(store, FakeScience(), settings, "second")
+    until("a claim by another", second.updater.run_once)
+    go_on.set()
+    hanging.join()
+    assert view_rotor(store, rotor).rotor.version == 1, "what came too late is not written"
+
+
+def test_an_update_in_time_leaves_no_watchdog_behind(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    """In a process of its own, that would end it in the midst of something else."""
+    post(rotor, reading("a"))
+    short = settings.model_copy(update={"update_max_s": 0.3})
+    code = (
+        "import sys, time\n"
+        "from service.bootstrap import make_store, make_worker\n"
+        "from service.fake import FakeScience\n"
+        "from service.settings import Settings\n"
+        "from service.worker import loop\n"
+        "settings = Settings.load()\n"
+        "worker = make_worker(make_store(settings), FakeScience(), settings, 'w')\n"
+        "worker.run = lambda: (worker.updater.run_once(), time.sleep(2.0))\n"
+        "loop.run_worker(worker)\n"
+        "print('alive')\n"
+    )
+    environ = short.environ() | {"PYTHONPATH": str(ROOT), "PATH": ""}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "alive"
+    assert view_rotor(store, rotor).rotor.version == 1
