@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,6 +36,15 @@ from tests.service.machine import Crash, Machine, act, asking, campaigns, rotors
 from tests.service.modelled import Diagnosis, Json, Modelled
 
 DAY = 86_400.0
+EPISODES = (
+    "ask",
+    "ask, work, adopt",
+    "ask, work, retract, adopt",
+    "ask, work, adopt, back out",
+    "adopt",
+    "back out",
+    "look",
+)
 PARTS = ((), ("posterior",), ("blades", "B1", "posterior"))
 
 
@@ -333,23 +342,21 @@ class Adoptions(Machine):
     @act(
         3,
         rotor=rotors,
-        what=st.sampled_from(["diagnose", "conclude", "outdate", "adopt", "back_out", "look"]),
+        what=st.sampled_from(EPISODES),
         campaign=campaigns,
         which=st.sampled_from([-1, -1, -2, 0]),
     )
     def diagnosis(self, rotor: str, what: str, campaign: str, which: int) -> None:
-        if what in ("diagnose", "conclude", "outdate"):
-            self.diagnose(rotor, campaign)
-        if what in ("conclude", "outdate"):
-            self.drain()
-        if what == "outdate":
-            self.retract(rotor, f"in-{campaign}")
-        if what in ("conclude", "outdate", "adopt"):
-            self.adopt(rotor, which)
-        if what == "back_out":
-            self.back_out(rotor, which)
-        if what == "look":
-            self.look_at_diagnoses(rotor)
+        steps: dict[str, Callable[[], None]] = {
+            "ask": lambda: self.diagnose(rotor, campaign),
+            "work": self.drain,
+            "retract": lambda: self.retract(rotor, f"in-{campaign}"),
+            "adopt": lambda: self.adopt(rotor, which),
+            "back out": lambda: self.back_out(rotor, which),
+            "look": lambda: self.look_at_diagnoses(rotor),
+        }
+        for step in what.split(", "):
+            steps[step]()
 
     def diagnose(self, rotor: str, campaign: str) -> None:
         answer = self.send("POST", self.path(rotor, "diagnoses"), json=asking(campaign))
@@ -421,7 +428,11 @@ class Adoptions(Machine):
         return one.verdict == "effect" and then == now and stands
 
     def back_out(self, rotor: str, which: int) -> None:
+        """Of those that were adopted before, if any were."""
         model, one = self.chosen(rotor, which)
+        if model is not None and one is not None:
+            known = [found for found in model.diagnoses if self.last_of(model, found)]
+            one = known[which % len(known)] if known else one
         answer = self.change("DELETE", rotor, one)
         if model is None or one is None or not self.last_of(model, one):
             assert answer.status_code == 404

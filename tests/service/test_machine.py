@@ -197,7 +197,7 @@ def test_a_broken_rule_beside_the_log_is_noticed_by_the_machine(
 
 
 def run_and_look(run: Run, store: SqlStore, machine: type[Machine] = Machine) -> None:
-    run(15, machine, phases=[Phase.generate], report_multiple_bugs=False)
+    run(10, machine, phases=[Phase.generate], report_multiple_bugs=False)
     seen_in_tables(store)
 
 
