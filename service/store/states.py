@@ -124,7 +124,7 @@ class SqlStates:
         raise GoneError(what, "at", moment(at), near)
 
     def _received_by(self, rotor_id: str, at: float) -> tuple[int, int]:
-        """(the last of the entries that all came by a moment, the cursor; -1: nothing yet)."""
+        """(the last of the entries that all came by a moment, the cursor; -1: to be computed)."""
         end = end_of(at)
         c, e = t.cursor.c, t.entry.c
         rotor = select(t.rotor.c.head_seq, t.rotor.c.created_at, c.applied_seq, c.version)
@@ -143,7 +143,8 @@ class SqlStates:
         later = select(func.min(e.seq)).where(e.rotor_id == rotor_id, e.received_at >= end)
         after = self._connection.execute(later).scalar()
         through = row.head_seq if after is None else after - 1
-        return through, row.applied_seq if row.version else -1
+        none_yet = not row.version and through == row.head_seq
+        return through, -1 if none_yet else row.applied_seq
 
     def _nearest(
         self, rotor_id: str, column: Column[Any], value: int
