@@ -11,7 +11,8 @@ ends the server's timer. Who waits for such locks is told so after twice `SILENT
 A server that vanishes without a word (`LIMITS`) is noticed within half a minute, and no thread
 waits longer for it.
 What is said of a failed statement names its parameters nowhere: they are readings and digests.
-`now_s()` is the database's clock, the only clock that leases know.
+`now_s()` is the database's clock, the only clock that leases know, and `begun_s()` when its server
+was started.
 """
 
 from __future__ import annotations
@@ -62,6 +63,23 @@ def _now_sqlite(element: Any, compiler: Any, **kw: Any) -> str:
 @compiles(now_s, "postgresql")
 def _now_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
     return "extract(epoch from clock_timestamp())::double precision"
+
+
+class begun_s(FunctionElement[float]):
+    """When the database's server was started, as `now_s`; SQLite has none that could be away: 0."""
+
+    type = Double()
+    inherit_cache = True
+
+
+@compiles(begun_s, "sqlite")
+def _begun_sqlite(element: Any, compiler: Any, **kw: Any) -> str:
+    return "0.0"
+
+
+@compiles(begun_s, "postgresql")
+def _begun_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
+    return "extract(epoch from pg_postmaster_start_time())::double precision"
 
 
 def open_engine(url: str) -> Engine:

@@ -17,6 +17,10 @@ entries that come with it or after it are applied with it. Nothing is claimed ov
 A rotor is also claimed by name, to rebuild what was damaged (`claim_rotor`): under the same fence,
 and never from a worker whose lease still runs.
 
+Each claim counts as an attempt until a version comes of it, and a rotor over which too many workers
+died is blocked. A lease that ran out because the database was restarted (`outlived`) is no death:
+the claim that follows it is not counted.
+
 The database's clock may be set back, and what was written before lies in its future then. A lease
 that ends later than any could that was given now (`AHEAD` times the caller's own) is over, and what
 began in the future began long ago: a rotor does not stand still until the clock has caught up. The
@@ -48,7 +52,7 @@ from sqlalchemy import (
 
 from service.adopted import KINDS as CHANGES
 from service.store import tables as t
-from service.store.engine import now_s, transaction
+from service.store.engine import begun_s, now_s, transaction
 from service.worker.lease import Lease
 
 c = t.cursor.c
@@ -107,6 +111,14 @@ def unheld(lease_s: float) -> ColumnElement[bool]:
 def ran_out(lease_s: float) -> ColumnElement[bool]:
     """Somebody held the rotor and did not give it back."""
     return over(c.lease_until, lease_s)
+
+
+def outlived(lease_s: float) -> ColumnElement[bool]:
+    """The lease ran out while the database was away: its server was started after the last beat.
+
+    Whoever held it could not prolong it, however well the work went.
+    """
+    return and_(ran_out(lease_s), c.lease_until - lease_s < begun_s())
 
 
 def claimable(
@@ -179,7 +191,7 @@ def _claim(
             .where(c.rotor_id == rotor_id)
             .values(
                 fence=c.fence + 1,
-                attempts=c.attempts + 1,
+                attempts=c.attempts + case((outlived(lease_s), 0), else_=1),
                 owner=owner,
                 lease_until=now_s() + lease_s,
                 sealing=sealing,
