@@ -99,9 +99,9 @@ const notThen = (error) => {
   throw error;
 };
 
-async function drawHistory(found, kept, came) {
+async function drawHistory(found, kept, came, joined) {
   const last = found.time_h.at(-1);
-  const told = await Promise.all(kept.items.map((v) =>
+  const told = await Promise.all(kept.items.map((v) => v.through_seq < joined ? null :
     get(`${own}/prediction`, { version: v.version, quantity: found.quantity, times: last, node: found.node }).catch(notThen)));
   const rows = kept.items.map((v, i) => {
     const since = kept.items[i + 1]?.through_seq ?? (kept.next === null ? 0 : null);
@@ -169,7 +169,7 @@ async function draw() {
     readings.length > ROWS ? h("p", { class: "small" }, `The last ${ROWS} to arrive of ${all.more ? "more than " : ""}${fixed(readings.length, 0)}. `, h("a", { href: `${path`/rotors/${rotor}/readings`}?blade=${encodeURIComponent(blade)}` }, "All of them, page by page")) : null);
   marginals(prior, draws, withEffects(now));
   corner(pairs, draws);
-  await drawHistory(found, kept, came);
+  await drawHistory(found, kept, came, me?.added_seq ?? 0);
 }
 
 /** The model's network with what was adopted: an offset has its quantity's unit, all else is a share. */
