@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
-from core.diagnosis.adopt import typical_noise
+from core.diagnosis.adopt import amplitude, typical_noise, with_effects
 from core.diagnosis.clock import readers
 from core.diagnosis.conclude import Rival
 from core.diagnosis.families import families_for
 from core.diagnosis.following import Physics
 from core.diagnosis.grammar import Cell, Facts, cells
 from core.diagnosis.halves import halves
-from core.diagnosis.parted import parted
+from core.diagnosis.parted import Parted
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
 from core.diagnosis.scoring import scores
@@ -45,9 +46,6 @@ class Case:
     dealt: int = DEALT
     serving: Sequence[str] = ()
     _seen: dict[tuple[str, str], Scores] = field(default_factory=dict, compare=False, repr=False)
-    _parted: dict[tuple[str, str, str], Held] = field(
-        default_factory=dict, compare=False, repr=False
-    )
 
     @property
     def seed(self) -> int:
@@ -118,8 +116,13 @@ class Case:
         found = signatures(model, seen, left, facts, noise, _physics(model))
         return Scan.of(left, seen, found, unnamed(seen, facts))
 
+    @cached_property
+    def parted(self) -> Parted:
+        """Its readings in halves that are calibrated by themselves."""
+        return Parted(self.spec, self.readings)
+
     def halves(self, model: Model, state: RotorState, taken: Rival) -> tuple[Held, ...]:
-        """Whether the amplitudes of the effects in a model agree between halves.
+        """Whether the effects in a model hold in halves: by amplitude, or each half by itself.
 
         model, state  without any effect
         """
@@ -131,14 +134,21 @@ class Case:
         physics = _physics(taken.model)
         more = signatures(taken.model, seen, taken.effects, facts, noise, physics)
 
-        def again(name: str, origin: float, size: float, by: str) -> Held:
-            key = (taken.model.digest, name, by)
-            if key not in self._parted:
-                asked = (taken.model, self.spec, self.readings, name, origin, size, by)
-                self._parted[key] = parted(*asked)
-            return self._parted[key]
+        def again(cell: Cell, size: float, by: str) -> Held:
+            name, origin = amplitude(cell, model.network)
+            return self.parted.amplitudes(taken.model, cell.name, name, origin, size, by)
 
-        return halves(model, taken.state, seen, taken.effects, facts, noise, more, again)
+        found = halves(model, taken.state, seen, taken.effects, facts, noise, more, again)
+        if not any(one.alone and not one.agrees for one in found):
+            return found
+        less = {
+            cell.name: with_effects(model, [c for c in taken.effects if c != cell], facts, noise)
+            for cell in taken.effects
+        }
+        return tuple(
+            replace(one, gained=self.parted.gained(taken.model, less[one.effect], one.by))
+            for one in found
+        )
 
 
 def _base(model: Model) -> Answers:

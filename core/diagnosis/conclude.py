@@ -21,7 +21,7 @@ import numpy as np
 from core.calibration.state import RotorState
 from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import LEAST, Hypothesis, credible, evidence_of
-from core.diagnosis.verdict import DISAGREE, LEFT, MOST_NAMES, NAMED, Held, Verdict
+from core.diagnosis.verdict import CONFIRMED, DISAGREE, LEFT, MOST_NAMES, NAMED, Held, Verdict
 from core.model import Model
 
 SHOWN = 20
@@ -189,6 +189,7 @@ def conclude(
             if claim not in (None, name)
         ]
         whys += gone
+        whys += [_varies(h) for h in held if h.varies]
         return replace(said, names=tuple(sure), reasons=tuple(whys))
     doubt = [t for t in took if any(claims.get(n, n) is None for n in t.took)]
     rest = {n for turn in doubt for n in turn.in_doubt}
@@ -214,10 +215,33 @@ def _against(
         reasons += [f"{' and '.join(n)} was not calibrated: {why}" for n, why in refused.items()]
     elif after <= LEFT:
         reasons.append(f"what is left has a p of {after:.3g}: more is there than they explain")
-    reasons += [
-        f"its amplitude is {h.amplitudes[0]:.2g} and {h.amplitudes[1]:.2g} times the expected one "
-        f"{h.by}: {DISAGREE:g} sd of the difference are {DISAGREE * h.sd:.2g}"
-        for h in held
-        if not h.agrees
-    ]
-    return reasons
+    return reasons + [_apart(h) for h in held if not h.stands]
+
+
+def _apart(held: Held) -> str:
+    """That an effect does not hold in halves, in words."""
+    if held.gained is not None and min(held.gained) < CONFIRMED:
+        first, second = held.gained
+        return (
+            f"{held.effect} is not found {held.by} in each by itself: they gain {first:.1f} and "
+            f"{second:.1f} nat, {CONFIRMED:g} are asked for"
+        )
+    return f"the amplitude of {held.effect} does not hold: it is {_sizes(held)}"
+
+
+def _varies(held: Held) -> str:
+    """That an effect is there everywhere, and not with one amplitude, in words."""
+    assert held.gained is not None
+    return (
+        f"{held.effect} is found {held.by} in each by itself ({held.gained[0]:.0f} and "
+        f"{held.gained[1]:.0f} nat), but not with one amplitude: it is {_sizes(held)}; a forecast "
+        "with one amplitude for all is too sure"
+    )
+
+
+def _sizes(held: Held) -> str:
+    first, second = held.amplitudes
+    return (
+        f"{first:.2g} and {second:.2g} times the expected one {held.by}, where {DISAGREE:g} sd of "
+        f"the difference are {DISAGREE * held.sd:.2g}"
+    )

@@ -43,13 +43,13 @@ def halves(
     facts: Mapping[str, Facts],
     noise: Mapping[str, float],
     more: Signatures,
-    again: Callable[[str, float, float, str], Held],
+    again: Callable[[Cell, float, str], Held],
 ) -> tuple[Held, ...]:
     """Of the effects in a state's model, each in both ways of halving where it concerns enough.
 
     before  the model without the effects; state, seen: with them
     more    signatures of the effects once more, in the model that has them
-    again   what each half says by itself of an amplitude: its name, origin, size, how it is halved
+    again   what each half says by itself of an effect: its cell, expected size, how it is halved
     """
     shared = shared_posterior(state.meta, state.arrays.__getitem__)
     others = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
@@ -66,7 +66,7 @@ def halves(
         h = np.where(concerned[:, :, c], share * more.h[:, :, c], 0.0)
         for by, half in splits(seen, g):
             if abs(mean) > WIDE * size:
-                found.append(again(name, origin, size, by))
+                found.append(again(cell, size, by))
             else:
                 found.append(between(seen, g * size, h, half, cell, by, mean / size))
     return tuple(found)
@@ -106,4 +106,4 @@ def between(
     phi = float(Scatter.of(own, concerned, alone).phi(c, u, information)[0])
     variance = 1.0 / (float(information[0]) / phi + 1.0 / WIDE**2)
     off = variance * float(u[0]) / phi
-    return Held(by, (mean + off, mean - off), 2.0 * float(np.sqrt(variance)))
+    return Held(by, (mean + off, mean - off), 2.0 * float(np.sqrt(variance)), cell.name)

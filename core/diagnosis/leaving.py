@@ -6,8 +6,8 @@ it. Such an effect must not be claimed, and it must not stand in the way of what
 kinds leave, if what is left without them is chance:
 
     open      those whose turn did not settle on a name, beside others whose turn did
-    unsteady  the one without which the amplitudes of all others hold, if with it they do not;
-              of several, the one that gained least
+    unsteady  the one without which all others hold in halves, if with it not all do; of several,
+              the one that gained least
 
 That they would gain is said with the verdict.
 """
@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 from core.diagnosis.conclude import Rival, Turn
 from core.diagnosis.search import Search
+from core.diagnosis.verdict import Held
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,28 +48,38 @@ def without_open(search: Search, taken: Rival, turns: Sequence[Turn]) -> Fewer |
 
 
 def without_unsteady(search: Search, taken: Rival, turns: Sequence[Turn]) -> Fewer | None:
-    """Without the one effect beside which amplitudes do not hold between halves.
+    """Without the one effect that does not hold in halves, or beside which others do not.
 
-    None where they hold, or do not without any single one of them either, or where more than
+    None where all hold, or do not without any single one of them either, or where more than
     chance is then left.
     """
-    if len(taken.effects) < 2 or _steady(search, taken):
+    if len(taken.effects) < 2:
+        return None
+    held = _held(search, taken)
+    if all(one.stands for one in held):
         return None
     rests = [
         search.only(taken, tuple(c for c in taken.effects if c != out)) for out in taken.effects
     ]
     for rest in sorted((r for r in rests if r is not None), key=lambda r: -r.gained):
-        if _steady(search, rest):
+        if all(one.stands for one in _held(search, rest)):
             _, found = search.left(rest, len(turns))
             if found.word == "adequate":
-                why = ", and amplitudes would not hold between halves beside it"
-                return _fewer(taken, rest, found.p, why)
+                return _fewer(taken, rest, found.p, _why(taken, rest, held))
     return None
 
 
-def _steady(search: Search, taken: Rival) -> bool:
-    held = search.case.halves(search.model, search.state, taken)
-    return all(h.agrees for h in held)
+def _held(search: Search, taken: Rival) -> tuple[Held, ...]:
+    return search.case.halves(search.model, search.state, taken)
+
+
+def _why(taken: Rival, rest: Rival, held: Sequence[Held]) -> str:
+    out = next(c.name for c in taken.effects if c not in rest.effects)
+    for one in held:
+        if one.effect == out and one.gained is not None and not one.stands:
+            first, second = one.gained
+            return f", but not in each half by itself ({first:.1f} and {second:.1f} {one.by})"
+    return ", and amplitudes would not hold between halves beside it"
 
 
 def _fewer(taken: Rival, rest: Rival, p: float, why: str = "") -> Fewer:

@@ -1,4 +1,4 @@
-"""Whether a large amplitude holds: calibrated from each half of the readings by itself.
+"""Whether a large effect holds: calibrated from each half of the readings by itself.
 
 `halves` asks a posterior for the difference between two halves to first order, with a prior of
 `WIDE` expected sizes. An amplitude beyond these (a dormant input with a wide prior of its own that
@@ -11,21 +11,40 @@ their priors alone, and
 
 is near a standard normal if there is one amplitude. It tells less than the first order does where
 that is right: each half has to find the other parameters for itself.
+
+What is large and not the same everywhere may still be there everywhere: creep that accelerates in
+every specimen, at each one's own rate. So where a large amplitude is not one, each half is asked
+whether it has the effect at all, by its evidence with and without,
+
+    gained_k = ln p(y_k | all effects) − ln p(y_k | all but this one),
+
+and so is every other effect beside it: a law that is off in its amplitude leaves a misfit behind
+for which a lesser effect may be taken, and in a half with an amplitude of its own that misfit is
+smaller. What both halves find, each by itself, is no accident of either.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from core.calibration.online import Workspace, update
-from core.calibration.state import RotorSpec, shared_posterior
+from core.calibration.state import Posterior, RotorSpec, shared_posterior
 from core.diagnosis.verdict import Held
 from core.model import Model
 from core.observation import Inspection
 
 BLADES, HOURS = "in two halves of the blades", "early and late"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What a half of the readings makes of a model."""
+
+    log_evidence: float
+    shared: Posterior
 
 
 def parts(readings: Sequence[Inspection], by: str) -> tuple[list[Inspection], list[Inspection]]:
@@ -44,25 +63,45 @@ def parts(readings: Sequence[Inspection], by: str) -> tuple[list[Inspection], li
     )
 
 
-def parted(
-    model: Model,
-    spec: RotorSpec,
-    readings: Sequence[Inspection],
-    name: str,
-    origin: float,
-    size: float,
-    by: str,
-) -> Held:
-    """The amplitude `name` of a model with the effect in each half, in expected sizes.
+@dataclass(frozen=True)
+class Parted:
+    """A rotor's readings in halves, and what each half by itself makes of a model."""
 
-    origin   the amplitude where there is no effect
-    """
-    found: list[tuple[float, float]] = []
-    for half in parts(readings, by):
-        state = update(model, spec, half, workspace=Workspace())
+    spec: RotorSpec
+    readings: Sequence[Inspection]
+    _known: dict[tuple[str, str], tuple[Part, Part]] = field(
+        default_factory=dict, compare=False, repr=False
+    )
+
+    def amplitudes(
+        self, model: Model, effect: str, name: str, origin: float, size: float, by: str
+    ) -> Held:
+        """Of the amplitude `name` of a model with the effect, in each half, in expected sizes.
+
+        origin   the amplitude where there is no effect
+        """
+        found: list[tuple[float, float]] = []
+        for half in self.halves(model, by):
+            a, w = (half.shared.column(name) - origin) / size, half.shared.particles.w
+            mean = float(w @ a)
+            found.append((mean, float(w @ (a - mean) ** 2)))
+        (first, v), (second, u) = found
+        return Held(by, (first, second), float(np.sqrt(v + u)), effect, alone=True)
+
+    def gained(self, model: Model, less: Model, by: str) -> tuple[float, float]:
+        """Nats by which each half has a model rather than one that lacks an effect of it."""
+        (a, b), (c, d) = self.halves(model, by), self.halves(less, by)
+        return a.log_evidence - c.log_evidence, b.log_evidence - d.log_evidence
+
+    def halves(self, model: Model, by: str) -> tuple[Part, Part]:
+        """Each half's evidence and posterior of the shared parameters."""
+        key = (model.digest, by)
+        if key not in self._known:
+            first, second = (self._calibrated(model, half) for half in parts(self.readings, by))
+            self._known[key] = first, second
+        return self._known[key]
+
+    def _calibrated(self, model: Model, half: Sequence[Inspection]) -> Part:
+        state = update(model, self.spec, half, workspace=Workspace())
         shared = shared_posterior(state.meta, state.arrays.__getitem__)
-        a, w = (shared.column(name) - origin) / size, shared.particles.w
-        mean = float(w @ a)
-        found.append((mean, float(w @ (a - mean) ** 2)))
-    (first, v), (second, u) = found
-    return Held(by, (first, second), float(np.sqrt(v + u)))
+        return Part(state.meta["log_evidence"], shared)

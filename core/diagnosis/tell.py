@@ -58,7 +58,7 @@ def to_json(
         "calibrated": [{"names": list(names), "gained_nat": gain} for names, gain in found.tried],
         "no_room": [{"names": list(names), "why": why} for names, why in found.refused],
         "tried": tried(found.first),
-        "holds": [{**asdict(h), "agrees": h.agrees} for h in verdict.held],
+        "holds": [h.to_json() for h in verdict.held],
         "parameters": {
             "before": shared(found.before[1]),
             "after": shared(after[1]),

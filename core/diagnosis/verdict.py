@@ -17,7 +17,7 @@ left is scanned again with the misfits without a name (bins of hours) among what
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis, best_of, credible, evidence_of, weighed
@@ -29,21 +29,57 @@ LEFT = 0.01  # of what is left once the effect is in
 NAMED = 0.90  # evidence of a name
 DISAGREE = 3.0  # sds between two halves' amplitudes
 WIDE = 5.0  # prior sd of a half's amplitude, in sizes
+CONFIRMED = 5.0  # nats by which an effect is found in a half by itself
 MOST_NAMES = 5  # in a set that is still an answer
 DEALT = 400
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """Whether an amplitude holds: its size in each half, and the sd of the difference."""
+    """Whether an effect holds: its amplitude in each half, and the sd of the difference.
+
+    amplitudes  in expected sizes; alone: whether each half was calibrated by itself (`parted`)
+    gained      nats by which each half by itself has the effect beside all others; none where that
+                was not asked, for amplitudes say enough
+    """
 
     by: str
     amplitudes: tuple[float, float]
     sd: float
+    effect: str = ""
+    alone: bool = False
+    gained: tuple[float, float] | None = None
 
     @property
     def agrees(self) -> bool:
+        """Whether there can be one amplitude."""
         return abs(self.amplitudes[0] - self.amplitudes[1]) <= DISAGREE * self.sd
+
+    @property
+    def stands(self) -> bool:
+        """Whether the effect may be claimed: one amplitude, or found in each half by itself.
+
+        >>> Held("early and late", (90.0, 30.0), 17.0).stands
+        False
+        >>> Held("early and late", (90.0, 30.0), 17.0, gained=(270.0, 300.0)).stands
+        True
+        >>> Held("early and late", (1.0, 1.0), 0.3, gained=(10.0, -0.4)).stands
+        False
+        """
+        if self.gained is None:
+            return self.agrees
+        return min(self.gained) >= CONFIRMED and self.amplitudes[0] * self.amplitudes[1] > 0
+
+    @property
+    def varies(self) -> bool:
+        """Whether the effect is in both halves, and not with one amplitude."""
+        return self.stands and not self.agrees
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON."""
+        told = {name: getattr(self, name) for name in ("effect", "by", "sd", "agrees", "stands")}
+        gained = None if self.gained is None else list(self.gained)
+        return {**told, "amplitudes": list(self.amplitudes), "gained_nat": gained}
 
 
 @dataclass(frozen=True)

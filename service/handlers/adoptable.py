@@ -63,13 +63,18 @@ def claimed(job: JobRecord, result: Json | None) -> Json:
 
 
 def holding(job: JobRecord, result: Json) -> None:
-    """AdoptionError: the effect fails in a condition, and nobody has decided to have it for all."""
+    """AdoptionError: it fails in a condition or varies, and nobody has decided to have it so."""
+    there = f"/v1/rotors/{job.rotor_id}/diagnoses/{job.id}"
+    remedy = f"where it is to be had all the same, POST {there}/adoption"
     fails = [c for c in result.get("conditions") or () if not c["holds"]]
     if fails:
         where = ", ".join(f"{c['input']} = {c['value']:g}" for c in fails)
-        there = f"/v1/rotors/{job.rotor_id}/diagnoses/{job.id}"
-        remedy = f"where it is to be had all the same, POST {there}/adoption"
         raise AdoptionError(job.id, "adopted unasked", f"it does not hold at {where}", remedy)
+    varies = [h for h in result.get("holds") or () if not h["agrees"]]
+    if varies:
+        how = ", ".join(f"of {h.get('effect', 'it')} {h['by']}" for h in varies)
+        problem = f"the amplitude {how} is not one, and it would be adopted with one for all"
+        raise AdoptionError(job.id, "adopted unasked", problem, remedy)
 
 
 def models_of(

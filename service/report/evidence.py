@@ -7,7 +7,7 @@ from typing import Any
 
 from service.report import figures
 from service.report.markup import Child, Markup, el
-from service.report.sections import ALARM, LEFT, OLDER, SHOWN, changes
+from service.report.sections import ALARM, CONFIRMED, LEFT, OLDER, SHOWN, changes
 from service.report.tables import cell, figure, note, section, table
 from service.report.words import joined, number, with_sd
 
@@ -57,19 +57,28 @@ def _what(name: str) -> str:
 
 
 def held(found: Json) -> Markup:
-    """Whether amplitudes agree between halves of the blades, and early and late."""
+    """Whether effects hold between halves of the blades, and early and late."""
     title = "What held"
     if not found["holds"]:
         return section(title, el("p", "No amplitude was held against itself."))
     rows: list[list[Child]] = []
     for one in found["holds"]:
         a, b = one["amplitudes"]
-        kind = "better" if one["agrees"] else "mark"
-        word = "agrees" if one["agrees"] else "does not agree"
-        rows.append([one["by"], number(a), number(b), number(one["sd"]), cell(word, kind=kind)])
-    head = ["", "one half", "the other", "sd of the difference", ""]
-    said = "Amplitudes in multiples of the expected size; they agree within three sd."
-    return section(title, table(head, rows, (1, 2, 3)), note(said))
+        word, kind = "agrees", "better"
+        if not one["agrees"]:
+            word, kind = "does not agree", "mark"
+        if one.get("gained_nat"):
+            first, second = one["gained_nat"]
+            word += f"; the halves by themselves gain {first:.1f} and {second:.1f} nat"
+            kind = "mark" if not (one["agrees"] and one["stands"]) else "better"
+        what = [one.get("effect", ""), one["by"]]
+        rows.append([*what, number(a), number(b), number(one["sd"]), cell(word, kind=kind)])
+    head = ["", "", "one half", "the other", "sd of the difference", ""]
+    said = (
+        "Amplitudes in multiples of the expected size; they agree within three sd. Where a large "
+        f"one does not, each half by itself has to have each effect by {CONFIRMED:g} nat."
+    )
+    return section(title, table(head, rows, (2, 3, 4)), note(said))
 
 
 def parameters(found: Json) -> Markup:

@@ -15,6 +15,7 @@ import pytest
 from sqlalchemy import text, update
 from typer.testing import CliRunner
 
+from core.diagnosis.verdict import Held
 from core.observation import Entry, Inspection
 from service import bundle
 from service.adopted import adopted_at
@@ -463,6 +464,25 @@ def test_what_fails_in_a_condition_is_not_adopted_unasked_and_may_be_asked_for(
         assert "does not hold at stress = 230" in result["not_adopted"]
         adopt(store, science, "r1", found)
         assert view_rotor(store, "r1").rotor.head_seq == 13
+
+
+def test_an_amplitude_that_varies_is_not_adopted_unasked(
+    api: httpx.Client, store: SqlStore, settings: Settings, post: Post, reading: Make
+) -> None:
+    automatic(store, settings, post, reading, "effect")
+
+    class Varying(Offsets):
+        def diagnose(self, *given: Any) -> Json:
+            half = Held("early and late", (9.0, 3.0), 1.0, "wear", gained=(50.0, 80.0))
+            return super().diagnose(*given) | {"holds": [half.to_json()]}
+
+    science = Varying()
+    found = diagnosed(store, science, make_worker(store, science, settings, "d", "diagnose"))
+    result = find_diagnosis(store, "r1", found).result or {}
+    assert "the amplitude of wear early and late is not one" in result["not_adopted"]
+    assert view_rotor(store, "r1").rotor.head_seq == 12
+    adopt(store, science, "r1", found)
+    assert view_rotor(store, "r1").rotor.head_seq == 13
 
 
 def lost(store: SqlStore, settings: Settings) -> tuple[str, int]:

@@ -41,8 +41,8 @@ def told(verdict: str, blade: str = "B1", campaign: str = "spring", **changes: A
         "no_room": [{"names": ["coating wear"], "why": "the runs have no room"}] * named,
         "tried": [{"what": "campaign offset, campaign", "log_bf": 11.0},
                   {"what": "by age", "log_bf": 4.0}, {"what": "fouling, all", "log_bf": -1.0}],
-        "holds": [{"by": "early and late", "amplitudes": [1.0, 1.2], "sd": 0.2, "agrees": True}]
-        * named,
+        "holds": [{"effect": name, "by": "early and late", "amplitudes": [1.0, 1.2], "sd": 0.2,
+                   "agrees": True, "stands": True, "gained_nat": None}] * named,
         "parameters": {"before": {"t1t_rate": {"mean": 0.9, "sd": 0.01}},
                        "after": {"t1t_rate": {"mean": 0.91, "sd": 0.01}}},
         "readings": {"delivered": 12, "used": 12},

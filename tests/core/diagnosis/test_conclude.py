@@ -140,6 +140,29 @@ def test_nothing_is_claimed_while_more_is_there_or_halves_disagree() -> None:
     assert "early and late" in found.reasons[0]
 
 
+def test_an_effect_that_both_halves_have_is_claimed_and_said_to_vary() -> None:
+    fine = turn("wear", wear=0.99, offset=0.01)
+    varies = Held("early and late", (9.0, 3.0), 1.0, "wear", alone=True, gained=(50.0, 80.0))
+    found = said(("wear",), fine, held=(varies,))
+    assert (found.word, found.names) == ("effect", ("wear",))
+    assert found.reasons[-1] == (
+        "wear is found early and late in each by itself (50 and 80 nat), but not with one "
+        "amplitude: it is 9 and 3 times the expected one early and late, where 3 sd of the "
+        "difference are 3; a forecast with one amplitude for all is too sure"
+    )
+
+
+def test_one_that_a_half_does_not_have_by_itself_is_not_claimed() -> None:
+    fine = turn("wear", wear=0.99, offset=0.01)
+    for gained, amplitudes in (((50.0, 4.9), (9.0, 3.0)), ((50.0, 80.0), (9.0, -3.0))):
+        half = Held("early and late", amplitudes, 1.0, "wear", alone=True, gained=gained)
+        found = said(("wear",), fine, held=(half,))
+        assert found.word == "unattributed"
+        assert ("not found early and late in each by itself" in found.reasons[0]) is (
+            min(gained) < 5.0
+        )
+
+
 def test_too_many_names_are_no_answer() -> None:
     many = {f"n{i}": 0.125 for i in range(8)}
     found = said(("n0",), turn("n0", **many))

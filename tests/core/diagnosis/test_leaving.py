@@ -72,6 +72,25 @@ def test_none_leaves_where_that_mends_nothing(steady: list[frozenset[Cell]], eno
     assert left(steady, enough)[0] is None
 
 
+def test_one_that_is_not_found_in_each_half_by_itself_leaves_and_is_told_so() -> None:
+    class Parted(Stub):
+        def halves(self, model: Any, state: Any, taken: Rival) -> tuple[Held, ...]:
+            gained = {A: (270.0, 300.0), B: (100.0, 90.0), C: (10.0, -0.4)}
+            return tuple(
+                Held("early and late", (1.0, 3.0 if c == A else 1.0), 0.1, c.name, gained=gained[c])
+                for c in taken.effects
+            )
+
+    taken = Rival((A, B, C), NOTHING, NOTHING, GAINED[frozenset((A, B, C))])
+    fewer = without_unsteady(cast(Search, Parted([], True)), taken, [])
+    assert fewer is not None
+    assert fewer.rest.effects == (A, B)
+    assert fewer.told.startswith(
+        f"{C.name} would gain 10.0 nat more, but not in each half by itself (10.0 and -0.4 early "
+        "and late); what is left"
+    )
+
+
 def test_a_single_effect_that_does_not_hold_stays_and_is_told_by_the_verdict() -> None:
     alone = Rival((A,), NOTHING, NOTHING, 9.0)
     assert without_unsteady(cast(Search, Stub([], True)), alone, []) is None

@@ -1,40 +1,55 @@
-"""Large amplitudes in halves, against the exact posterior of each half."""
+"""Large effects in halves, against the exact posterior and evidence of each half."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from core.calibration.online import Workspace, update
 from core.diagnosis import Case, Facts
-from core.diagnosis import case as module
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.conclude import Rival
 from core.diagnosis.grammar import Cell
-from core.diagnosis.parted import BLADES, HOURS, parted, parts
-from core.diagnosis.verdict import WIDE, Held
-from tests.core.diagnosis.test_diagnose import BEND, MODEL, SPEC, exact_bend, readings
+from core.diagnosis.parted import BLADES, HOURS, Parted, parts
+from core.diagnosis.verdict import CONFIRMED, WIDE, Held
+from core.observation import Inspection
+from tests.core.diagnosis.test_diagnose import BEND, MODEL, OFFSET, SPEC, exact_bend, readings
 
 CELL = Cell(BEND, "constant", "all")
 LARGE = 1.6  # more than WIDE times the expected 0.3
 assert WIDE * BEND.size < LARGE  # type: ignore[operator]
 BENT = with_effects(MODEL, [CELL], {}, {})
+GAUGE = Cell(OFFSET, "constant", "instrument", "gauge 1")
 
 
-def held(odd: float, even: float) -> tuple[Held, ...]:
+def held(odd: float, even: float, *others: Cell) -> tuple[Held, ...]:
     """Of blades that are bent by `odd` and `even`."""
     data = readings(lambda b, t: (odd if b % 2 else even) * t**2)
-    case, work = Case(SPEC, data, {b: Facts() for b in SPEC.blades}), Workspace()
-    sound = update(MODEL, SPEC, data, workspace=work)
-    state = update(BENT, SPEC, data, workspace=work)
-    return case.halves(MODEL, sound, Rival((CELL,), BENT, lambda: state, 0.0))
+    facts, work = {b: Facts() for b in SPEC.blades}, Workspace()
+    case, sound = Case(SPEC, data, facts), update(MODEL, SPEC, data, workspace=work)
+    bent = with_effects(MODEL, [CELL, *others], facts, case.noise(MODEL, sound))
+    state = update(bent, SPEC, data, workspace=work)
+    return case.halves(MODEL, sound, Rival((CELL, *others), bent, lambda: state, 0.0))
+
+
+def exact_gain(half: list[Inspection]) -> float:
+    """Log evidence of a bend, uniform over 0 to 2, against none, all else integrated out.
+
+    The likelihood of a bend b is that of none times exp((m² − (b − m)²) / 2 s²).
+    """
+    m, s = exact_bend(tuple(half))
+    share = float(ndtr((2.0 - m) / s) - ndtr(-m / s))
+    return m**2 / (2 * s**2) + float(np.log(0.5 * s * np.sqrt(2 * np.pi) * share))
 
 
 @pytest.mark.parametrize("by", [BLADES, HOURS])
 def test_each_half_has_the_amplitude_of_its_own_exact_posterior(by: str) -> None:
     data = readings(lambda b, t: LARGE * t**2)
-    found = parted(BENT, SPEC, data, "bend", 0.0, 0.3, by)
+    found = Parted(SPEC, data).amplitudes(BENT, "bent", "bend", 0.0, 0.3, by)
+    assert (found.effect, found.by, found.alone) == ("bent", by, True)
     told = [exact_bend(tuple(part)) for part in parts(data, by)]
     for amplitude, (mean, sd) in zip(found.amplitudes, told, strict=True):
         assert 0.3 * amplitude == pytest.approx(mean, abs=0.15 * sd)
@@ -42,25 +57,60 @@ def test_each_half_has_the_amplitude_of_its_own_exact_posterior(by: str) -> None
     assert 0.3 * found.sd == pytest.approx(both, rel=0.1)
 
 
-def test_a_large_amplitude_is_asked_of_each_half_and_one_that_is_not_common_does_not_hold(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.mark.parametrize("by", [BLADES, HOURS])
+@pytest.mark.parametrize("size", [0.0, 0.2])
+def test_each_half_gains_what_its_exact_evidence_says(by: str, size: float) -> None:
+    data = readings(lambda b, t: size * t**2)
+    gained = Parted(SPEC, data).gained(BENT, MODEL, by)
+    exact = [exact_gain(part) for part in parts(data, by)]
+    assert gained == pytest.approx(exact, abs=0.1)
+    assert all(g < CONFIRMED for g in exact) is (size == 0.0)
+
+
+def test_a_large_amplitude_is_asked_of_each_half_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
+    amplitudes = Parted.amplitudes
 
-    def counted(*given: object) -> Held:
+    def counted(self: Parted, *given: object) -> Held:
         asked.append(str(given[-1]))
-        return parted(*given)  # type: ignore[arg-type]
+        return amplitudes(self, *given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(module, "parted", counted)
-    assert all(one.agrees for one in held(LARGE, LARGE))
+    monkeypatch.setattr(Parted, "amplitudes", counted)
+    monkeypatch.setattr(Parted, "gained", lambda *given: pytest.fail("amplitudes say enough"))
+    assert all(one.agrees and one.stands and one.gained is None for one in held(LARGE, LARGE))
     assert sorted(asked) == sorted([BLADES, HOURS])
+
+
+def test_what_is_in_both_halves_stands_and_varies_where_it_has_not_one_amplitude() -> None:
     apart = {one.by: one for one in held(1.35, 1.85)}
     assert not apart[BLADES].agrees
     assert abs(apart[BLADES].amplitudes[0] - apart[BLADES].amplitudes[1]) * 0.3 > 0.4
+    assert apart[BLADES].gained is not None
+    assert min(apart[BLADES].gained) > CONFIRMED
+    assert apart[BLADES].stands
+    assert apart[BLADES].varies
+
+
+def test_what_only_one_half_has_does_not_stand_however_large() -> None:
+    """The control: the half that has it gains hundreds of nats."""
+    apart = {one.by: one for one in held(0.0, 5.0)}
+    assert apart[BLADES].gained is not None
+    assert max(apart[BLADES].gained) > 100
+    assert min(apart[BLADES].gained) < CONFIRMED
+    assert not apart[BLADES].stands
+
+
+def test_beside_an_amplitude_that_varies_every_effect_has_to_be_in_each_half() -> None:
+    """An offset that nobody made agrees with itself, and is found in neither half."""
+    found = [one for one in held(1.35, 1.85, GAUGE) if one.effect == GAUGE.name]
+    assert [one.agrees for one in found] == [True, True]
+    assert not any(one.stands for one in found)
+    quiet = [one for one in held(LARGE, LARGE, GAUGE) if one.effect == GAUGE.name]
+    assert all(one.stands for one in quiet), "where none varies its amplitude says enough"
 
 
 def test_one_of_an_expected_size_is_not_calibrated_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "parted", lambda *given: pytest.fail("it is"))
+    monkeypatch.setattr(Parted, "amplitudes", lambda *given: pytest.fail("it is"))
     assert all(one.agrees for one in held(0.3, 0.3))
 
 
