@@ -108,6 +108,12 @@ class Settings(BaseModel):
         description="an update or a sealing that takes longer counts as the death of its worker, "
         "whose process ends, s",
     )
+    step_max_s: float = Field(
+        14_400.0,
+        gt=0,
+        le=604_800,
+        description="the same of a step of a diagnosis, of residuals or of a training, s",
+    )
     max_attempts: int = Field(5, ge=1, le=100, description="attempts before a rotor is blocked")
     retry_base_s: float = Field(0.5, ge=0, description="first pause after a failed update, doubled")
     retry_max_s: float = Field(60.0, ge=0, description="longest pause after a failed update, s")

@@ -113,12 +113,17 @@ def ran_out(lease_s: float) -> ColumnElement[bool]:
     return over(c.lease_until, lease_s)
 
 
-def outlived(lease_s: float) -> ColumnElement[bool]:
-    """The lease ran out while the database was away: its server was started after the last beat.
+def outlived(until: ColumnElement[float], lease_s: float) -> ColumnElement[bool]:
+    """A lease ran out while the database was away: its server was started after the last beat.
 
     Whoever held it could not prolong it, however well the work went.
     """
-    return and_(ran_out(lease_s), c.lease_until - lease_s < begun_s())
+    return and_(over(until, lease_s), until - lease_s < begun_s())
+
+
+def counted(until: ColumnElement[float], lease_s: float) -> ColumnElement[int]:
+    """What a claim adds to the attempts: nothing where the lease before it was outlived."""
+    return case((outlived(until, lease_s), 0), else_=1)
 
 
 def claimable(
@@ -191,7 +196,7 @@ def _claim(
             .where(c.rotor_id == rotor_id)
             .values(
                 fence=c.fence + 1,
-                attempts=c.attempts + case((outlived(lease_s), 0), else_=1),
+                attempts=c.attempts + counted(c.lease_until, lease_s),
                 owner=owner,
                 lease_until=now_s() + lease_s,
                 sealing=sealing,

@@ -84,7 +84,7 @@ def claim_job(
             .values(
                 status="running",
                 fence=c.fence + 1,
-                attempts=c.attempts + 1,
+                attempts=c.attempts + claiming.counted(c.lease_until, lease_s),
                 owner=owner,
                 lease_until=now_s() + lease_s,
             )

@@ -3,6 +3,7 @@
 A job is claimed, fenced and finished like a rotor's update: its result is written only while the
 fence of the claim still holds. While it runs, a heartbeat prolongs its lease every third of it, and
 each step writes how far it is; there a worker stops that lost its lease or whose job was cancelled.
+A step that takes too long hangs (`service.worker.overdue`), and counts as its worker's death.
 Diagnoses and trainings take minutes and belong to workers of their own (role `diagnose`); the
 others take the short jobs.
 """
@@ -30,8 +31,9 @@ from service.store.outbox import post
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.claiming import Role
 from service.worker.diagnosing import diagnose
-from service.worker.heartbeat import heartbeats
+from service.worker.heartbeat import Deadline, heartbeats
 from service.worker.job_lease import JobLease, beat_job, claim_job, close, give_back, tell_progress
+from service.worker.overdue import Bound, Steps, endless, hangs
 from service.worker.training import drop_runs, keep, refusal, train
 
 log = logging.getLogger("bladetwin.worker")
@@ -61,6 +63,7 @@ class Jobs:
         self.owner = owner
         self.role = role
         self.stopping = stopping
+        self.bound: Bound = endless
 
     def run_once(self) -> bool:
         """Claim a job and finish it; False: there was none."""
@@ -87,8 +90,9 @@ class Jobs:
                 raise NotFoundError(
                     "worker that survives job", lease.id, "see the log of the workers"
                 )
-            with self.heartbeats(lease):
-                write = self.work(lease, span)
+            steps = Steps(self.settings.step_max_s, self.bound)
+            with steps, self.heartbeats(lease, steps.deadline):
+                write = self.work(lease, span, steps.next)
             with self.store.write() as tx:
                 result = write(tx)
                 close(
@@ -116,8 +120,13 @@ class Jobs:
             span.fail(type(error).__name__)
             self._failed(lease, error)
 
-    def work(self, lease: JobLease, span: tracing.Span = tracing.NOTHING) -> Outcome:
-        """The result of a job, computed outside any transaction."""
+    def work(
+        self,
+        lease: JobLease,
+        span: tracing.Span = tracing.NOTHING,
+        begins: Callable[[], None] = lambda: None,
+    ) -> Outcome:
+        """The result of a job, computed outside any transaction; `begins` is told of each step."""
         if lease.kind == "register-model":
             card = self.science.builtin(lease.request["builtin"])
             result = {"model": card.id, "version": card.version, "digest": card.digest}
@@ -128,11 +137,11 @@ class Jobs:
 
             return register
         if lease.kind == TRAIN:
-            told = self.progress(lease, span)
+            told = self.progress(lease, span, begins)
             card, artefact = train(self.store, self.science, lease.request, told)
             return lambda tx: keep(tx, lease.id, lease.request, card, artefact)
         if lease.kind == DIAGNOSE and lease.rotor_id is not None:
-            told = self.progress(lease, span)
+            told = self.progress(lease, span, begins)
             found = diagnose(
                 self.store, self.science, lease.rotor_id, lease.request, told, lease.kept
             )
@@ -168,13 +177,19 @@ class Jobs:
             return found | {"not_adopted": str(error)}
         return found
 
-    def progress(self, lease: JobLease, span: tracing.Span = tracing.NOTHING) -> Progress:
+    def progress(
+        self,
+        lease: JobLease,
+        span: tracing.Span = tracing.NOTHING,
+        begins: Callable[[], None] = lambda: None,
+    ) -> Progress:
         """Writes each step with the time left, judged by the steps before, and ends a lost job."""
         begun = monotonic()
 
         def tell(what: str, done: int, total: int) -> None:
             if self.stopping():
                 raise StoppedError(f"job {lease.id} goes back: its worker ends")
+            begins()
             span.event(what)
             left = round((monotonic() - begun) * (total - done) / done, 1) if done else None
             told = {"what": what, "done": done, "total": total, "seconds_left": left}
@@ -183,10 +198,14 @@ class Jobs:
 
         return tell
 
-    def heartbeats(self, lease: JobLease) -> AbstractContextManager[None]:
+    def heartbeats(
+        self, lease: JobLease, deadline: Deadline | None = None
+    ) -> AbstractContextManager[None]:
         """Prolong the lease every third of it, while the block runs."""
         lease_s = self.settings.lease_s
-        return heartbeats(lambda: beat_job(self.store.engine, lease, lease_s), lease_s)
+        due = deadline or Deadline()
+        beat = lambda: beat_job(self.store.engine, lease, lease_s)  # noqa: E731
+        return heartbeats(beat, lease_s, due, lambda: hangs(f"job {lease.id}", due))
 
     def _give_back(self, lease: JobLease) -> None:
         """To the queue; the attempt does not count."""

@@ -134,10 +134,11 @@ class Stoppable(Protocol):
 def run_worker(worker: Stoppable) -> None:
     """Run in the main thread of a process of its own; SIGTERM and SIGINT stop it.
 
-    An update that takes too long ends the process.
+    An update, or a step of other work, that takes too long ends the process.
     """
     if isinstance(worker, Worker):
-        worker.updater.bound = ends_process
+        for part in (worker.updater, worker.jobs, worker.residuals):
+            part.bound = ends_process
     signal.signal(signal.SIGTERM, worker.stop)
     signal.signal(signal.SIGINT, worker.stop)
     worker.run()

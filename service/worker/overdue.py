@@ -10,9 +10,13 @@ that of a worker that died by itself.
 from __future__ import annotations
 
 import faulthandler
+import logging
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 
+from service.worker.heartbeat import Deadline
+
+log = logging.getLogger("bladetwin.worker")
 STDERR = 2
 LATER_S = 1.0  # than the last heartbeat, whose line in the log names the rotor
 Bound = Callable[[float], AbstractContextManager[None]]
@@ -31,3 +35,33 @@ def ends_process(seconds: float) -> Iterator[None]:
         yield
     finally:
         faulthandler.cancel_dump_traceback_later()
+
+
+def hangs(what: str, deadline: Deadline) -> None:
+    """Say so of work one step of which is overdue."""
+    log.error(
+        "%s: a step has taken longer than BLADETWIN_STEP_MAX_S = %g s; the lease is prolonged no "
+        "more, and it counts as a death",
+        what,
+        deadline.seconds,
+    )
+
+
+class Steps:
+    """Work of many steps, none of which may take longer: `next` begins one."""
+
+    def __init__(self, seconds: float, bound: Bound) -> None:
+        self.deadline = Deadline(seconds)
+        self._bound, self._stack = bound, ExitStack()
+
+    def next(self) -> None:
+        self._stack.close()
+        self.deadline.again()
+        self._stack.enter_context(self._bound(self.deadline.seconds))
+
+    def __enter__(self) -> Steps:
+        self.next()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()

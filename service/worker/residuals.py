@@ -29,10 +29,11 @@ from service.store.engine import now_s, transaction
 from service.store.log import lock_rotor, read_entries
 from service.store.outbox import post
 from service.store.unit_of_work import SqlStore
-from service.worker.claiming import LONGEST_S, over, rested
+from service.worker.claiming import LONGEST_S, counted, over, rested
 from service.worker.diagnosing import MOST_PARTICLES, plain
 from service.worker.heartbeat import heartbeats
 from service.worker.jobs import StoppedError
+from service.worker.overdue import Bound, Steps, endless, hangs
 
 log = logging.getLogger("bladetwin.worker")
 r, c = t.residual.c, t.cursor.c
@@ -96,7 +97,7 @@ def claim_residuals(
             .where(own)
             .values(
                 fence=r.fence + 1,
-                attempts=r.attempts + 1,
+                attempts=r.attempts + counted(r.lease_until, lease_s),
                 owner=owner,
                 lease_until=now_s() + lease_s,
             )
@@ -121,6 +122,7 @@ class Residuals:
         self.settings = settings
         self.owner = owner
         self.stopping = stopping
+        self.bound: Bound = endless
 
     def run_once(self) -> bool:
         """Claim a rotor and compute its residuals; False: none is behind."""
@@ -134,8 +136,11 @@ class Residuals:
                 dead = f"{claim.attempts - 1} workers died or lost their lease over them"
                 self.keep(claim, None, dead)
                 return True
-            with heartbeats(lambda: self._beat(claim), self.settings.lease_s):
-                body = self.compute(claim)
+            steps = Steps(self.settings.step_max_s, self.bound)
+            overdue = lambda: hangs(f"residuals of {claim.rotor_id}", steps.deadline)  # noqa: E731
+            beat = lambda: self._beat(claim)  # noqa: E731
+            with steps, heartbeats(beat, self.settings.lease_s, steps.deadline, overdue):
+                body = self.compute(claim, steps.next)
             self.keep(claim, body, None)
         except LostLeaseError as error:
             log.warning("%s", error)
@@ -150,8 +155,11 @@ class Residuals:
             self._failed(claim, error)
         return True
 
-    def compute(self, claim: Claim) -> Json:
-        """The residuals of the log through the version's entry, outside any transaction."""
+    def compute(self, claim: Claim, begins: Callable[[], None] = lambda: None) -> Json:
+        """The residuals of the log through the version's entry, outside any transaction.
+
+        begins   is told of each step
+        """
         with self.store.read() as tx:
             rotor = tx.records.rotor(claim.rotor_id)
             blades = sound_blades(tx.connection, rotor)
@@ -170,6 +178,7 @@ class Residuals:
         def progress(what: str, done: int, total: int) -> None:
             if self.stopping():
                 raise StoppedError(f"residuals of {rotor.id} go back: their worker ends")
+            begins()
 
         found = self.science.residuals(card, spec, blades, readings, progress)
         told: Json = plain(found) | {

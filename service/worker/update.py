@@ -14,7 +14,6 @@ An array of the state before that turns out damaged is dealt with as a damaged s
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from time import perf_counter
@@ -38,7 +37,7 @@ from service.worker import claiming, culprit
 from service.worker import lease as leases
 from service.worker import task as tasks
 from service.worker.alarm import alarm
-from service.worker.heartbeat import heartbeats
+from service.worker.heartbeat import Deadline, heartbeats
 from service.worker.interrupt import Interrupt, Interrupted
 from service.worker.lease import Lease
 from service.worker.memory import Memories, Memory
@@ -117,7 +116,7 @@ class Updater:
     def _update(self, lease: Lease, trace: Told) -> int | None:
         """Read, compute, commit; what fails is given back. The new version, if it is sealed."""
         most_s = self.settings.update_max_s
-        with self.bound(most_s), self.heartbeats(lease, most_s):
+        with self.bound(most_s), self.heartbeats(lease, Deadline(most_s)):
             task: Task | None = None
             try:
                 begun = perf_counter()
@@ -256,8 +255,10 @@ class Updater:
         if block:
             trim(self.engine, lease.rotor_id, self.settings.keep_events)
 
-    def heartbeats(self, lease: Lease, most_s: float = math.inf) -> AbstractContextManager[None]:
-        """Prolong the lease every third of it, while the block runs, for `most_s` at most."""
+    def heartbeats(
+        self, lease: Lease, deadline: Deadline | None = None
+    ) -> AbstractContextManager[None]:
+        """Prolong the lease every third of it, while the block runs, until the deadline."""
         lease_s = self.settings.lease_s
 
         def overdue() -> None:
@@ -266,8 +267,8 @@ class Updater:
                 "is prolonged no more, and it counts as a death",
                 lease.rotor_id,
                 "sealing" if lease.sealing else "update",
-                most_s,
+                self.settings.update_max_s,
             )
 
         beat = lambda: leases.heartbeat(self.engine, lease, lease_s)  # noqa: E731
-        return heartbeats(beat, lease_s, most_s, overdue)
+        return heartbeats(beat, lease_s, deadline, overdue)

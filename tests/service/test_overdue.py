@@ -5,20 +5,28 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from sqlalchemy import select
 
 from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.fake import FakeScience
+from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord
 from service.settings import Settings
+from service.store import tables as t
+from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
-from service.worker.heartbeat import heartbeats
+from service.worker.heartbeat import Deadline, heartbeats
+from service.worker.overdue import Steps
 from service.worker.supervise import Supervisor
+from tests.service.hanging_worker import STEP_S
 from tests.service.test_processes import until
 
 ROOT = Path(__file__).parents[2]
@@ -34,7 +42,7 @@ def test_the_lease_of_what_hangs_is_prolonged_no_more() -> None:
         beats.set()
         return True
 
-    with heartbeats(beat, 0.03, 0.1, over.set):
+    with heartbeats(beat, 0.03, Deadline(0.1), over.set):
         assert over.wait(PATIENCE_S)
         assert beats.is_set(), "it was before"
         beats.clear()
@@ -43,7 +51,7 @@ def test_the_lease_of_what_hangs_is_prolonged_no_more() -> None:
 
 def test_what_ends_in_time_is_not_overdue() -> None:
     over: list[str] = []
-    with heartbeats(lambda: True, 0.03, PATIENCE_S, lambda: over.append("over")):
+    with heartbeats(lambda: True, 0.03, Deadline(PATIENCE_S), lambda: over.append("over")):
         pass
     assert over == []
 
@@ -82,6 +90,70 @@ def test_hanging_updates_block_their_rotors_and_no_other_one(
         until("the rest", lambda: view_rotor(store, "holds").has_applied(2))
     finally:
         supervisor.stop()
+
+
+def test_a_step_that_hangs_ends_its_worker_and_many_that_do_not_take_their_time(
+    store: SqlStore, settings: Settings, reading: Make, post: Post
+) -> None:
+    """One diagnosis hangs in its second step; the other's four take longer than one may."""
+    blades = [BladeRecord(f"B{n}") for n in range(1, 5)]
+    for name in ("well", "diagnosed"):
+        create_rotor(store, name, "rotor-blade", blades, 64, 7)
+        post(name, reading(name))
+    create_rotor(store, "foretold", "rotor-blade", blades[:1], 64, 7)
+    post("foretold", *(reading(n, time_h=8e3 * k) for k, n in enumerate(("foretold", "x"), 1)))
+    make_worker(store, FakeScience(), settings).drain()
+    science = FakeScience()
+    asked = {
+        name: request_diagnosis(store, science, name, (), compare=True, horizon_h=None)[0].id
+        for name in ("diagnosed", "well")
+    }
+    short = settings.model_copy(update={"step_max_s": 3.5 * STEP_S, "max_attempts": 1})
+    script = str(Path(__file__).with_name("hanging_worker.py"))
+    supervisor = Supervisor(
+        store.engine,
+        ["diagnose"],
+        lambda owner, role: [sys.executable, script, owner, role],
+        short.environ() | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+    )
+    supervisor.start()
+    try:
+        for name, status in (("well", "done"), ("diagnosed", "failed")):
+            until(
+                name,
+                lambda name=name, status=status: (
+                    find_diagnosis(store, name, asked[name]).status == status
+                ),
+            )
+        assert "worker that survives job" in str(
+            find_diagnosis(store, "diagnosed", asked["diagnosed"]).error
+        )
+
+        def foretold() -> str:
+            with transaction(store.engine, write=False) as connection:
+                own = t.residual.c.rotor_id == "foretold"
+                return str(connection.execute(select(t.residual.c.error).where(own)).scalar())
+
+        until("foretold", lambda: "1 workers died or lost their lease" in foretold())
+    finally:
+        supervisor.stop()
+
+
+def test_each_step_has_the_whole_of_its_time() -> None:
+    bounds: list[str] = []
+
+    @contextmanager
+    def bound(seconds: float) -> Iterator[None]:
+        bounds.append(f"{seconds:g} s")
+        yield
+        bounds.append("over")
+
+    with Steps(30.0, bound) as steps:
+        first = steps.deadline.end
+        steps.next()
+        assert steps.deadline.end > first
+        assert bounds == ["30 s", "over", "30 s"]
+    assert bounds[-1] == "over"
 
 
 def test_a_worker_within_a_process_of_others_loses_its_lease_alone(
