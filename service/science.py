@@ -84,11 +84,13 @@ class CoreScience:
         progress: Progress,
     ) -> tuple[ModelCard, bytes]:
         from core.archive.opening import opened
+        from core.archive.trial import tried
         from core.surrogate.own import make
 
         with tempfile.TemporaryDirectory(prefix="bladetwin-runs-") as folder:
             file, made = Path(folder) / "runs.nc", Path(folder) / "model"
             file.write_bytes(runs)
+            tried(file)
             with opened(file) as source:
                 make(source, network, made, leave_out=leave_out, progress=progress, facts=facts)
             write_network(made, network)

@@ -1,7 +1,9 @@
 """Opens runs: a user's file, a packed archive of ours, or a folder of runs.
 
 What comes from outside is looked at before it is read: a file whose numbers would come from
-elsewhere, or that declares more of them than a machine holds, is refused.
+elsewhere, or that declares more of them than a machine holds, is refused. What comes
+from a stranger is tried before (`core.archive.trial`): damaged bytes can keep the library busy for
+ever.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select, update
 
+from core.archive import trial
 from core.archive.table import convert_table
 from core.errors import ModelError
 from service.bootstrap import make_worker
@@ -36,6 +37,7 @@ from service.store.unit_of_work import SqlStore
 from service.worker.claiming import Role
 from service.worker.supervise import Supervisor
 from tests import exchanger
+from tests.core.test_trial import endless
 from tests.service.conftest import RunningServer, served
 from tests.service.test_api import refuse
 from tests.service.test_processes import ROOT, Make, Post, until
@@ -240,6 +242,24 @@ def test_every_fault_of_an_archive_is_in_the_job_that_failed_and_nothing_is_left
     job = trained(http, own_store, real, settings)
     assert job["status"] == "done", job
     assert "2, 7" in str(job["result"]["warnings"])
+
+
+def test_runs_that_would_hang_their_reader_fail_their_job_and_no_worker(
+    http: httpx.Client,
+    own_store: SqlStore,
+    real: CoreScience,
+    settings: Settings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(trial, "LEAST_S", 2.0)
+    file = endless(exchanger.stored(exchanger.dataset(), tmp_path / "runs.nc"))
+    assert send(http, file).status_code == 202
+    job = trained(http, own_store, real, settings)
+    assert (job["status"], job["attempts"]) == ("failed", 1)
+    (fault,) = job["result"]["faults"]
+    assert "is damaged: the HDF5 library did not come to its end" in fault["problem"]
+    assert blobs(own_store) == 0
 
 
 def test_what_is_no_upload_is_refused_at_once_with_every_fault(
