@@ -182,7 +182,10 @@ def conclude(
     )
     sure = sorted({c for c in claims.values() if c is not None})
     if all(c is not None for c in claims.values()):
-        whys = [f"{' and '.join(sure)} gains {gained:.1f} nat and leaves nothing behind"]
+        verbs = "gains", "leaves"
+        if len(sure) > 1:
+            verbs = "gain", "leave"
+        whys = [f"{' and '.join(sure)} {verbs[0]} {gained:.1f} nat and {verbs[1]} nothing behind"]
         whys += [
             f"how {claim} runs is open: {name} has {evidence.get(name, 0.0):.0%} of the evidence"
             for name, claim in claims.items()
@@ -242,6 +245,6 @@ def _varies(held: Held) -> str:
 def _sizes(held: Held) -> str:
     first, second = held.amplitudes
     return (
-        f"{first:.2g} and {second:.2g} times the expected one {held.by}, where {DISAGREE:g} sd of "
-        f"the difference are {DISAGREE * held.sd:.2g}"
+        f"{first:.3g} and {second:.3g} times the expected one {held.by}, where {DISAGREE:g} sd of "
+        f"the difference are {DISAGREE * held.sd:.3g}"
     )
