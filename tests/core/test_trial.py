@@ -7,6 +7,8 @@ import signal
 import struct
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -79,6 +81,35 @@ def test_one_that_ends_its_reader_or_keeps_it_waiting_is_refused(
     why = "signal 11" if how == "dies" else "it did not answer"
     with pytest.raises(ModelError, match=why):
         tried(runs, 2.0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for what other systems lack")
+def test_no_child_outlives_its_parent(runs: Path) -> None:
+    damaged = endless(runs)
+    code = "import sys; from core.archive.trial import tried; tried(sys.argv[1], 300.0)"
+    parent = subprocess.Popen([sys.executable, "-c", code, str(damaged)], cwd=ROOT)
+    try:
+        children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
+        until(lambda: children.read_text().split())
+        (child,) = map(int, children.read_text().split())
+        until(lambda: "core.archive.trial" in Path(f"/proc/{child}/cmdline").read_text())
+        until(lambda: processor_s(child) > 4.0)  # long past its imports
+    finally:
+        parent.kill()
+        parent.wait()
+    until(lambda: not Path(f"/proc/{child}").exists())
+
+
+def processor_s(process: int) -> float:
+    told = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def until(true: Callable[[], object], patience_s: float = 60.0) -> None:
+    end = time.monotonic() + patience_s
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 def test_what_is_wrong_in_words_is_not_its_business(tmp_path: Path) -> None:
