@@ -34,7 +34,9 @@ from core.errors import InputError
 from core.model import Model, rotor_blade_wide
 from core.rng import stream
 from core.validation.effect_plans import NOISE, Plan
+from core.validation.effect_plans import plan as plan_of
 from core.validation.effect_sets import Set, effect_of, made
+from core.validation.records import Record, records
 
 Array = NDArray[np.float64]
 ALARM = 1.645
@@ -140,19 +142,25 @@ def bounds(
     particles: int,
     size: float,
     progress: Callable[[int], None] | None = None,
+    processes: int = 1,
 ) -> dict[str, dict[str, float | list[str]]]:
     """By condition, means over the plan's rotors; `rivals` are those nearest in any of them."""
+    found = records(
+        {c: (plan.name, c, seed, particles, size) for c in conditions},
+        _bound,
+        lambda record: str(record["condition"]),
+        processes=processes,
+        progress=None if progress is None else lambda done, _: progress(done),
+    )
+    return {one.pop("condition"): one for one in found}
+
+
+def _bound(plan: str, condition: str, seed: int, particles: int, size: float) -> Record:
     model, work = rotor_blade_wide(), Workspace()
-    found: dict[str, dict[str, float | list[str]]] = {}
-    for done, condition in enumerate(conditions):
-        every = by_rotor(model, plan, condition, seed, particles, size, work)
-        found[condition] = {
-            **{
-                what: round(float(np.mean([getattr(one, what) for one in every])), 3)
-                for what in ("alone", "left", "alarm", "name")
-            },
-            "rivals": sorted({one.rival.split(" (")[0] for one in every if one.rival}),
-        }
-        if progress is not None:
-            progress(done + 1)
-    return found
+    every = by_rotor(model, plan_of(plan), condition, seed, particles, size, work)
+    means = {
+        what: round(float(np.mean([getattr(one, what) for one in every])), 3)
+        for what in ("alone", "left", "alarm", "name")
+    }
+    rivals = sorted({one.rival.split(" (")[0] for one in every if one.rival})
+    return {"condition": condition, **means, "rivals": rivals}

@@ -68,7 +68,7 @@ def effects(
     table = study.table(found)
     planted_ones = [c for c in sets if c not in CLEAN]
     with bar("bounds", len(planted_ones)) as step:
-        best = bounds(plan_of(plan), planted_ones, seed, particles, size, step)
+        best = bounds(plan_of(plan), planted_ones, seed, particles, size, step, processes)
     facts = {
         "model": study.model_digest(),
         "plan": plan,
