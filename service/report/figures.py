@@ -34,6 +34,7 @@ BOTH = ("before", "after")
 SD = 1.96  # sds of 95 %
 ROWS = 24  # most rows of a picture of groups
 LABEL = 30  # letters of a row's label
+STEEP = 2.5  # times the posterior's peak: of a prior that is higher no more is drawn
 
 
 def named(which: str, *, changed: bool) -> str:
@@ -84,7 +85,8 @@ def amplitude(one: Json) -> Markup:
     percent = 100.0 if one["unit"] == "1" else 1.0
     unit = "%" if percent == 100.0 else one["unit"]
     x = Scale(percent * x_values[0], percent * x_values[-1], 64.0, WIDE - 28)
-    y = Scale(0.0, 1.08 * max(*prior, *post), 170.0, 34.0)
+    top = 1.08 * min(max(*prior, *post), STEEP * max(post))
+    y = Scale(0.0, top, 170.0, 34.0)
     frame = Frame(x, y, f"amplitude of {one['name']} [{unit}]", "density", grid_y=False)
     at = [x(percent * v) for v in x_values]
     parts = [frame.drawn(y_ticks=False)]
@@ -92,7 +94,8 @@ def amplitude(one: Json) -> Markup:
         parts.append(line(x(0.0), y.end, x(0.0), y.start, "zero"))
     parts.append(band(at, [y.start] * len(at), [y(v) for v in post], "after area"))
     parts.append(path(list(zip(at, (y(v) for v in post), strict=True)), "after course"))
-    parts.append(path(list(zip(at, (y(v) for v in prior), strict=True)), "prior course"))
+    low_part = [(x_at, y(min(v, top))) for x_at, v in zip(at, prior, strict=True)]
+    parts.append(path(low_part, "prior course"))
     low, _, high = (x(percent * q) for q in one["quantiles"])
     parts.append(block(low, y.start - 4, high - low, 4, "after mark"))
     entries = [("prior mark", "prior"), ("after area", "posterior"), ("after mark", "95 % of it")]

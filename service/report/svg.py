@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from service.report.markup import Child, Markup, el, join
+from service.report.words import LARGE
 
 WIDE = 720.0
 EM = 12.0
@@ -68,9 +69,11 @@ def nice(rough: float) -> float:
 def plain(value: float, step: float) -> str:
     """A tick's label with the digits of its step, a true minus, and no −0.
 
-    >>> plain(-0.25, 0.05), plain(20000.0, 10000.0), plain(-1e-17, 0.1)
-    ('−0.25', '20,000', '0')
+    >>> plain(-0.25, 0.05), plain(20000.0, 10000.0), plain(-1e-17, 0.1), plain(2.5e26, 5e25)
+    ('−0.25', '20,000', '0', '2.5e26')
     """
+    if step >= LARGE / 10:
+        return f"{value:.3g}".replace("e+", "e").replace("-", "−")
     digits = max(0, -math.floor(math.log10(step) + 1e-9) + (1 if f"{step:e}"[2] == "5" else 0))
     shown = f"{value:,.{min(digits, 8)}f}"
     shown = shown.rstrip("0").rstrip(".") if "." in shown else shown

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 Json = Mapping[str, Any]
+LARGE = 1e7  # from which on a power of ten says more than digits
 BLADE_INPUTS: dict[str, tuple[str, float, str]] = {
     "tbc_thickness": ("coating thickness over nominal", 1.0, ""),
     "t1t_rate": ("gas temperature", 600.0, "K"),
@@ -32,8 +33,8 @@ def number(value: float | None, digits: int = 3) -> str:
         return "–"
     if value == 0:
         return "0"
-    if not 1e-4 <= abs(value) < 1e7:
-        return f"{value:.{digits}g}".replace("-", "−")
+    if not 1e-4 <= abs(value) < LARGE:
+        return f"{value:.{digits}g}".replace("e+", "e").replace("-", "−")
     shown = round(value, digits - 1 - math.floor(math.log10(abs(value))))
     places = max(0, digits - 1 - math.floor(math.log10(abs(shown))))
     told = f"{shown:,.{places}f}"
@@ -46,11 +47,15 @@ def with_sd(value: float | None, sd: float | None) -> str:
 
     >>> with_sd(0.0193412, 0.00372), with_sd(123.4, 20.0), with_sd(None, 1.0)
     ('0.0193 ± 0.0037', '123 ± 20', '–')
+    >>> with_sd(2.25e26, 6.2e25)
+    '2.25e26 ± 6.2e25'
     """
     if value is None or sd is None:
         return "–"
     if not (math.isfinite(value) and math.isfinite(sd) and sd > 0):
         return number(value)
+    if max(abs(value), sd) >= LARGE:
+        return f"{number(value)} ± {number(sd, 2)}"
     places = max(0, 1 - math.floor(math.log10(sd)))
     return f"{value:,.{places}f} ± {sd:,.{places}f}".replace("-", "−")
 
