@@ -26,7 +26,7 @@ from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord, Json, ModelCard, Progress, RotorSpec
 from service.settings import Settings
 from service.store import tables as t
-from service.store.engine import transaction
+from service.store.engine import now_s, transaction
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker import job_lease
 from service.worker.job_lease import beat_job, claim_job
@@ -227,7 +227,7 @@ def taken_over(store: SqlStore, settings: Settings, science: FakeScience) -> tup
     def at(done: int) -> None:
         if done == 2 and not finished:
             with transaction(store.engine, write=True) as connection:
-                over = update(t.job).where(t.job.c.id == job.id).values(lease_until=0.0)
+                over = update(t.job).where(t.job.c.id == job.id).values(lease_until=now_s() - 0.01)
                 connection.execute(over)
             second = stepped(lambda done: None)
             make_worker(store, second, settings, "second", "diagnose").drain()
@@ -238,7 +238,7 @@ def taken_over(store: SqlStore, settings: Settings, science: FakeScience) -> tup
 
 
 def test_a_lost_diagnosis_is_taken_over_and_the_first_workers_result_is_refused(
-    store: SqlStore, settings: Settings, straight: str, science: FakeScience
+    store: SqlStore, settings: Settings, straight: str, science: FakeScience, long_there: None
 ) -> None:
     name, finished = taken_over(store, settings, science)
     ended = find_diagnosis(store, "r1", name)
@@ -264,7 +264,7 @@ def test_the_fence_alone_keeps_the_first_worker_from_ending_what_the_second_one_
     def at(done: int) -> None:
         if done == 2:
             with transaction(store.engine, write=True) as connection:
-                connection.execute(update(t.job).values(lease_until=0.0))
+                connection.execute(update(t.job).values(lease_until=now_s() - 0.01))
             assert claim_job(store.engine, "second", 30.0, "diagnose") is not None
 
     assert make_worker(store, stepped(at), settings, "first", "diagnose").run_once()

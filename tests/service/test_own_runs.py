@@ -32,7 +32,7 @@ from service.handlers.rotors import view_rotor
 from service.science import CoreScience
 from service.settings import Settings
 from service.store import tables as t
-from service.store.engine import open_engine, transaction
+from service.store.engine import now_s, open_engine, transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.claiming import Role
 from service.worker.supervise import Supervisor
@@ -300,12 +300,19 @@ def test_runs_outlive_a_worker_that_died_and_another_job_keeps_what_both_name(
     real: CoreScience,
     settings: Settings,
     tmp_path: Path,
+    long_there: None,
 ) -> None:
     file = exchanger.stored(exchanger.dataset(), tmp_path / "runs.nc")
     first, second = (send(http, file).json()["job"]["id"] for _ in range(2))
     assert blobs(own_store) == 1, "the same file is kept once"
     with transaction(own_store.engine, write=True) as connection:  # as a killed worker leaves it
-        dead = {"status": "running", "owner": "dead", "lease_until": 0.0, "attempts": 1, "fence": 1}
+        dead = {
+            "status": "running",
+            "owner": "dead",
+            "lease_until": now_s() - 0.01,
+            "attempts": 1,
+            "fence": 1,
+        }
         connection.execute(update(t.job).where(t.job.c.id == first).values(dead))
     worker = make_worker(own_store, real, settings, role="diagnose")
     assert worker.jobs.run_once()

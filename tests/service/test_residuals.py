@@ -20,7 +20,7 @@ from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, Json
 from service.settings import Settings
 from service.store import tables as t
-from service.store.engine import transaction
+from service.store.engine import now_s, transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import residuals as work
 from service.worker.lease import release
@@ -227,7 +227,7 @@ def taken_over(store: SqlStore, science: FakeScience, settings: Settings) -> lis
     body = first.compute(claim)
     assert claim_residuals(store.engine, "second", 30.0) is None, "the lease runs"
     with transaction(store.engine, write=True) as connection:
-        connection.execute(update(t.residual).values(lease_until=0.0))
+        connection.execute(update(t.residual).values(lease_until=now_s() - 0.01))
     assert Residuals(store, science, settings, "second").run_once()
     try:
         first.keep(claim, body | {"draws": -1}, None)
