@@ -95,8 +95,8 @@ def test_hanging_updates_block_their_rotors_and_no_other_one(
 def test_a_step_that_hangs_ends_its_worker_and_many_that_do_not_take_their_time(
     store: SqlStore, settings: Settings, reading: Make, post: Post
 ) -> None:
-    """One diagnosis hangs in its second step; the other's four take longer than one may."""
-    blades = [BladeRecord(f"B{n}") for n in range(1, 5)]
+    """One diagnosis hangs in its second step; the other's eight take longer than one may."""
+    blades = [BladeRecord(f"B{n}") for n in range(1, 9)]
     for name in ("well", "diagnosed"):
         create_rotor(store, name, "rotor-blade", blades, 64, 7)
         post(name, reading(name))
@@ -108,7 +108,8 @@ def test_a_step_that_hangs_ends_its_worker_and_many_that_do_not_take_their_time(
         name: request_diagnosis(store, science, name, (), compare=True, horizon_h=None)[0].id
         for name in ("diagnosed", "well")
     }
-    short = settings.model_copy(update={"step_max_s": 3.5 * STEP_S, "max_attempts": 1})
+    change = {"step_max_s": 3.5 * STEP_S, "max_attempts": 1, "lease_s": 2.0}
+    short = settings.model_copy(update=change)
     script = str(Path(__file__).with_name("hanging_worker.py"))
     supervisor = Supervisor(
         store.engine,
