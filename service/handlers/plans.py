@@ -58,7 +58,7 @@ def target_of(
 def plan(store: Store, science: Science, found: Basis, target: PlanTarget, count: int) -> Json:
     """Candidates by what they leave of the target's sd, and the best set of `count`.
 
-    Raises RangeError for a count outside 1 … 5, InputError where no blade has hours left.
+    Raises RangeError for a count outside 1 … 5, InputError where no blade runs or has hours left.
     """
     if not 1 <= count <= MOST_READINGS:
         raise RangeError("count", count, f"lies outside 1 … {MOST_READINGS}", "ask for a small set")
@@ -66,6 +66,9 @@ def plan(store: Store, science: Science, found: Basis, target: PlanTarget, count
     with store.read() as tx:
         blades = [b for b in tx.records.blades(rotor) if runs(b, through)]
         readings = counting(tx, rotor, through)
+    if not blades:
+        version = found.state.version
+        raise InputError("blades", version, "of this version have all retired", "add a blade")
     told = science.plan(
         found.card, found.state.meta, found.arrays(store), blades, readings, target, count
     )

@@ -12,7 +12,8 @@ from service.ports import Json, ResidualRecord, Store
 class Residuals:
     """What is kept of a rotor's residuals, and the rows asked for.
 
-    pending   the newest posterior is another one than they rest on
+    pending   the newest posterior is another one than they rest on, or will be; not of a rotor
+              without any entry, which has none to be computed
     items     those that pass the filter, after the place
     """
 
@@ -46,5 +47,5 @@ def read_residuals(
     if after is not None:
         found = [row for row in found if place_of(row) > after]
     found = nsmallest(limit, found, key=place_of)
-    pending = rotor.dirty or record.version < rotor.version
+    pending = rotor.head_seq > 0 and (rotor.dirty or record.version < rotor.version)
     return Residuals(record, pending, found)

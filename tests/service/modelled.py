@@ -25,28 +25,36 @@ class Diagnosis:
 class Modelled:
     """A rotor as the model has it: its log, and its blades with the facts that they came with.
 
+    posters     id of the key that each entry came with
     versions    as they were seen first, by number
     sealed      digest of the sealed posterior by the entry that it ends with
     moments     (a moment, the last entry before it), asked again later
     files       (an exported file, the last entry in it)
+    notes       of the event stream, as they were told first
+    reads       bytes of an answer, by what was asked for and the version
+    tags        its ETag, by the address and then the version
     """
 
     particles: int
     created: bool = False
     entries: list[tuple[str, Json]] = field(default_factory=list)
+    posters: dict[str, str] = field(default_factory=dict)
     blades: set[str] = field(default_factory=lambda: set(FIRST))
     versions: dict[int, Json] = field(default_factory=dict)
     sealed: dict[int, str] = field(default_factory=dict)
     moments: list[tuple[str, int]] = field(default_factory=list)
     diagnoses: list[Diagnosis] = field(default_factory=list)
     files: list[tuple[Path, int]] = field(default_factory=list)
+    notes: list[Json] = field(default_factory=list)
+    reads: dict[tuple[str, int], bytes] = field(default_factory=dict)
+    tags: dict[str, dict[int, str]] = field(default_factory=dict)
 
     def seq(self, name: str) -> int:
         """Number of an entry, counted from 1; 0: it is not there."""
         return next((i for i, (known, _) in enumerate(self.entries, 1) if known == name), 0)
 
-    def append(self, items: list[tuple[str, Json]]) -> tuple[int, list[int], bool]:
-        """(status, numbers, whether all are repetitions): all or nothing."""
+    def append(self, items: list[tuple[str, Json]], by: str) -> tuple[int, list[int], bool]:
+        """(status, numbers, whether all are repetitions): all or nothing; `by` a key, by its id."""
         before, numbers = len(self.entries), []
         for name, content in items:
             seq = self.seq(name)
@@ -57,6 +65,8 @@ class Modelled:
                 self.entries.append((name, content))
                 seq = len(self.entries)
             numbers.append(seq)
+        for name, _ in self.entries[before:]:
+            self.posters[name] = by
         return 202, numbers, len(self.entries) == before
 
     def wrong(self, given: list[Json]) -> int:

@@ -123,3 +123,14 @@ def test_the_real_science_plans_for_a_blades_last_hour(settings: Settings) -> No
     assert worst["blade"] != "B2"
     assert got["set"][1]["sd_after"] < got["set"][0]["sd_after"] == best["sd_after"]
     assert got["target"]["unit"] == "mm"
+
+
+def test_where_no_blade_runs_there_is_nothing_to_plan(
+    api: httpx.Client, rotor: str, worker: Worker
+) -> None:
+    for name in ("B1", "B2", "B3"):
+        assert api.post(f"/v1/rotors/r1/blades/{name}/retirement").status_code == 202
+    worker.drain()
+    told = api.get("/v1/rotors/r1/plan")
+    assert told.status_code == 422, told.text
+    assert "have all retired. To mend it: add a blade" in told.json()["detail"]

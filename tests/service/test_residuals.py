@@ -61,6 +61,16 @@ def read(rotor: str, post: Post, reading: Make, worker: Worker) -> str:
     return rotor
 
 
+def test_a_rotor_without_any_entry_waits_for_no_residuals(
+    api: httpx.Client, rotor: str, worker: Worker, diagnoser: Worker
+) -> None:
+    for wait in (lambda: None, worker.drain, diagnoser.drain):
+        wait()
+        told = api.get(PATH).json()
+        assert (told["items"], told["as_of"], told["error"]) == ([], None, None)
+        assert told["pending"] is False
+
+
 def test_residuals_are_pending_until_a_worker_has_computed_them_and_say_what_they_rest_on(
     api: httpx.Client, store: SqlStore, read: str, diagnoser: Worker
 ) -> None:
