@@ -25,7 +25,7 @@ from core.prediction import predict
 from core.prior import Prior
 from core.rng import stream
 from core.validation.records import Record, code_digest, records
-from core.validation.sbc import published_cdf, randomised_pit, wrong_pits
+from core.validation.sbc import Rank, node_pit, published_cdf, randomised_pit, wrong_pits
 from core.validation.simulate import Held, simulate
 from core.validation.variants import COATING, Variant, model_of
 
@@ -52,12 +52,14 @@ def calibrated(model: Model, variant: Variant, rotor: int, seed: int, particles:
         return record | {"error": str(error), "seconds": time.monotonic() - start}
     rng = stream(seed, variant.name, "ranks", rotor)
 
-    def count(name: str, values: Array, w: Array, truth: float) -> None:
+    def count(
+        name: str, values: Array, w: Array, truth: float, rank: Rank = randomised_pit
+    ) -> None:
         u = float(rng.random())
         found = {
-            "pit": randomised_pit(values, w, truth, u),
+            "pit": rank(values, w, truth, u),
             "cdf": published_cdf(values, w, truth),
-            **wrong_pits(values, w, truth, u),
+            **wrong_pits(values, w, truth, u, rank),
         }
         for key, value in found.items():
             record["truths"].setdefault(name, {}).setdefault(key, []).append(round(value, 5))
@@ -65,7 +67,8 @@ def calibrated(model: Model, variant: Variant, rotor: int, seed: int, particles:
     get = state.arrays.__getitem__
     rotor_wide = shared_posterior(state.meta, get)
     for name in rotor_wide.names:
-        count(name, rotor_wide.column(name), rotor_wide.particles.w, made.shared[name])
+        column, w = rotor_wide.column(name), rotor_wide.particles.w
+        count(name, column, w, made.shared[name], node_pit)
     special = {
         kind: {r.blade for r in made.readings if r.quantity == quantity}
         for kind, quantity in (("scanned blade", "deformation"), ("CEEQ read", "ceeq"))

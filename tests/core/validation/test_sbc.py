@@ -10,12 +10,14 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 from core.smc.particles import weighted_quantile
+from core.smc.placement import WIDEN, Proposal, sobol
 from core.validation.sbc import (
     CONTROLS,
     PROBABILITIES,
     coverage,
     ecdf,
     mean_and_error,
+    node_pit,
     published_cdf,
     randomised_pit,
     wrong_pits,
@@ -67,6 +69,33 @@ def test_weighted_nodes_of_a_wide_proposal_give_uniform_pits() -> None:
         u.append(randomised_pit(mean + SD * z, w, truth, rng.random()))
     assert 35 < np.mean(sizes) < 55
     assert not_uniform(np.array(u)) > 0.01
+
+
+@pytest.mark.parametrize("size", [64, 128])
+def test_ranks_among_sobol_nodes_of_an_exact_normal_are_uniform_to_their_ends(size: int) -> None:
+    """The shared level's own nodes, of a normal in the middle of the box; the control is the rank
+    that counts the truth's own weight in, right for independent particles alone."""
+    mean, sd = np.array([0.5, 0.5]), 0.05
+    cases = []
+    for seed in range(8):
+        proposal = Proposal(mean, np.diag([WIDEN * sd, WIDEN * sd]))
+        u, log_q = proposal.nodes(sobol(size, 2, seed))
+        log_w = -0.5 * np.sum((u - mean) ** 2, axis=1) / sd**2 - log_q
+        w = np.exp(log_w - log_w.max())
+        cases.append((u[:, 0], w / w.sum()))
+    rng = np.random.default_rng(8)
+    own, counted = [], []
+    for k in range(24_000):
+        values, w = cases[k % len(cases)]
+        truth, draw = 0.5 + sd * rng.standard_normal(), rng.random()
+        own.append(node_pit(values, w, truth, draw))
+        counted.append(randomised_pit(values, w, truth, draw))
+    ends = (0.01, 0.02, 0.98, 0.99)
+    off = [float(np.mean(np.array(own) <= z)) - z for z in ends]
+    control = [float(np.mean(np.array(counted) <= z)) - z for z in ends]
+    assert np.abs(off).max() < 0.0035, off
+    outwards = np.array([-1, -1, 1, 1]) * control
+    assert np.all(outwards > 0.0035), control
 
 
 def test_ties_are_shared_out() -> None:
