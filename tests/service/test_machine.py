@@ -111,7 +111,8 @@ def test_every_answer_is_what_the_model_predicts(run: Run, store: SqlStore) -> N
     seen_in_tables(store)
     if os.environ.get("MACHINE_SEQUENCES"):
         told_of = {"sequences": SEQUENCES, "steps": STEPS, "requests": sum(seen.values())}
-        print(json.dumps(told_of | {"answers": dict(sorted(seen.items()))}))
+        told_of |= {"routes": sorted(RULES), "answers": dict(sorted(seen.items()))}
+        print(json.dumps(told_of))
 
 
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
