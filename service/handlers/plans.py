@@ -64,11 +64,11 @@ def plan(store: Store, science: Science, found: Basis, target: PlanTarget, count
         raise RangeError("count", count, f"lies outside 1 … {MOST_READINGS}", "ask for a small set")
     rotor, through = found.state.rotor_id, found.state.through_seq
     with store.read() as tx:
-        blades = [b for b in tx.records.blades(rotor) if runs(b, through)]
+        there = [b for b in tx.records.blades(rotor) if b.added_seq <= through]
         readings = counting(tx, rotor, through)
+    blades = [b for b in there if runs(b, through)]
     if not blades:
-        version = found.state.version
-        raise InputError("blades", version, "of this version have all retired", "add a blade")
+        raise InputError("blades", [b.id for b in there][:5], "have all retired", "add a blade")
     told = science.plan(
         found.card, found.state.meta, found.arrays(store), blades, readings, target, count
     )
