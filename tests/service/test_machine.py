@@ -163,7 +163,7 @@ def test_a_broken_rule_beside_the_log_is_noticed_by_the_machine(
 
 
 def run_and_look(
-    run: Run, store: SqlStore, machine: type[Machine] = Log, sequences: int = 12
+    run: Run, store: SqlStore, machine: type[Machine] = Log, sequences: int = 8
 ) -> None:
     run(sequences, machine, phases=[Phase.generate], report_multiple_bugs=False)
     seen_in_tables(store)
