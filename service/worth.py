@@ -38,6 +38,8 @@ def planned(
             "add a blade, or register a model that covers more hours",
         )
     known = {b.id: b.known for b in blades if b.known is not None}
+    if target.blade is not None and target.known is not None:
+        known[target.blade] = target.known
     aim = Target(target.blade, target.quantity, target.time_h, target.parameter)
     found = worth(model, state, aim, asked, known, count, MOST_PARTICLES)
     if target.parameter is not None:

@@ -31,7 +31,7 @@ from core.observation import Inspection
 from core.smc.particles import Particles, normalised
 
 Array = NDArray[np.float64]
-AHEAD_H = (0.0, 4000.0, 8000.0, 16_000.0)
+AHEAD = (0.0, 0.08, 0.16, 0.32)  # of a model's hours: now, and up to a third of them later
 TO_COME = "to come"  # a campaign that is none of those that were
 ANOTHER = "another"  # an instrument that is none of those that read
 
@@ -61,13 +61,14 @@ def candidates(
     model: Model,
     blades: Sequence[str],
     readings: Sequence[Inspection],
-    ahead_h: Sequence[float] = AHEAD_H,
+    ahead_h: Sequence[float] | None = None,
 ) -> tuple[Candidate, ...]:
     """Every blade × hour × quantity × instrument; left out are 3-D scans, and quantities that the
     network declares and the surrogate has no answer for.
 
     Hours count from the blade's latest reading (of a blade without one from zero) as far as the
-    model reaches. Instruments are those that read the quantity, and another one.
+    model reaches; where none are given, by shares of the model's (`AHEAD`): users' models may cover
+    ten hours or a million. Instruments are those that read the quantity, and another one.
     """
     latest: dict[str, float] = {}
     for r in readings:
@@ -81,8 +82,9 @@ def candidates(
         told = [r.sigma for r in own if r.sigma is not None]
         sigma = float(median(told)) if told and len(told) == len(own) else None
         horizon = model.part(q.name).horizon_h
+        hours = [share * horizon for share in AHEAD] if ahead_h is None else ahead_h
         for blade in blades:
-            for ahead in ahead_h:
+            for ahead in hours:
                 hour = latest.get(blade, 0.0) + ahead
                 if not 0 < hour <= horizon:
                     continue

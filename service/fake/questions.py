@@ -83,7 +83,7 @@ def planned(
     if target.parameter == "offset":
         aim = np.array([0.0, 1.0])
     hour = 1.0 if target.time_h is None else target.time_h / HORIZON_H
-    mean, covariance = own[target.blade or blades[0].id]
+    mean, covariance = moments(get, target.blade or blades[0].id)
     variance = float(aim @ covariance @ aim) * hour**2
     single = []
     for b in blades:

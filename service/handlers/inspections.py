@@ -16,7 +16,8 @@ from core.errors import InputError
 from core.network import Network
 from core.observation import Covers, Inspection, faults, replaced
 from service.digests import digest_of_json
-from service.errors import MOST_FAULTS, FaultsError, NotFoundError
+from service.entries import body_problem
+from service.errors import MOST_FAULTS, DamagedLogError, FaultsError, NotFoundError
 from service.handlers.circles import circles
 from service.ports import Appended, Event, Json, NewEvent, Store, Transaction
 
@@ -149,7 +150,7 @@ def find_inspection(store: Store, rotor_id: str, inspection_id: str) -> Listed:
         tx.records.rotor(rotor_id)
         event = _find(tx.log.find(rotor_id, inspection_id), rotor_id, inspection_id)
         overruling = tx.log.overruled(rotor_id, [inspection_id])
-    return _listed([event], overruling)[0]
+    return _listed(rotor_id, [event], overruling)[0]
 
 
 def list_inspections(
@@ -169,11 +170,12 @@ def list_inspections(
         _known(tx, rotor_id, blade)
         events = tx.log.page(rotor_id, "inspection", after, limit, blade, newest, FEW)
         overruling = tx.log.overruled(rotor_id, [event.event_id for event in events])
-    return _listed(events, overruling)
+    return _listed(rotor_id, events, overruling)
 
 
 PAGE = 100
 FEW = 16  # values of a reading that a list shows
+COUNT = "count"  # of values, in place of them
 
 
 def all_inspections(store: Store, rotor_id: str, blade: str | None) -> tuple[Log, Pages]:
@@ -208,13 +210,15 @@ def pages_of(store: Store, log: Log, blade: str | None) -> Pages:
             events = tx.log.page(log.rotor, "inspection", after, PAGE, blade)
             overruling = tx.log.overruled(log.rotor, [event.event_id for event in events])
         here = [event for event in events if event.seq <= log.head_seq]
-        yield _listed(here, [event for event in overruling if event.seq <= log.head_seq])
+        known = [event for event in overruling if event.seq <= log.head_seq]
+        yield _listed(log.rotor, here, known)
         if len(here) < PAGE:
             return
         after = here[-1].seq
 
 
-def _listed(events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed]:
+def _listed(rotor: str, events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed]:
+    """Readings with their status; DamagedLogError: one is not what was written."""
     named = [(e.kind, e.event_id, e.replaces) for e in overruling if e.replaces is not None]
     gone = {target for kind, _, target in named if kind == "retraction"}
     over = replaced({own: target for kind, own, target in named if kind == "inspection"}, gone)
@@ -223,6 +227,24 @@ def _listed(events: Sequence[Event], overruling: Sequence[Event]) -> list[Listed
         return "retracted" if event_id in gone else "replaced" if event_id in over else "counts"
 
     return [
-        Listed(e.seq, e.received_at, status(e.event_id), json.loads(e.body), e.posted_by)
+        Listed(e.seq, e.received_at, status(e.event_id), _body(rotor, e), e.posted_by)
         for e in events
     ]
+
+
+def _body(rotor: str, event: Event) -> Json:
+    """What a reading says. Without its values its digest cannot be made again: then it has to
+    agree with the columns beside it."""
+    try:
+        body: Json = json.loads(event.body)
+        if COUNT in body:
+            columns = (event.event_id, event.replaces, event.blade, event.time_h)
+            same = columns == tuple(body.get(n) for n in ("id", "replaces", "blade", "time_h"))
+            problem = None if same else "its body and its columns differ"
+        else:
+            problem = body_problem(event)
+    except ValueError as error:
+        problem = f"its body cannot be read: {error}"
+    if problem is not None:
+        raise DamagedLogError(rotor, event.event_id, problem)
+    return body

@@ -52,7 +52,8 @@ def target_of(
             "quantity", asked.quantity, "has three components", "use elongation or ceeq"
         )
     hour = found.card.horizon_h if time_h is None else time_h
-    return PlanTarget(blade, asked.quantity, hour, None)
+    known = None if found.blade is None else found.blade.known
+    return PlanTarget(blade, asked.quantity, hour, None, known)
 
 
 def plan(store: Store, science: Science, found: Basis, target: PlanTarget, count: int) -> Json:

@@ -77,10 +77,15 @@ class Basis:
 def basis(
     store: Store, science: Science, rotor_id: str, which: Which, blade: str | None = None
 ) -> Basis:
-    """The version asked for; the blade, if named, must exist in it."""
+    """The version asked for; the blade, if named, must exist in it.
+
+    DamagedRotorError: the rotor, or a blade of it, is not what was written.
+    """
     with reading(store, rotor_id, which) as tx:
         rotor = tx.records.rotor(rotor_id)
-        found = None if blade is None else tx.records.blade(rotor_id, blade)
+        blades = tx.records.blades(rotor_id)
+        tx.check_rotor(rotor, blades)
+        found = next((one for one in blades if one.id == blade), None)
         if blade is not None and found is None:
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
         state = state_of(tx, rotor_id, which)

@@ -142,12 +142,19 @@ def created_before(
 
 
 def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
-    """The rotor as it stands, with the blades and the posterior of the version asked for."""
+    """The rotor as it stands, with the blades and the posterior of the version asked for.
+
+    DamagedRotorError: it is not what was written; a blocked one says by itself why it is.
+    """
     with reading(store, rotor_id, which) as tx:
         if which.newest:
-            return view_in(tx, rotor_id)
+            view = view_in(tx, rotor_id)
+            if not view.rotor.blocked:
+                tx.check_rotor(view.rotor, view.blades)
+            return view
         rotor = tx.records.rotor(rotor_id)
         blades = tuple(tx.records.blades(rotor_id))
+        tx.check_rotor(rotor, blades)
         state = state_of(tx, rotor_id, which)
         adopted = adopted_at(tx, rotor, state.through_seq)
     return RotorView(rotor, tuple(blades_at(blades, state.through_seq)), state, adopted)

@@ -28,12 +28,16 @@ class ResidualRecord:
 
 @dataclass(frozen=True, slots=True)
 class PlanTarget:
-    """What is to be known better: a blade's quantity at an hour, or a parameter."""
+    """What is to be known better: a blade's quantity at an hour, or a parameter.
+
+    known   the blade's values of the model's known inputs; it need not run any more
+    """
 
     blade: str | None
     quantity: str | None
     time_h: float | None
     parameter: str | None
+    known: dict[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -169,6 +169,10 @@ class Transaction(Protocol):
         """By blade, what the entries up to `through` say of its readings."""
         ...
 
+    def check_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
+        """DamagedRotorError: the rotor's row, or one of its blades', is not what was written."""
+        ...
+
     def operations(self, limit: int) -> Operations: ...
 
 

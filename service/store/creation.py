@@ -3,7 +3,7 @@
 A rotor's digest was made from its row and the blades of its creation (`service.digests`). A blade
 that joined or left later has an entry of the log, which has its digest and its place. The log
 cannot make these rows again, so that nothing is to be computed where one of them is damaged:
-whoever computes takes a rotor's blades from `sound_blades`.
+whoever computes takes a rotor's blades from `sound_blades`, and who reads has them checked.
 
 What no digest covers has no witness: the version of the model, the `origin` and `created_at`.
 """
@@ -49,13 +49,20 @@ class Move(NamedTuple):
 
 
 def sound_blades(connection: Connection, rotor: RotorRecord) -> list[BladeRecord]:
-    """The rotor's blades; DamagedRotorError: its row, or one of theirs, is not what was written.
+    """The rotor's blades; DamagedRotorError: its row, or one of theirs, is not what was written."""
+    blades = SqlRecords(connection).blades(rotor.id)
+    check(connection, rotor, blades)
+    return blades
+
+
+def check(connection: Connection, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
+    """DamagedRotorError: a rotor's row, or one of its blades' in byte order, is not what was
+    written.
 
     A blade may join or leave between two of these questions: what its row does not tell yet is no
     damage where it came after the rotor was read.
     """
     asked = {"rotor": rotor.id}
-    blades = SqlRecords(connection).blades(rotor.id)
     told = {seq for blade in blades for seq in (blade.added_seq, blade.retired_seq)}
     moves = [Move(*row) for row in connection.execute(_MOVES, asked)]
     known = [move for move in moves if move.seq <= rotor.head_seq or move.seq in told]
@@ -67,7 +74,6 @@ def sound_blades(connection: Connection, rotor: RotorRecord) -> list[BladeRecord
         raise DamagedRotorError(
             rotor.id, [f"rotor {rotor.id}: {part} {name}: {what}" for part, name, what in found]
         )
-    return blades
 
 
 def problems(

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 
 from sqlalchemy import Connection, Engine
 
 from service.access import EXPECTED, Act
-from service.ports import Array, BladeReadings, Gauges, Get, Guard, Operations
+from service.ports import (
+    Array,
+    BladeReadings,
+    BladeRecord,
+    Gauges,
+    Get,
+    Guard,
+    Operations,
+    RotorRecord,
+)
+from service.store import creation
 from service.store.answers import SqlAnswers
 from service.store.blobs import SqlBlobs
 from service.store.cache import ArrayCache, Checked
@@ -54,6 +64,9 @@ class SqlTransaction:
 
     def blade_readings(self, rotor_id: str, through: int) -> dict[str, BladeReadings]:
         return read_blade_readings(self.connection, rotor_id, through)
+
+    def check_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
+        creation.check(self.connection, rotor, blades)
 
     def operations(self, limit: int) -> Operations:
         return read_operations(self.connection, limit)

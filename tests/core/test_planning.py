@@ -146,6 +146,8 @@ def test_candidates_start_from_each_blades_latest_reading_and_end_with_the_model
     assert {c.instrument for c in found} == {"g1", ANOTHER}
     assert {c.sigma for c in found} == {0.1}
     assert {c.sigma for c in candidates(MODEL, ["b0"], [replace(data[0], sigma=None)])} == {None}
+    by_itself, horizon = candidates(MODEL, SPEC.blades, []), MODEL.part("y").horizon_h
+    assert {c.time_h / horizon for c in by_itself} == {0.08, 0.16, 0.32}, "whatever it covers"
 
 
 def test_a_target_that_is_none_is_refused(state: RotorState) -> None:

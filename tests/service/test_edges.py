@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import delete, event, text
+from sqlalchemy import delete, event
 
 from core.observation import Inspection
 from service.api.problems import MOST_FAULTS, bounded
@@ -380,33 +380,3 @@ def test_the_line_of_a_request_names_the_entries_that_it_appended(
     posts = [line for line in lines if line["message"].startswith("POST")]
     assert [line.get("entries") for line in posts] == ["1-2", "3-3", None]
     assert all("request_id" in line for line in posts)
-
-
-@pytest.mark.parametrize(
-    ("change", "path"),
-    [
-        ("body = replace(body, '0.11', '0.12')", "/plan?blade=B1"),
-        ("kind = 'of-2040'", "/plan?blade=B1"),
-        ("kind = 'adoption'", ""),
-        ("kind = 'adoption'", "/blades/B1/prediction?times=1000"),
-    ],
-)
-def test_a_read_over_a_damaged_entry_names_it(
-    api: httpx.Client,
-    store: SqlStore,
-    rotor: str,
-    worker: Worker,
-    post: Post,
-    reading: Reading,
-    change: str,
-    path: str,
-) -> None:
-    post(rotor, reading("a", value=0.11))
-    worker.drain()
-    with transaction(store.engine, write=True) as connection:
-        done = connection.execute(text(f"UPDATE event SET {change} WHERE rotor_id = 'r1'"))
-        assert done.rowcount == 1
-    answer = api.get(f"{ROTOR}{path}")
-    assert answer.status_code == 503, answer.text
-    assert answer.json()["type"].endswith("damaged")
-    assert answer.json()["faults"][0]["value"] == "a"

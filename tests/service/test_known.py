@@ -70,6 +70,22 @@ def test_each_blade_is_updated_and_predicted_with_its_own_known_inputs(
     assert known == {"B1": given[0], "B2": given[1], "B3": {"load": 2.0, "shift": -0.5}}
 
 
+def test_a_plan_for_a_blade_that_has_left_knows_its_inputs(
+    api: httpx.Client, store: SqlStore, settings: Settings
+) -> None:
+    twin = Client(http=api)
+    blades = [{"id": "B1", "known": {"load": 1.0}}, {"id": "B2", "known": {"load": 3.0}}]
+    twin.create_rotor("r1", blades=blades, particles=2048)
+    reading = {"id": "i", "blade": "B2", "quantity": "elongation", "time_h": 5.0, "value": 5.6}
+    twin.post_inspections("r1", [reading | {"sigma": 0.3}])
+    twin.retire_blade("r1", "B2")
+    make_worker(store, loaded(), settings).drain()
+    told = twin.plan("r1", blade="B2", time_h=5.0)
+    band = twin.prediction("r1", "B2", times=[5.0])
+    assert told["target"]["mean"] == pytest.approx(band["mean"][0], abs=0.05)
+    assert {one["blade"] for one in told["single"]} == {"B1"}
+
+
 BAD: list[tuple[Json | None, str]] = [
     (None, "known.load"),
     ({}, "known.load"),

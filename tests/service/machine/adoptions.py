@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import httpx
 from hypothesis import strategies as st
 
-from tests.service.machine.base import act, asking, campaigns, rotors
 from tests.service.machine.log import Log
+from tests.service.machine.steps import act, asking, campaigns, rotors
 from tests.service.modelled import Diagnosis, Modelled
 
 EPISODES = (

@@ -7,11 +7,9 @@ workers that work, crash and race), `reads`, `moments`, `streams`, `hooks`, `jou
 
 from __future__ import annotations
 
-import inspect
 import random
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,60 +20,18 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize
 from sqlalchemy import text
 
 from service.access import SCOPES
-from service.api.routers.diagnoses import EXAMPLE
 from service.api.scopes import RULES, Found, Table
 from service.bootstrap import make_worker
 from service.handlers.keys import create_key
 from service.settings import Settings
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
+from tests.service.machine.steps import Key, act, asking, rotor_body, rotors
 from tests.service.modelled import FIRST, Json, Modelled
 from tests.service.naming import Naming
 
-Act = Callable[..., None]
 Row = tuple[str, str, int, tuple[int, int] | None]  # method, path, status, entries appended
 ROUTES = Table(RULES)
-rotors = st.sampled_from(["a", "a", "b"])
-campaigns = st.sampled_from(["c1", "c2"])
-
-
-def act(weight: int = 1, **given: st.SearchStrategy[Any]) -> Callable[[Act], Act]:
-    """A step of the machine, how often it is taken beside others, and what it is given."""
-
-    def mark(step: Act) -> Act:
-        step.__dict__["given"] = weight * [st.fixed_dictionaries(given)]
-        return step
-
-    return mark
-
-
-def acts(machine: type[Machine]) -> st.SearchStrategy[tuple[str, Json]]:
-    """Any of its steps. (Rules of Hypothesis are switched off at random, most of them in most
-    sequences, which leaves little of a few short ones.)"""
-    found = {name: getattr(step, "given", []) for name, step in inspect.getmembers(machine)}
-    return st.one_of([st.tuples(st.just(n), one) for n, given in found.items() for one in given])
-
-
-@dataclass
-class Key:
-    """An API key, as it was made; `only`: the ids of the rotors that it is for, None: all."""
-
-    id: str
-    token: str
-    scopes: tuple[str, ...]
-    only: tuple[str, ...] | None = None
-    revoked: bool = False
-
-
-def rotor_body(rotor: str, particles: int) -> Json:
-    blades = [{"id": b} for b in FIRST]
-    fixed = {"model": "rotor-blade", "blades": blades, "seed": 7}
-    return {"id": rotor, "particles": particles} | fixed
-
-
-def asking(campaign: str) -> Json:
-    """A diagnosis that looks for a campaign's offset (`naming`)."""
-    return {"families": [EXAMPLE["families"][0] | {"name": campaign}]}
 
 
 class Machine(RuleBasedStateMachine):

@@ -18,8 +18,8 @@ from service.hooks import KINDS
 from service.store import tables as t
 from service.store.engine import transaction
 from service.worker.deliver import Deliverer
-from tests.service.machine.base import act
 from tests.service.machine.log import Crash, Log
+from tests.service.machine.steps import act
 from tests.service.modelled import Json
 
 

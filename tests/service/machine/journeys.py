@@ -13,8 +13,8 @@ from service.handlers.transfer import Imported, export_rotor, import_rotor
 from service.ports import Event
 from service.store.log import read_entries
 from service.store.unit_of_work import SqlStore
-from tests.service.machine.base import act, rotors
 from tests.service.machine.log import Log
+from tests.service.machine.steps import act, rotors
 from tests.service.modelled import Modelled
 
 

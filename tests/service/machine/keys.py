@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from service.access import SCOPES
 from service.api.scopes import RULES
 from service.handlers.keys import revoke_key
-from tests.service.machine.base import Key, act, rotors
 from tests.service.machine.log import Log, readings
+from tests.service.machine.steps import Key, act, rotors
 from tests.service.modelled import Json
 
 GUARDED = sorted(name for name, rule in RULES.items() if rule.scope != "open")

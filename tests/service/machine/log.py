@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from service.errors import LostLeaseError
 from service.worker import claiming, update
 from service.worker import lease as leases
-from tests.service.machine.base import Machine, act, rotors
+from tests.service.machine.base import Machine
+from tests.service.machine.steps import act, rotors
 from tests.service.modelled import FIRST, Json
 
 names = st.sampled_from([f"i{n}" for n in range(8)])

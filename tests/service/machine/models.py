@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from hypothesis import strategies as st
 
 from service.fake.conjugate import fake_network
-from tests.service.machine.base import act, rotor_body
 from tests.service.machine.log import Log
+from tests.service.machine.steps import act, rotor_body
 from tests.service.modelled import Json
 
 HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -7,8 +7,8 @@ import time
 from hypothesis import strategies as st
 
 from service.moments import moment
-from tests.service.machine.base import act, rotors
 from tests.service.machine.log import Log
+from tests.service.machine.steps import act, rotors
 from tests.service.modelled import Modelled
 
 DAY = 86_400.0

@@ -10,8 +10,8 @@ import httpx
 from hypothesis import strategies as st
 from pyarrow.parquet import read_table
 
-from tests.service.machine.base import act, rotors
 from tests.service.machine.log import Log, blades
+from tests.service.machine.steps import act, rotors
 from tests.service.modelled import FIRST, Json, Modelled
 
 Asked = dict[str, str]

@@ -9,8 +9,8 @@ import httpx
 from hypothesis import strategies as st
 
 from service.sse import HEARTBEAT, events
-from tests.service.machine.base import act, rotors
 from tests.service.machine.log import Log
+from tests.service.machine.steps import act, rotors
 from tests.service.modelled import Json, Modelled
 
 
