@@ -15,10 +15,11 @@ only the last one is backed out.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from service.errors import DamagedLogError
-from service.ports import Event, Json, RotorRecord, Transaction
+from service.ports import BladeRecord, Event, Json, RotorRecord, Transaction
 
 ADOPTION, BACK_OUT = "adoption", "back-out"
 KINDS = (ADOPTION, BACK_OUT)
@@ -57,6 +58,20 @@ class Adopted:
             for effect in sheet.effects
         ]
 
+    def untold(self, blades: Iterable[BladeRecord]) -> list[tuple[str, str]]:
+        """Effects in force and blades that joined after them and that they concern: name, blade.
+
+        The model takes such a blade for one that the effect leaves alone, or that began with the
+        rotor.
+        """
+        joined = [blade for blade in blades if blade.added_seq]
+        return [
+            (effect["name"], blade.id)
+            for effect in self.effects
+            for blade in joined
+            if blade.added_seq > effect["seq"] and concerns(effect, blade)
+        ]
+
     def after(self, event: Event) -> Adopted:
         """With one more entry. ValueError: the entry does not go on from here."""
         body = json.loads(event.body)
@@ -74,6 +89,16 @@ class Adopted:
         if body["after"] != self.sheets[-1].before:
             raise ValueError("it does not bring back the network before the adoption")
         return Adopted(body["after"], self.sheets[:-1], self.count + 1)
+
+
+def concerns(effect: Json, blade: BladeRecord) -> bool:
+    """Whether a blade that joined has to be told about an effect: of its lot, or of a day."""
+    whom, value = effect.get("whom"), effect.get("value")
+    own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
+    if whom in own:
+        return bool(own[whom] == value)
+    runs = effect.get("clock") == "rotor" and effect.get("shape") != "constant"
+    return bool(runs and whom in ("all", "instrument", "campaign"))
 
 
 def adopted_at(tx: Transaction, rotor: RotorRecord, through: int | None = None) -> Adopted:

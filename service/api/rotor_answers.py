@@ -52,10 +52,14 @@ def view_out(view: RotorView) -> dict[str, Any]:
         "algorithm_version": state.algorithm_version,
         "created_at": moment(state.created_at),
     }
+    untold = view.adopted.untold(b for b in view.blades if b.retired_seq is None)
     return rotor_out(view.rotor) | {
         "blades": [blade_out(blade) for blade in view.blades],
         "posterior": posterior,
         "health": state and health(state),
         "network": view.adopted.network,
-        "effects": view.adopted.effects,
+        "effects": [
+            effect | {"untold": [b for name, b in untold if name == effect["name"]]}
+            for effect in view.adopted.effects
+        ],
     }

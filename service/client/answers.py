@@ -29,6 +29,7 @@ class RestsOn(TypedDict):
     model_version: str
     model_digest: str
     algorithm_version: str
+    untold: list[str]
 
 
 class Blade(TypedDict):

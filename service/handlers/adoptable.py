@@ -17,11 +17,10 @@ from collections.abc import Sequence
 
 from core.errors import BladetwinError
 from core.observation import Entry, effective
-from service.adopted import Adopted
+from service.adopted import Adopted, concerns
 from service.entries import entries_of
 from service.errors import AdoptionError
 from service.ports import (
-    BladeRecord,
     JobRecord,
     Json,
     ModelCard,
@@ -153,16 +152,6 @@ def told_effects(result: Json) -> list[Json]:
             "clock": "blade",
         }
     ]
-
-
-def concerns(effect: Json, blade: BladeRecord) -> bool:
-    """Whether a blade that joined has to be told about an effect: of its lot, or of a day."""
-    whom, value = effect["whom"], effect["value"]
-    own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
-    if whom in own:
-        return bool(own[whom] == value)
-    runs = effect["clock"] == "rotor" and effect["shape"] != "constant"
-    return bool(runs and whom in ("all", "instrument", "campaign"))
 
 
 def read_ahead(store: Store, rotor_id: str) -> list[Entry]:

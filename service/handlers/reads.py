@@ -48,11 +48,15 @@ def health(state: StateRecord) -> Json:
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """A version of a rotor's posterior and the model that it rests on; the blade, if named."""
+    """A version of a rotor's posterior and the model that it rests on; the blade, if named.
+
+    untold  adopted effects that concern this blade, or any, which joined later (`Adopted.untold`)
+    """
 
     state: StateRecord
     card: ModelCard
     blade: BladeRecord | None
+    untold: tuple[str, ...] = ()
 
     def arrays(self, store: Store) -> Get:
         """The version's arrays, for what computes on them outside of a transaction."""
@@ -71,6 +75,7 @@ class Basis:
             "model_version": self.card.version,
             "model_digest": self.card.digest,
             "algorithm_version": state.algorithm_version,
+            "untold": list(self.untold),
         }
 
 
@@ -90,7 +95,9 @@ def basis(
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
         state = state_of(tx, rotor_id, which)
         card = tx.records.model(rotor.model_id, state.model_version)
-        network = adopted_at(tx, rotor, state.through_seq).network
+        adopted = adopted_at(tx, rotor, state.through_seq)
+    there = adopted.untold(one for one in blades if one.added_seq <= state.through_seq)
+    untold = {effect for effect, name in there if blade in (None, name)}
     if found is not None and found.added_seq > state.through_seq:
         if not which.newest:
             remedy = f"it joined with entry {found.added_seq}: ask for a later version"
@@ -99,7 +106,7 @@ def basis(
             f"blade {blade} in version {state.version} of rotor {rotor_id}",
             f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={found.added_seq}&timeout=30",
         )
-    return Basis(state, science.vary(card, network), found)
+    return Basis(state, science.vary(card, adopted.network), found, tuple(sorted(untold)))
 
 
 def newest(store: Store, rotor_id: str) -> tuple[int, str] | None:
@@ -235,11 +242,9 @@ def predict(store: Store, science: Science, found: Basis, asked: Question) -> Js
         "probability": asked.probability,
         "instrument": bands.instrument,
         "noise_from": bands.noise_from,
-        "time_h": np.asarray(bands.time_h).tolist(),
-        "mean": np.asarray(bands.mean).tolist(),
+        **{name: np.asarray(getattr(bands, name)).tolist() for name in ("time_h", "mean")},
         "sd": {name: np.asarray(part).tolist() for name, part in bands.sd.items()},
-        "lower": np.asarray(bands.lower).tolist(),
-        "upper": np.asarray(bands.upper).tolist(),
+        **{name: np.asarray(getattr(bands, name)).tolist() for name in ("lower", "upper")},
         "quantiles": {str(p): np.asarray(q).tolist() for p, q in bands.quantiles.items()},
         "health": health(found.state),
     }

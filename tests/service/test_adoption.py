@@ -18,13 +18,12 @@ from typer.testing import CliRunner
 from core.diagnosis.verdict import Held
 from core.observation import Entry, Inspection
 from service import bundle
-from service.adopted import adopted_at
+from service.adopted import adopted_at, concerns
 from service.bootstrap import make_worker
 from service.bundle import BundleError
 from service.cli import app as commands
 from service.client import Client, ProblemError
 from service.handlers import adoptions
-from service.handlers.adoptable import concerns
 from service.handlers.adoptions import adopt
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
@@ -386,14 +385,52 @@ def test_a_blade_that_joined_since_forbids_only_effects_that_would_concern_it() 
     assert not concerns(step | {"whom": "blade", "value": "B1"}, BladeRecord("B9"))
 
 
-def test_a_new_blade_of_the_lot_is_named_in_the_refusal(
-    api: httpx.Client, store: SqlStore, named: str
-) -> None:
-    result = find_diagnosis(store, "r1", named).result or {}
+def of_a_lot(store: SqlStore, diagnosis: str) -> str:
+    """As if the effect that it found were of a lot; the effect's name."""
+    result = find_diagnosis(store, "r1", diagnosis).result or {}
     result["effects"][0] |= {"whom": "lot", "value": "L1"}
     with transaction(store.engine, write=True) as connection:
         told = json.dumps(result)
-        connection.execute(update(t.job).where(t.job.c.id == named).values(result=told))
+        connection.execute(update(t.job).where(t.job.c.id == diagnosis).values(result=told))
+    return str(result["effects"][0]["name"])
+
+
+def test_a_blade_that_joins_an_adopted_effect_s_lot_is_told_to_be_unknown_to_it(
+    api: httpx.Client, store: SqlStore, named: str, worker: Worker
+) -> None:
+    """Its bands, the rotor and no other blade's; no longer once the effect is backed out."""
+    name = of_a_lot(store, named)
+    path = f"/v1/rotors/r1/diagnoses/{named}/adoption"
+    api.post(path).raise_for_status()
+    for blade, lot in (("B8", "L2"), ("B9", "L1")):
+        add_blade(store, "r1", BladeRecord(blade, lot=lot))
+    worker.drain()
+
+    def untold() -> list[Any]:
+        bands = [
+            api.get(f"/v1/rotors/r1/blades/{blade}/prediction").json()["rests_on"]["untold"]
+            for blade in ("B1", "B8", "B9")
+        ]
+        shared = api.get("/v1/rotors/r1/posterior").json()["rests_on"]["untold"]
+        return [
+            *bands,
+            shared,
+            [one["untold"] for one in api.get("/v1/rotors/r1").json()["effects"]],
+        ]
+
+    before = api.get("/v1/rotors/r1").json()["posterior"]["version"]
+    assert untold() == [[], [], [name], [name], [["B9"]]]
+    api.delete(path).raise_for_status()
+    worker.drain()
+    assert untold() == [[], [], [], [], []]
+    then = api.get("/v1/rotors/r1/blades/B9/prediction", params={"version": before}).json()
+    assert then["rests_on"]["untold"] == [name]
+
+
+def test_a_new_blade_of_the_lot_is_named_in_the_refusal(
+    api: httpx.Client, store: SqlStore, named: str
+) -> None:
+    of_a_lot(store, named)
     add_blade(store, "r1", BladeRecord("B9", lot="L1"))
     told = refused(api.post(f"/v1/rotors/r1/diagnoses/{named}/adoption"))["detail"]
     assert "B9 joined since" in told

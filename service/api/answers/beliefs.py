@@ -74,6 +74,7 @@ RESTS_ON = having(
     model_version=TEXT,
     model_digest=TEXT,
     algorithm_version=TEXT,
+    untold=each(TEXT),
 )
 SUMMARY = {
     "rotor": TEXT,

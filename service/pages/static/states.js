@@ -42,6 +42,10 @@ export function warningsOf(rotor) {
   if (health && !health.trusted) {
     out.push(["bad", `This posterior is not to be trusted (${health.status}).`, (health.reasons ?? []).join("; ")]);
   }
+  for (const { name, untold = [] } of rotor.effects ?? []) {
+    if (untold.length) out.push(["warn", `${untold.join(", ")} joined after “${name}” was adopted, which concerns ${untold.length === 1 ? "it" : "them"}.`,
+      "The model does not know that: bands of such a blade leave the effect out, or take the blade for one that began with the rotor.", "To mend it: diagnose and adopt anew."]);
+  }
   if (rotor.version === 0) out.push(["wait", "No data yet: a worker has still to compute the first posterior of this rotor. The page fills when it is there."]);
   return out;
 }
