@@ -16,11 +16,11 @@ from service.export.netcdf import Replicated, inference_data
 from service.export.readings import Parquet, csv_header, csv_text
 from service.export.units import unit_of
 from service.export.vtu import vtu
+from service.handlers.blades import blades_at, blades_of
 from service.handlers.glance import MOST_DRAWS
 from service.handlers.inspections import Log, pages_of
 from service.handlers.plans import counting
 from service.handlers.reads import Basis, health
-from service.handlers.rotors import blades_at
 from service.moments import moment
 from service.ports import BladeRecord, Draws, JointDraws, Json, Science, Store
 from service.release import release
@@ -41,7 +41,7 @@ def rotor_draws(
     """
     state = found.state
     with store.read() as tx:
-        blades = blades_at(tx.records.blades(state.rotor_id), state.through_seq)
+        blades = blades_at(blades_of(tx, state.rotor_id), state.through_seq)
         blades = sorted(blades, key=lambda blade: blade.id)
         each = len(blades) * len(found.card.network.of_level("local"))
         most = min(MOST_DRAWS, MOST_VALUES[form] // max(each, 1))
@@ -204,7 +204,7 @@ def sensorthings(store: Store, log: Log, blade: str | None) -> Iterable[str]:
     with store.read() as tx:
         rotor = tx.records.rotor(log.rotor)
         network = tx.records.model(rotor.model_id, rotor.model_version).network
-        blades = sorted(tx.records.blades(log.rotor), key=lambda one: one.id)
+        blades = sorted(blades_of(tx, log.rotor), key=lambda one: one.id)
 
     def groups() -> Iterator[list[Json]]:
         for one in blades:

@@ -9,8 +9,8 @@ import numpy as np
 
 from core.errors import InputError, RangeError
 from service.errors import FaultsError, NotFoundError
+from service.handlers.blades import blades_at, blades_of
 from service.handlers.reads import Basis, Question, bands_of, health
-from service.handlers.rotors import blades_at
 from service.moments import moment
 from service.ports import (
     BladeReadings,
@@ -45,7 +45,7 @@ def glance(store: Store, found: Basis, which: Which, after: str, limit: int) -> 
     """
     rotor_id = found.state.rotor_id
     with store.read() as tx:
-        blades = blades_at(tx.records.blades(rotor_id), found.state.through_seq)
+        blades = blades_at(blades_of(tx, rotor_id), found.state.through_seq)
         head = tx.records.rotor(rotor_id).head_seq
         through = head if which.newest else found.state.through_seq
         readings = tx.blade_readings(rotor_id, through)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from core.errors import InputError, RangeError
 from core.observation import Inspection, effective
 from service.entries import entries_of
+from service.handlers.blades import blades_of
 from service.handlers.reads import Basis, health, question
 from service.ports import BladeRecord, Event, Json, PlanTarget, Science, Store, Transaction
 
@@ -65,7 +66,7 @@ def plan(store: Store, science: Science, found: Basis, target: PlanTarget, count
         raise RangeError("count", count, f"lies outside 1 … {MOST_READINGS}", "ask for a small set")
     rotor, through = found.state.rotor_id, found.state.through_seq
     with store.read() as tx:
-        there = [b for b in tx.records.blades(rotor) if b.added_seq <= through]
+        there = [b for b in blades_of(tx, rotor) if b.added_seq <= through]
         readings = counting(tx, rotor, through)
     blades = [b for b in there if runs(b, through)]
     if not blades:

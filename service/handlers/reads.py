@@ -88,16 +88,15 @@ def basis(
     """
     with reading(store, rotor_id, which) as tx:
         rotor = tx.records.rotor(rotor_id)
-        blades = tx.records.blades(rotor_id)
-        tx.check_rotor(rotor, blades)
-        found = next((one for one in blades if one.id == blade), None)
+        found = tx.sound_blade(rotor, blade)
         if blade is not None and found is None:
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
         state = state_of(tx, rotor_id, which)
         card = tx.records.model(rotor.model_id, state.model_version)
         adopted = adopted_at(tx, rotor, state.through_seq)
-    there = adopted.untold(one for one in blades if one.added_seq <= state.through_seq)
-    untold = {effect for effect, name in there if blade in (None, name)}
+        blades = [found] if found else tx.records.blades(rotor_id) if adopted.sheets else []
+    there = [one for one in blades if one.added_seq <= state.through_seq]
+    untold = {effect for effect, _ in adopted.untold(there)}
     if found is not None and found.added_seq > state.through_seq:
         if not which.newest:
             remedy = f"it joined with entry {found.added_seq}: ask for a later version"

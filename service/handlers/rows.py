@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from core.errors import RangeError
+from service.handlers.blades import blades_at, blades_of
 from service.handlers.reads import Basis, Question, bands_of
-from service.handlers.rotors import blades_at
 from service.ports import BladeRecord, Json, Science, Store
 
 MOST_ROWS = 20_000
@@ -18,7 +18,7 @@ def running(store: Store, found: Basis, after: str, count: int) -> list[BladeRec
     """Blades that run in the version, in the order of their names, after one name."""
     state = found.state
     with store.read() as tx:
-        blades = blades_at(tx.records.blades(state.rotor_id), state.through_seq)
+        blades = blades_at(blades_of(tx, state.rotor_id), state.through_seq)
     there = sorted((b for b in blades if not b.retired_seq), key=lambda blade: blade.id)
     return [blade for blade in there if blade.id > after][:count]
 

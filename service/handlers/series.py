@@ -16,10 +16,10 @@ from service.errors import FaultsError, NotFoundError
 from service.export import series as files
 from service.export.arrow import ArrowStream
 from service.export.vtu import vtu
+from service.handlers.blades import blades_at, blades_of
 from service.handlers.exports import facts_of
 from service.handlers.glance import field, field_question
 from service.handlers.reads import Basis
-from service.handlers.rotors import blades_at
 from service.ports import BladeRecord, Json, Mesh, Science, Store
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def of_rotor(
     """
     state = found.state
     with store.read() as tx:
-        blades = blades_at(tx.records.blades(state.rotor_id), state.through_seq)
+        blades = blades_at(blades_of(tx, state.rotor_id), state.through_seq)
     there = {blade.id: blade for blade in sorted(blades, key=lambda blade: blade.id)}
     if names is None:
         names = [b.id for b in there.values() if not b.retired_seq]

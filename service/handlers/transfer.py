@@ -30,7 +30,7 @@ from service.errors import (
     NotFoundError,
     NotYetError,
 )
-from service.handlers.rotors import blades_at
+from service.handlers.blades import blades_at
 from service.handlers.transfer_lines import (
     EntryLine,
     NamedLine,

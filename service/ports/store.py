@@ -173,6 +173,10 @@ class Transaction(Protocol):
         """DamagedRotorError: the rotor's row, or one of its blades', is not what was written."""
         ...
 
+    def sound_blade(self, rotor: RotorRecord, name: str | None) -> BladeRecord | None:
+        """A blade, if the rotor has it; DamagedRotorError as of `check_rotor`."""
+        ...
+
     def operations(self, limit: int) -> Operations: ...
 
 

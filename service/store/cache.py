@@ -1,16 +1,18 @@
-"""What one process keeps of stored versions: decoded arrays, and which versions it has checked."""
+"""What one process keeps of the database: decoded arrays, and what it has compared with digests."""
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
-from service.ports import Array
+from service.ports import Array, BladeRecord, Json, RotorRecord
 
 Key = tuple[str, int, str]
 Kept = tuple[str, int, str, str | None]  # and the SHA-256 that it has in this version
 MOST_CHECKED = 512
+MOST_SOUND = 256  # rotors; of a hundred blades, some 50 kB each
 VERSIONS = 3
 OVERHEAD = 664  # bytes of an array's objects, head and key beside its numbers, measured
 
@@ -90,3 +92,59 @@ class Checked:
             self._found.move_to_end((rotor_id, version))
             while len(self._found) > MOST_CHECKED:
                 self._found.popitem(last=False)
+
+
+class Asked(NamedTuple):
+    """What a rotor's digest was made from beside its blades, and the digest."""
+
+    model_id: str
+    particles: int
+    seed: int
+    network: Json | None
+    adopt: str
+    digest: str
+
+    @staticmethod
+    def of(rotor: RotorRecord) -> Asked:
+        return Asked(*(getattr(rotor, name) for name in Asked._fields))
+
+
+class Sound:
+    """Rotors and blades whose rows were compared with their digests and the log, as they read then.
+
+    Who reads a row that is equal to one of these has a sound one, as long as no entry of the log
+    moved a blade since; any other is to be compared.
+    """
+
+    def __init__(self) -> None:
+        self._found: OrderedDict[str, tuple[Asked, int, dict[str, BladeRecord]]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def knows(
+        self, rotor: RotorRecord, moves: int, name: str | None, blade: BladeRecord | None
+    ) -> bool:
+        """Whether the rotor's row, and that of the blade, if one is named, read as they did.
+
+        moves   entries of its log by which blades joined or left
+        """
+        *known, blades = self._get(rotor.id)
+        return known == [Asked.of(rotor), moves] and (name is None or blades.get(name) == blade)
+
+    def knows_all(self, rotor: RotorRecord, moves: int, blades: Sequence[BladeRecord]) -> bool:
+        """The same of all blades, of which none is missing."""
+        *known, there = self._get(rotor.id)
+        same = len(there) == len(blades) and all(there.get(b.id) == b for b in blades)
+        return known == [Asked.of(rotor), moves] and same
+
+    def put(self, rotor: RotorRecord, moves: int, blades: Sequence[BladeRecord]) -> None:
+        with self._lock:
+            self._found[rotor.id] = Asked.of(rotor), moves, {blade.id: blade for blade in blades}
+            self._found.move_to_end(rotor.id)
+            while len(self._found) > MOST_SOUND:
+                self._found.popitem(last=False)
+
+    def _get(self, rotor_id: str) -> tuple[Asked | None, int, Mapping[str, BladeRecord]]:
+        with self._lock:
+            if rotor_id in self._found:
+                self._found.move_to_end(rotor_id)
+            return self._found.get(rotor_id, (None, 0, {}))

@@ -20,6 +20,7 @@ from service.entries import BLADES
 from service.errors import DamagedRotorError
 from service.ports import BladeRecord, Event, RotorRecord
 from service.store import tables as t
+from service.store.cache import Sound
 from service.store.records import SqlRecords
 
 e = t.entry.c
@@ -34,6 +35,7 @@ _MOVES = union_all(
         for kind in BLADES
     )
 )
+_MOVED = select(func.count()).where(e.rotor_id == bindparam("rotor"), e.kind.in_(BLADES))
 _ENDS = select(
     t.rotor.c.head_seq, select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery()
 ).where(t.rotor.c.id == bindparam("rotor"))
@@ -55,18 +57,24 @@ def sound_blades(connection: Connection, rotor: RotorRecord) -> list[BladeRecord
     return blades
 
 
-def check(connection: Connection, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
+def check(
+    connection: Connection,
+    rotor: RotorRecord,
+    blades: Sequence[BladeRecord],
+    sound: Sound | None = None,
+) -> None:
     """DamagedRotorError: a rotor's row, or one of its blades' in byte order, is not what was
     written.
 
     A blade may join or leave between two of these questions: what its row does not tell yet is no
     damage where it came after the rotor was read.
+
+    sound   what was compared before, and reads the same, is not compared again
     """
     asked = {"rotor": rotor.id}
-    told = {seq for blade in blades for seq in (blade.added_seq, blade.retired_seq)}
-    moves = [Move(*row) for row in connection.execute(_MOVES, asked)]
-    known = [move for move in moves if move.seq <= rotor.head_seq or move.seq in told]
-    found = list(_problems(rotor, blades, known))
+    moved = connection.execute(_MOVED, asked).scalar_one()
+    known = sound is not None and sound.knows_all(rotor, moved, blades)
+    found = [] if known else _compared(connection, rotor, blades)
     head, end = connection.execute(_ENDS, asked).one()
     if head != (end or 0):
         found.append(("rotor", rotor.id, f"its head_seq is {head}, the log ends at {end or 0}"))
@@ -74,6 +82,31 @@ def check(connection: Connection, rotor: RotorRecord, blades: Sequence[BladeReco
         raise DamagedRotorError(
             rotor.id, [f"rotor {rotor.id}: {part} {name}: {what}" for part, name, what in found]
         )
+    if sound is not None:
+        sound.put(rotor, moved, blades)
+
+
+def sound_blade(
+    connection: Connection, rotor: RotorRecord, name: str | None, sound: Sound
+) -> BladeRecord | None:
+    """A blade of the rotor, if it has it; DamagedRotorError as of `check`, the first time in a
+    process and wherever one of the two rows reads otherwise than then."""
+    records = SqlRecords(connection)
+    found = None if name is None else records.blade(rotor.id, name)
+    moved = connection.execute(_MOVED, {"rotor": rotor.id}).scalar_one()
+    if not sound.knows(rotor, moved, name, found):
+        check(connection, rotor, records.blades(rotor.id), sound)
+    return found
+
+
+def _compared(
+    connection: Connection, rotor: RotorRecord, blades: Sequence[BladeRecord]
+) -> list[Problem]:
+    asked = {"rotor": rotor.id}
+    told = {seq for blade in blades for seq in (blade.added_seq, blade.retired_seq)}
+    moves = [Move(*row) for row in connection.execute(_MOVES, asked)]
+    known = [move for move in moves if move.seq <= rotor.head_seq or move.seq in told]
+    return list(_problems(rotor, blades, known))
 
 
 def problems(

@@ -22,7 +22,7 @@ from service.ports import (
 from service.store import creation
 from service.store.answers import SqlAnswers
 from service.store.blobs import SqlBlobs
-from service.store.cache import ArrayCache, Checked
+from service.store.cache import ArrayCache, Checked, Sound
 from service.store.engine import transaction
 from service.store.gauges import read_gauges
 from service.store.glance import read_blade_readings, read_operations
@@ -45,10 +45,12 @@ class SqlTransaction:
         connection: Connection,
         cache: ArrayCache,
         checked: Checked,
+        sound: Sound,
         posted_by: str | None = None,
         settled: float = 0.0,
     ) -> None:
         self.connection = connection
+        self._sound = sound
         self.records = SqlRecords(connection)
         self.log = SqlLog(connection, posted_by)
         self.states = SqlStates(connection, cache, checked, settled)
@@ -66,7 +68,10 @@ class SqlTransaction:
         return read_blade_readings(self.connection, rotor_id, through)
 
     def check_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
-        creation.check(self.connection, rotor, blades)
+        creation.check(self.connection, rotor, blades, self._sound)
+
+    def sound_blade(self, rotor: RotorRecord, name: str | None) -> BladeRecord | None:
+        return creation.sound_blade(self.connection, rotor, name, self._sound)
 
     def operations(self, limit: int) -> Operations:
         return read_operations(self.connection, limit)
@@ -79,6 +84,7 @@ class SqlStore:
         self.engine = engine
         self.cache = ArrayCache(cache_mb)
         self.checked = Checked()
+        self.sound = Sound()
         self._act: Act | None = None
         self._guard: Guard | None = None
 
@@ -91,20 +97,20 @@ class SqlStore:
     @contextmanager
     def read(self) -> Iterator[SqlTransaction]:
         with transaction(self.engine, write=False) as connection:
-            yield SqlTransaction(connection, self.cache, self.checked)
+            yield SqlTransaction(connection, self.cache, self.checked, self.sound)
 
     @contextmanager
     def read_as_of(self, rotor_id: str, at: float) -> Iterator[SqlTransaction]:
         until = settled(self.engine, rotor_id, at)
         with transaction(self.engine, write=False) as connection:
-            yield SqlTransaction(connection, self.cache, self.checked, settled=until)
+            yield SqlTransaction(connection, self.cache, self.checked, self.sound, settled=until)
 
     @contextmanager
     def write(self) -> Iterator[SqlTransaction]:
         act, row = self._act, None
         with transaction(self.engine, write=True) as connection:
             poster = None if act is None else act.poster
-            tx = SqlTransaction(connection, self.cache, self.checked, poster)
+            tx = SqlTransaction(connection, self.cache, self.checked, self.sound, poster)
             if self._guard is not None:
                 self._guard(tx)
             yield tx

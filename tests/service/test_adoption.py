@@ -25,9 +25,10 @@ from service.cli import app as commands
 from service.client import Client, ProblemError
 from service.handlers import adoptions
 from service.handlers.adoptions import adopt
+from service.handlers.blades import add_blade
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
-from service.handlers.rotors import add_blade, create_rotor, view_rotor
+from service.handlers.rotors import create_rotor, view_rotor
 from service.handlers.transfer import export_rotor, import_rotor
 from service.ports import BladeRecord, Event, Json
 from service.settings import Settings

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, select, text
 
 from core.observation import Inspection
 from service.client import Client
-from service.handlers.rotors import add_blade, retire_blade
+from service.handlers.blades import add_blade, retire_blade
 from service.moments import moment
 from service.ports import BladeRecord, NewEvent
 from service.settings import Settings

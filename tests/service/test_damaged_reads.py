@@ -114,6 +114,31 @@ def test_a_read_of_a_damaged_rotor_says_what_is_damaged(
     assert worn.get(f"{ROTOR}{path}").status_code == 200, "without the comparison nobody sees it"
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE rotor SET particles = particles + 1",
+        "UPDATE blade SET known = '{}' WHERE id = 'B1'",
+        "UPDATE blade SET retired_seq = NULL WHERE id = 'B1'",
+        "DELETE FROM blade WHERE id = 'B1'",
+    ],
+)
+def test_what_was_sound_is_compared_again_when_it_reads_otherwise(
+    worn: httpx.Client, store: SqlStore, worker: Worker, change: str
+) -> None:
+    """Also where it reads as it did when it was compared, and the blade has left since."""
+    for path in READS:
+        assert worn.get(f"{ROTOR}{path}").status_code == 200
+    if "retired" in change:
+        worn.post(f"{ROTOR}/blades/B1/retirement").raise_for_status()
+        worker.drain()
+    with transaction(store.engine, write=True) as connection:
+        assert connection.execute(text(change)).rowcount == 1
+    answer = worn.get(f"{ROTOR}/blades/B1/posterior?version=1")
+    assert answer.status_code == 503, answer.text
+    assert answer.json()["type"].endswith(":damaged")
+
+
 def test_a_blocked_rotor_still_says_why(
     worn: httpx.Client, store: SqlStore, rotor: str, worker: Worker, post: Post, reading: Reading
 ) -> None:

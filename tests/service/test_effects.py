@@ -27,10 +27,11 @@ from service.diagnose_command import lines_of
 from service.errors import FaultsError
 from service.handlers import reads
 from service.handlers.adoptions import adopt, back_out
+from service.handlers.blades import retire_blade
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
-from service.handlers.rotors import create_rotor, retire_blade, view_rotor
+from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, Json, Which
 from service.report.page import report
 from service.science import CoreScience

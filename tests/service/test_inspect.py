@@ -14,7 +14,7 @@ from core.errors import BladetwinError
 from core.observation import Inspection
 from service.cli import app
 from service.client import ProblemError
-from service.handlers.rotors import retire_blade
+from service.handlers.blades import retire_blade
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 

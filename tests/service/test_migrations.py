@@ -18,7 +18,8 @@ from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.fake import FakeScience
 from service.handlers import reads
-from service.handlers.rotors import add_blade, create_rotor, view_rotor
+from service.handlers.blades import add_blade
+from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, Which
 from service.settings import Settings
 from service.store import engine as engines

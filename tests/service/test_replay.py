@@ -25,7 +25,8 @@ from service.errors import (
     LostLeaseError,
 )
 from service.fake import FakeScience
-from service.handlers.rotors import add_blade, create_rotor, retire_blade, retry, view_rotor
+from service.handlers.blades import add_blade, retire_blade
+from service.handlers.rotors import create_rotor, retry, view_rotor
 from service.ports import BladeRecord, NewEvent
 from service.settings import Settings
 from service.store import creation, intact, records

@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from service.errors import FaultsError
-from service.handlers import rotors as use
+from service.handlers import blades, rotors
 from service.ports import BladeRecord
 from service.store.log import SqlLog, lock_rotor
 from service.store.records import SqlRecords
@@ -80,7 +80,7 @@ def test_a_rotor_that_has_two_in_one_slot_already_is_created_again_as_it_was(
     """Releases before this one took it."""
     given = ROTOR | {"blades": [{"id": "B1", "slot": "1"}, {"id": "B2", "slot": "1"}]}
     with monkeypatch.context() as before:
-        before.setattr(use, "faults_together", lambda blades: [])
+        before.setattr(rotors, "faults_together", lambda given: [])
         assert api.post("/v1/rotors", json=given).status_code == 201
     again = api.post("/v1/rotors", json=given)
     assert (again.status_code, again.headers["idempotent-replayed"]) == (201, "true")
@@ -106,7 +106,7 @@ class Both:
     def join(self, store: SqlStore, rotor: str) -> None:
         def one(name: str) -> None:
             try:
-                use.add_blade(store, rotor, BladeRecord(name, slot="7"))
+                blades.add_blade(store, rotor, BladeRecord(name, slot="7"))
                 self.joined.append(name)
             except FaultsError as error:
                 self.refused.append(error)

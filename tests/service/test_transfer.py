@@ -21,9 +21,10 @@ from service.bundle import BundleError
 from service.cli import app as commands
 from service.errors import ConflictError, DamagedLogError, DamagedRotorError, GoneError
 from service.fake import FakeScience
+from service.handlers.blades import add_blade, retire_blade
 from service.handlers.inspections import Item, list_inspections, post_inspections, retract
 from service.handlers.models import register_builtins
-from service.handlers.rotors import add_blade, create_rotor, retire_blade, view_rotor
+from service.handlers.rotors import create_rotor, view_rotor
 from service.handlers.transfer import export_rotor, import_rotor
 from service.ports import BladeRecord, Science, Which
 from service.science import CoreScience

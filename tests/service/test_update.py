@@ -17,8 +17,9 @@ from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.errors import FaultsError, StoreAwayError
 from service.fake import FakeScience, FakeState
+from service.handlers.blades import add_blade, retire_blade
 from service.handlers.inspections import retract
-from service.handlers.rotors import add_blade, create_rotor, retire_blade, retry, view_rotor
+from service.handlers.rotors import create_rotor, retry, view_rotor
 from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
 from service.store import tables as t

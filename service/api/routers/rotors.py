@@ -32,6 +32,7 @@ from service.api.services import (
 )
 from service.api.which import Asked
 from service.handlers import rotors as use
+from service.handlers.blades import add_blade, retire_blade
 
 router = APIRouter(prefix="/v1/rotors", tags=["rotors"])
 LOOK_AGAIN_S = 1.0
@@ -145,9 +146,9 @@ def post_retry(r: Name, services: Wired, body: Nothing | None = None) -> dict[st
 
 @router.post("/{r}/blades", status_code=202, summary="A blade joins the rotor")
 def post_blade(r: Name, body: BladeIn, services: Wired) -> JSONResponse:
-    return accepted([use.add_blade(services.store, r, body.record())])
+    return accepted([add_blade(services.store, r, body.record())])
 
 
 @router.post("/{r}/blades/{b}/retirement", status_code=202, summary="A blade leaves the rotor")
 def post_retirement(r: Name, b: Name, services: Wired, body: Nothing | None = None) -> JSONResponse:
-    return accepted([use.retire_blade(services.store, r, b)])
+    return accepted([retire_blade(services.store, r, b)])

@@ -119,7 +119,7 @@ def check(
     for rotor in rotors:
         own = {entry: seq for (r, entry), seq in acknowledged.items() if r == rotor}
         with snapshot(store.engine) as connection:
-            tx = SqlTransaction(connection, store.cache, store.checked)
+            tx = SqlTransaction(connection, store.cache, store.checked, store.sound)
             _check_rotor(store, tx, rotor, own, found, again)
     return found
 
