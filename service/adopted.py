@@ -92,8 +92,13 @@ class Adopted:
 
 
 def concerns(effect: Json, blade: BladeRecord) -> bool:
-    """Whether a blade that joined has to be told about an effect: of its lot, or of a day."""
+    """Whether a blade that joined has to be told about an effect: of its lot, or of a day.
+
+    An event's, which was before it joined, it did not see.
+    """
     whom, value = effect.get("whom"), effect.get("value")
+    if effect.get("clock") == "event":
+        return False
     own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
     if whom in own:
         return bool(own[whom] == value)

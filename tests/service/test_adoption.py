@@ -376,6 +376,7 @@ def test_a_blade_that_joined_since_forbids_only_effects_that_would_concern_it() 
     effect = {"whom": "lot", "value": "L1", "clock": "blade", "shape": "constant"}
     assert concerns(effect, BladeRecord("B9", lot="L1"))
     assert not concerns(effect, BladeRecord("B9", lot="L2"))
+    assert not concerns(effect | {"clock": "event"}, BladeRecord("B9", lot="L1"))
     step = {"whom": "all", "value": None, "clock": "rotor", "shape": "step"}
     assert concerns(step, BladeRecord("B9"))
     assert not concerns(step | {"clock": "blade"}, BladeRecord("B9"))
