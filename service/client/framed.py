@@ -179,13 +179,14 @@ def draws(netcdf: bytes, *, joint: bool) -> DataFrame:
     else:
         frame = found.isel(blade=0, drop=True).to_dataframe()[names]
     facts = {name: _plain(value) for name, value in found.attrs.items()}
+    rests = {"sealed": facts["sealed"] == "true", "untold": json.loads(facts.get("untold", "[]"))}
     frame.attrs = {
         "rotor": facts["rotor"],
         "units": {name: str(found[name].attrs["units"]) for name in names},
         "level": {name: level[name] for name in names},
         "particles": facts["particles"],
         "health": json.loads(facts["health"]),
-        "rests_on": {n: facts[n] for n in FACTS} | {"sealed": facts["sealed"] == "true"},
+        "rests_on": {n: facts[n] for n in FACTS} | rests,
     }
     return frame
 

@@ -94,6 +94,7 @@ def facts_of(found: Basis) -> dict[str, str | int]:
         "inference_library_version": release(),
         "health": json.dumps(health(found.state)),
         **rests,
+        "untold": json.dumps(found.untold),
     }
 
 

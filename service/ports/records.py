@@ -37,7 +37,7 @@ class PlanTarget:
     quantity: str | None
     time_h: float | None
     parameter: str | None
-    known: dict[str, float] | None = None
+    known: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from service.ports import BladeRecord, NewEvent
 from service.settings import Settings
 from service.store.engine import now_s, open_engine, transaction
 from service.store.log import SqlLog
+from service.store.records import SqlRecords
 from service.store.settled import end_of, settled
 from service.store.unit_of_work import SqlStore
 from service.store.versions import thin
@@ -197,7 +198,8 @@ def under_way(settings: Settings, rotor: str) -> Iterator[float]:
     engine = open_engine(settings.database_url)
     with transaction(engine, write=True) as connection:
         event = NewEvent("late", "retirement", "{}", "digest", blade="B2")
-        SqlLog(connection).append(rotor, [event])
+        (entry,) = SqlLog(connection).append(rotor, [event])
+        SqlRecords(connection).retire_blade(rotor, "B2", entry.seq)
         got = text("SELECT received_at FROM event WHERE event_id = 'late'")
         received = connection.execute(got).scalar_one()
         while (now := clock(connection)) < received + 0.01:
