@@ -11,7 +11,7 @@ from pathlib import Path
 from sqlalchemy import Connection, select, text
 
 from core.errors import BladetwinError
-from service.errors import DamagedError
+from service.errors import DamagedError, DamagedRotorError
 from service.handlers.reads import basis, posterior
 from service.handlers.rotors import NEWEST, view_rotor
 from service.store import tables as t
@@ -93,7 +93,7 @@ def damaged(what: str) -> Callable[[Bench, int], str]:
                 science = bench.keeper.science
                 posterior(bench.store, science, basis(bench.store, science, rotor, NEWEST, blade))
             read += f" with version {view.rotor.version}" if what not in SOURCE else ""
-        except DamagedError:
+        except (DamagedError, DamagedRotorError):
             read = "a read is refused (503 damaged)"
         with snapshot(bench.store.engine) as connection:
             findings = audit(connection, rotor)
