@@ -29,14 +29,12 @@ from tests.service.machine.streams import Streams
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """What is put in the place of a name, the rules that notice it, and the first sequence that
-    is tried (the first that noticed it, when it was looked for)."""
+    """What is put in the place of a name, and the rules that notice it."""
 
     words: str
     machine: type[Machine]
     name: str
     broken: Any
-    first: int = 0
 
 
 restore = SqlLog.restore
