@@ -58,20 +58,6 @@ class Adopted:
             for effect in sheet.effects
         ]
 
-    def untold(self, blades: Iterable[BladeRecord]) -> list[tuple[str, str]]:
-        """Effects in force and blades that joined after them and that they concern: name, blade.
-
-        The model takes such a blade for one that the effect leaves alone, or that began with the
-        rotor.
-        """
-        joined = [blade for blade in blades if blade.added_seq]
-        return [
-            (effect["name"], blade.id)
-            for effect in self.effects
-            for blade in joined
-            if blade.added_seq > effect["seq"] and concerns(effect, blade)
-        ]
-
     def after(self, event: Event) -> Adopted:
         """With one more entry. ValueError: the entry does not go on from here."""
         body = json.loads(event.body)
@@ -89,6 +75,18 @@ class Adopted:
         if body["after"] != self.sheets[-1].before:
             raise ValueError("it does not bring back the network before the adoption")
         return Adopted(body["after"], self.sheets[:-1], self.count + 1)
+
+
+def untold(effect: Json, blades: Iterable[BladeRecord]) -> list[str]:
+    """Blades that joined after an effect in force (`Adopted.effects`), and that it concerns.
+
+    The model takes such a blade for one that the effect leaves alone, or that began with the rotor.
+
+    >>> wear = {"seq": 7, "whom": "lot", "value": "L1", "clock": "blade", "shape": "linear"}
+    >>> untold(wear, [BladeRecord(f"B{n}", lot="L1", added_seq=n) for n in (0, 6, 8)])
+    ['B8']
+    """
+    return [b.id for b in blades if b.added_seq > effect["seq"] and concerns(effect, b)]
 
 
 def concerns(effect: Json, blade: BladeRecord) -> bool:

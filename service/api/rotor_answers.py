@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
+from service.adopted import untold
 from service.api.services import moment
 from service.handlers.reads import health
 from service.handlers.rotors import RotorView
@@ -52,14 +53,13 @@ def view_out(view: RotorView) -> dict[str, Any]:
         "algorithm_version": state.algorithm_version,
         "created_at": moment(state.created_at),
     }
-    untold = view.adopted.untold(b for b in view.blades if b.retired_seq is None)
+    running = [blade for blade in view.blades if blade.retired_seq is None]
     return rotor_out(view.rotor) | {
         "blades": [blade_out(blade) for blade in view.blades],
         "posterior": posterior,
         "health": state and health(state),
         "network": view.adopted.network,
         "effects": [
-            effect | {"untold": [b for name, b in untold if name == effect["name"]]}
-            for effect in view.adopted.effects
+            effect | {"untold": untold(effect, running)} for effect in view.adopted.effects
         ],
     }

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.errors import InputError, RangeError
-from service.adopted import adopted_at
+from service.adopted import adopted_at, untold
 from service.errors import FaultsError, NotFoundError, NotYetError
 from service.handlers.moments import summary
 from service.handlers.rotors import reading, state_of
@@ -50,7 +50,7 @@ def health(state: StateRecord) -> Json:
 class Basis:
     """A version of a rotor's posterior and the model that it rests on; the blade, if named.
 
-    untold  adopted effects that concern this blade, or any, which joined later (`Adopted.untold`)
+    untold  adopted effects that concern this blade, or any, which joined later (`adopted.untold`)
     """
 
     state: StateRecord
@@ -96,7 +96,7 @@ def basis(
         adopted = adopted_at(tx, rotor, state.through_seq)
         blades = [found] if found else tx.records.blades(rotor_id) if adopted.sheets else []
     there = [one for one in blades if one.added_seq <= state.through_seq]
-    untold = {effect for effect, _ in adopted.untold(there)}
+    missed = {effect["name"] for effect in adopted.effects if untold(effect, there)}
     if found is not None and found.added_seq > state.through_seq:
         if not which.newest:
             remedy = f"it joined with entry {found.added_seq}: ask for a later version"
@@ -105,7 +105,7 @@ def basis(
             f"blade {blade} in version {state.version} of rotor {rotor_id}",
             f"wait for it with GET /v1/rotors/{rotor_id}?wait_for={found.added_seq}&timeout=30",
         )
-    return Basis(state, science.vary(card, adopted.network), found, tuple(sorted(untold)))
+    return Basis(state, science.vary(card, adopted.network), found, tuple(sorted(missed)))
 
 
 def newest(store: Store, rotor_id: str) -> tuple[int, str] | None:
