@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import lru_cache
 from hashlib import sha256
 from sys import intern
 from typing import Any
@@ -14,6 +15,7 @@ from service.adopted import KINDS
 from service.ports import Event
 
 READINGS, BLADES = ("inspection", "retraction"), ("blade", "retirement")
+SHORT = 1024  # characters of a body
 KNOWN = frozenset((*READINGS, *BLADES, *KINDS))
 
 
@@ -66,15 +68,34 @@ def _stranger(event: Event) -> str:
 
 
 def body_problem(event: Event) -> str | None:
-    """What in an entry does not agree with its digest or its own columns; None: nothing."""
+    """What in an entry does not agree with its digest or its own columns; None: nothing.
+
+    Of a short reading, what was found of the very same text and columns is remembered.
+    """
+    if event.kind != "inspection":
+        return _compared(event)
+    told = (event.event_id, event.replaces, event.blade, event.time_h)
+    compared = _reading if len(event.body) <= SHORT else _reading.__wrapped__
+    return compared(event.body, told, event.digest)
+
+
+@lru_cache(maxsize=8192)
+def _reading(
+    body: str, columns: tuple[str, str | None, str | None, float | None], written: str
+) -> str | None:
     try:
-        if event.kind == "inspection":
-            reading = Inspection.from_json(json.loads(event.body))
-            digest = reading.digest()
-            columns = (reading.id, reading.replaces, reading.blade, float(reading.time_h))
-            if columns != (event.event_id, event.replaces, event.blade, event.time_h):
-                return "its body and its columns name another id, blade, time or reading replaced"
-        elif event.kind == "retraction" or event.kind in BLADES:
+        reading = Inspection.from_json(json.loads(body))
+        if (reading.id, reading.replaces, reading.blade, float(reading.time_h)) != columns:
+            return "its body and its columns name another id, blade, time or reading replaced"
+        return _other(reading.digest(), written)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        return f"its body cannot be read: {type(error).__name__}: {error}"
+
+
+def _compared(event: Event) -> str | None:
+    """`body_problem` of what is no reading."""
+    try:
+        if event.kind == "retraction" or event.kind in BLADES:
             digest = sha256(event.body.encode()).hexdigest()
             named = event.replaces if event.kind == "retraction" else event.blade
             if event.event_id != f"{event.kind}/{named}":
@@ -87,6 +108,10 @@ def body_problem(event: Event) -> str | None:
             return _stranger(event)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         return f"its body cannot be read: {type(error).__name__}: {error}"
-    if digest != event.digest:
-        return f"its body has digest {digest[:12]}…, written was {event.digest[:12]}…"
-    return None
+    return _other(digest, event.digest)
+
+
+def _other(digest: str, written: str) -> str | None:
+    if digest == written:
+        return None
+    return f"its body has digest {digest[:12]}…, written was {written[:12]}…"

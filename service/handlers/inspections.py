@@ -64,10 +64,12 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
     if found := faults_here(store, rotor_id, items):
         raise FaultsError(found)
     events = [_event(item.reading) for item in items]
+    corrects = any(item.reading.replaces is not None for item in items)
     with store.write() as tx:
-        tx.log.lock(rotor_id)
-        if found := circles(tx, rotor_id, items):
-            raise FaultsError(found)
+        if corrects:
+            tx.log.lock(rotor_id)
+            if found := circles(tx, rotor_id, items):
+                raise FaultsError(found)
         return tx.log.append(rotor_id, events)
 
 
@@ -76,7 +78,10 @@ def faults_here(store: Store, rotor_id: str, items: Sequence[Item]) -> list[Inpu
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
-        blades = tx.records.blade_ids(rotor_id)
+        named = {item.reading.blade for item in items}
+        blades = tx.records.blade_ids(rotor_id, named)
+        if not named <= blades:
+            blades = tx.records.blade_ids(rotor_id)  # a fault names those that exist
     return faults_of(items, card.network, card, blades, rotor_id)
 
 

@@ -4,7 +4,11 @@ SQLite runs in WAL mode with a busy timeout of 30 s and full synchronisation; a 
 writes begins with ``BEGIN IMMEDIATE``, so that two writers queue instead of failing half-way.
 Of the pool's connections those used last are used next, so that few of them fill their caches, and
 of SQLite's `KEPT` stay open.
-PostgreSQL runs READ COMMITTED; rows are locked by name where order matters, and a transaction whose
+PostgreSQL runs READ COMMITTED, where a statement sees what was committed before it, whatever is
+around it. So those that only read go without BEGIN and COMMIT, each a message and an answer.
+A connection that rested for `RESTED_S` is asked whether it is alive before it is used; where the
+server went away within that time, a statement fails as where it goes away during one.
+Rows are locked by name where order matters, and a transaction whose
 process says nothing for `SILENT_S` is ended by the server: a frozen process does not hold its locks
 for ever. (Not so right after an `executemany`, which psycopg sends as a pipeline: its last message
 ends the server's timer. Who waits for such locks is told so after twice `SILENT_S`.)
@@ -17,14 +21,16 @@ was started.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from threading import RLock
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from sqlalchemy import Connection, Double, Engine, Pool, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
+from sqlalchemy import Connection, Dialect, Double, Engine, Pool, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError, DBAPIError, DisconnectionError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import FunctionElement
@@ -33,6 +39,9 @@ from core.errors import InputError
 from service.errors import StoreAwayError
 
 WRITE = "bladetwin_write"
+LEVEL = "isolation_level"
+RESTS = "bladetwin_rests"
+RESTED_S = 1.0
 SILENT_S = 30.0
 BUSY_S = 30.0
 # Of a connection whose server vanishes without a word: libpq's names, which an URL may set itself.
@@ -100,10 +109,11 @@ def open_engine(url: str) -> Engine:
             pool_size=20,
             max_overflow=40,
             pool_use_lifo=True,
-            pool_pre_ping=True,
             hide_parameters=True,
         )
         event.listen(engine, "connect", _prepare_postgres)
+        event.listen(engine, "checkin", _rest)
+        event.listen(engine, "checkout", partial(_wake, engine.dialect))
         return engine
     if backend != "sqlite" or not parsed.database or parsed.database == ":memory:":
         raise InputError(
@@ -135,6 +145,21 @@ def _prepare_postgres(connection: Any, record: Any) -> None:
     connection.execute(f"SET idle_in_transaction_session_timeout = {milliseconds}").close()
     connection.execute(f"SET lock_timeout = {2 * milliseconds}").close()
     connection.commit()
+
+
+def _rest(connection: Any, record: Any) -> None:
+    record.info[RESTS] = time.monotonic()
+
+
+def _wake(dialect: Dialect, connection: Any, record: Any, proxy: Any) -> None:
+    """DisconnectionError, upon which the pool opens another: a connection that rested is dead."""
+    since = record.info.get(RESTS)
+    if since is None or time.monotonic() - since < RESTED_S:
+        return
+    try:
+        dialect.do_ping(connection)
+    except dialect.loaded_dbapi.Error as error:
+        raise DisconnectionError(str(error)) from error
 
 
 def _begin_sqlite(connection: Connection) -> None:
@@ -170,7 +195,7 @@ def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
     """
     try:
         with _turn(engine, write), engine.connect() as connection:
-            connection = connection.execution_options(**{WRITE: write})
+            connection = connection.execution_options(**_options(engine, write))
             with connection.begin():
                 yield connection
     except (DBAPIError, PoolTimeoutError) as error:
@@ -178,6 +203,12 @@ def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
         if not (lost or isinstance(error, (OperationalError, PoolTimeoutError))):
             raise
         raise StoreAwayError(type(getattr(error, "orig", None) or error).__name__) from error
+
+
+def _options(engine: Engine, write: bool) -> dict[str, Any]:
+    """Of a transaction: whether it writes, and that statements which only read stand alone."""
+    alone = not (write or is_sqlite(engine) or LEVEL in engine.get_execution_options())
+    return {WRITE: write} | ({LEVEL: "AUTOCOMMIT"} if alone else {})
 
 
 @contextmanager
@@ -190,7 +221,7 @@ def snapshot(engine: Engine) -> Iterator[Connection]:
         with transaction(engine, write=False) as connection:
             yield connection
         return
-    with transaction(engine.execution_options(isolation_level="REPEATABLE READ"), write=False) as c:
+    with transaction(engine.execution_options(**{LEVEL: "REPEATABLE READ"}), write=False) as c:
         yield c
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import Any
@@ -25,6 +25,7 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("applied_seq", "version", "dirty", "attempts", "blocked")),
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
+FEW = 8  # names that are looked up by themselves
 UNFINISHED = ("queued", "running")
 LISTED = ("verdict", "names")
 BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
@@ -39,6 +40,9 @@ _MODEL = (
 _VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
 _OF_ROTOR = t.blade.c.rotor_id == bindparam("rotor")
 _BLADES = Gathered(select(*BLADE).where(_OF_ROTOR))
+_SOME_BLADES = select(t.blade.c.id).where(
+    _OF_ROTOR, t.blade.c.id.in_(bindparam("ids", expanding=True))
+)
 _BLADE_IDS = Gathered(select(t.blade.c.id).where(_OF_ROTOR))
 _ONE_BLADE = select(*BLADE).where(_OF_ROTOR, t.blade.c.id == bindparam("blade"))
 
@@ -209,7 +213,11 @@ class SqlRecords:
         rows = _BLADES.rows(self._connection, {"rotor": rotor_id})
         return sorted((_blade(rotor_id, row) for row in rows), key=lambda blade: blade.id)
 
-    def blade_ids(self, rotor_id: str) -> set[str]:
+    def blade_ids(self, rotor_id: str, among: Collection[str] | None = None) -> set[str]:
+        """The rotor's blades by name; those `among` some, where these are given."""
+        if among is not None and len(among) <= FEW:
+            asked = {"rotor": rotor_id, "ids": sorted(among)}
+            return set(self._connection.execute(_SOME_BLADES, asked).scalars())
         return {name for (name,) in _BLADE_IDS.rows(self._connection, {"rotor": rotor_id})}
 
     def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None:

@@ -123,7 +123,7 @@ def get_inspections(
             "their status"
         ),
     ] = "json",
-) -> dict[str, Any] | Response:
+) -> Response:
     if format != "json":
         paging = {"limit": limit, "cursor": cursor, "newest": newest or None}
         remedy = "leave it out, or take format=json"
@@ -138,7 +138,7 @@ def get_inspections(
     size = page_size(services, limit)
     after = seq_of(cursor)
     items = use.list_inspections(services.store, r, after, size + 1, blade, newest)
-    return page([listed_out(item) for item in items], size, "seq")
+    return JSONResponse(page([listed_out(item) for item in items], size, "seq"))
 
 
 def _file(request: Request, services: Services, r: str, blade: str | None, form: str) -> Response:
