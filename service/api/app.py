@@ -96,12 +96,12 @@ def create_app(services: Services, schema: Callable[[], tuple[str | None, str | 
     app.state.schema = schema
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
     app.state.requests = Requests()
-    for module in (
-        system,
-        models,
+    for module in (  # a request is held against one after the other: the busiest come first
         rotors,
         inspections,
         reads,
+        system,
+        models,
         glance,
         draws,
         fields,

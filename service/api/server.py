@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 from http import HTTPStatus
+from typing import Any, cast
 
 import uvicorn
 from fastapi import FastAPI
@@ -17,8 +19,37 @@ from service.settings import Settings
 HEAD_BYTES = 64 * 2**10
 
 
+class Gathering:
+    """A transport from which all that is written in one turn of the event loop leaves at once.
+
+    uvicorn writes the head of an answer and its body one after the other, and each would be sent by
+    itself: two calls of the system, and a client that is woken twice. All else is the transport's.
+    """
+
+    def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
+        self._transport, self._loop = transport, loop
+        self._parts: list[bytes] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    def write(self, data: bytes) -> None:
+        if not self._parts:
+            self._loop.call_soon(self._send)
+        self._parts.append(data)
+
+    def _send(self) -> None:
+        if self._parts:
+            parts, self._parts = self._parts, []
+            self._transport.write(b"".join(parts))
+
+    def close(self) -> None:
+        self._send()
+        self._transport.close()
+
+
 class Protocol(HttpToolsProtocol):
-    """One connection, whose requests' heads and trailers are bounded.
+    """One connection: its answers leave whole, its requests' heads and trailers are bounded.
 
     The parser (llhttp) keeps a line until its end, however long it gets. So what has come since the
     last part of a body, or since the last request, is counted, and above `HEAD_BYTES` the
@@ -26,6 +57,9 @@ class Protocol(HttpToolsProtocol):
     """
 
     _since = 0
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(cast(asyncio.Transport, Gathering(transport, self.loop)))
 
     def data_received(self, data: bytes) -> None:
         self._since += len(data)

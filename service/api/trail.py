@@ -11,7 +11,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.visit import Visit, visit_of
 from service.errors import StoreAwayError
-from service.handlers.audit import conclude
+from service.handlers.audit import conclude, noted
 from service.ports import Store
 
 
@@ -46,5 +46,5 @@ class Trail:
             raise
 
     async def _conclude(self, visit: Visit, status: int) -> None:
-        if visit.act is not None:
+        if visit.act is not None and not noted(visit.act, status):
             await run_in_threadpool(conclude, self.store, visit.act, status, visit.problem)

@@ -25,13 +25,18 @@ def list_audit(
         return tx.audit.page(before, limit, rotor, key_id, only)
 
 
+def noted(act: Act, status: int) -> bool:
+    """Whether a request has its row, and was answered as that says."""
+    return act.row is not None and status == EXPECTED
+
+
 def conclude(store: Store, act: Act, status: int, problem: str | None) -> None:
     """The row of a request that was answered: written if none is there, corrected if it differs.
 
     A change has its row since its own transaction; what is written here is the row of a request
     that was refused. Where the database is away it was refused for that, and the log tells it.
     """
-    if act.row is not None and status == EXPECTED:
+    if noted(act, status):
         return
     try:
         with store.write() as tx:

@@ -37,7 +37,9 @@ _MOVES = union_all(
 )
 _MOVED = select(func.count()).where(e.rotor_id == bindparam("rotor"), e.kind.in_(BLADES))
 _ENDS = select(
-    t.rotor.c.head_seq, select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery()
+    t.rotor.c.head_seq,
+    select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery(),
+    _MOVED.scalar_subquery(),
 ).where(t.rotor.c.id == bindparam("rotor"))
 
 
@@ -71,11 +73,9 @@ def check(
 
     sound   what was compared before, and reads the same, is not compared again
     """
-    asked = {"rotor": rotor.id}
-    moved = connection.execute(_MOVED, asked).scalar_one()
+    head, end, moved = connection.execute(_ENDS, {"rotor": rotor.id}).one()
     known = sound is not None and sound.knows_all(rotor, moved, blades)
     found = [] if known else _compared(connection, rotor, blades)
-    head, end = connection.execute(_ENDS, asked).one()
     if head != (end or 0):
         found.append(("rotor", rotor.id, f"its head_seq is {head}, the log ends at {end or 0}"))
     if found:

@@ -106,6 +106,7 @@ def open_engine(url: str) -> Engine:
         parsed = parsed.update_query_dict(given)
         engine = create_engine(
             parsed,
+            connect_args={"cursor_factory": _postgres_cursor()},
             pool_size=20,
             max_overflow=40,
             pool_use_lifo=True,
@@ -145,6 +146,29 @@ def _prepare_postgres(connection: Any, record: Any) -> None:
     connection.execute(f"SET idle_in_transaction_session_timeout = {milliseconds}").close()
     connection.execute(f"SET lock_timeout = {2 * milliseconds}").close()
     connection.commit()
+
+
+def _postgres_cursor() -> type[Any]:
+    """psycopg's cursor, whose columns are told by name and type alone.
+
+    That is what SQLAlchemy asks for, of every result; psycopg's own description looks up each
+    column's type in its registry: a seventh of the time of a small statement.
+    """
+    from psycopg import Cursor
+
+    class Light(Cursor[Any]):
+        @property
+        def description(self) -> Any:
+            result = self.pgresult
+            if result is None or not result.nfields:
+                return None
+            known, coding = range(result.nfields), self._encoding
+            return [
+                ((result.fname(i) or b"").decode(coding), result.ftype(i), *5 * (None,))
+                for i in known
+            ]
+
+    return Light
 
 
 def _rest(connection: Any, record: Any) -> None:

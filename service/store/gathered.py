@@ -6,6 +6,9 @@ hundred times, the more threads the longer, and a burst of requests turns into a
 feeds itself. So what nearly every request reads comes as a single row, a JSON array of arrays.
 (PostgreSQL's driver fetches a result at once.)
 
+A text has another use, on both databases: whoever made something of it remembers what, and needs to
+look at no row of it again (`Gathered.told`). PostgreSQL's JSON has every digit.
+
 SQLite writes real numbers as decimals that do not always read back as the same number. So a real
 number x comes as two integers: its whole part i, and g = (x - i) 2⁶². All of this arithmetic is
 exact for 0 and |x| >= 2⁻¹⁰, which SQLite itself confirms; where it does not, the rows come one by
@@ -16,7 +19,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import (
     BigInteger,
@@ -26,6 +29,7 @@ from sqlalchemy import (
     Integer,
     Select,
     String,
+    Text,
     case,
     cast,
     func,
@@ -35,6 +39,13 @@ from sqlalchemy import (
 )
 
 PARTS = 2**62
+
+
+class Told(NamedTuple):
+    """Rows as a text; `split`: a real number comes as two integers."""
+
+    text: str
+    split: bool
 
 
 class Gathered:
@@ -47,20 +58,40 @@ class Gathered:
                 raise TypeError(f"column {column.name} is {column.type!r}: no text, no number")
         self._rows = query
         self._real = [isinstance(column.type, Double) for column in inner.c]
+        rows = func.json_agg(func.json_build_array(*inner.c))
+        self._whole = select(func.coalesce(cast(rows, Text), "[]"))
         told = [part for column in inner.c for part in _told(column)]
-        self._one = select(func.json_group_array(func.json_array(*told)))
+        self._split = select(func.json_group_array(func.json_array(*told)))
 
     def rows(self, connection: Connection, asked: Mapping[str, object]) -> list[tuple[Any, ...]]:
         """The values of each row, as the query alone would give them."""
         if connection.dialect.name == "sqlite":
-            text = connection.execute(self._one, asked).scalar_one()
             try:
-                return [tuple(self._read(row)) for row in json.loads(text)]
-            except _InexactError:
+                return self.read(self.told(connection, asked))
+            except InexactError:
                 pass
-        return [tuple(row) for row in connection.execute(self._rows, asked)]
+        return self.single(connection, asked)
 
-    def _read(self, row: list[Any]) -> Iterator[Any]:
+    def single(self, connection: Connection, asked: Mapping[str, object]) -> list[tuple[Any, ...]]:
+        """The rows, one by one."""
+        return [tuple(row) for row in connection.execute(self._rows, asked).all()]
+
+    def told(self, connection: Connection, asked: Mapping[str, object]) -> Told:
+        """All rows as one text: who made something of an equal one need not do so again."""
+        split = connection.dialect.name == "sqlite"
+        one = self._split if split else self._whole
+        return Told(str(connection.execute(one, asked).scalar_one()), split)
+
+    def read(self, told: Told) -> list[tuple[Any, ...]]:
+        """The rows of a text; InexactError: it does not hold all of their numbers exactly."""
+        parts = self._joined if told.split else self._plain
+        return [tuple(parts(row)) for row in json.loads(told.text)]
+
+    def _plain(self, row: list[Any]) -> Iterator[Any]:
+        for real, value in zip(self._real, row, strict=True):
+            yield float(value) if real and value is not None else value
+
+    def _joined(self, row: list[Any]) -> Iterator[Any]:
         parts = iter(row)
         for real in self._real:
             value = next(parts)
@@ -69,11 +100,11 @@ class Gathered:
                 continue
             fraction = next(parts)
             if value is None and fraction is not None:
-                raise _InexactError
+                raise InexactError
             yield None if value is None else float(value) + fraction / PARTS
 
 
-class _InexactError(Exception):
+class InexactError(Exception):
     """A real number that its two integers do not give."""
 
 

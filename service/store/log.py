@@ -7,6 +7,7 @@ transaction the rotor's cursor becomes dirty; workers are notified when it flips
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Select,
+    Text,
     bindparam,
     false,
     insert,
@@ -32,7 +34,7 @@ from service.errors import ConflictError, NotFoundError
 from service.ports import Appended, Event, NewEvent
 from service.store import tables as t
 from service.store.engine import now_s
-from service.store.parts import without_long
+from service.store.parts import among, without_long
 
 COLUMNS = [c for c in t.entry.c if c.name not in ("rotor_id", "traceparent")]
 NAMES = [column.name for column in COLUMNS]
@@ -79,8 +81,9 @@ _OVERRULING = select(
     *(literal("").label("body") if column.name == "body" else column for column in COLUMNS)
 ).where(
     t.entry.c.rotor_id == bindparam("rotor"),
-    t.entry.c.replaces.in_(bindparam("ids", expanding=True)),
+    among(t.entry.c.replaces, bindparam("ids", type_=Text())),
 )
+_APPEND = insert(t.entry).values(received_at=now_s())
 
 
 def notify(connection: Connection, channel: str, payload: str = "") -> None:
@@ -137,9 +140,8 @@ class SqlLog:
             remedy = "choose a new id, or post a correction with `replaces`"
             raise ConflictError(events[0].kind, ", ".join(others), remedy)
         if rows:
-            told = {"received_at": now_s(), "posted_by": self._posted_by}
-            told |= {"traceparent": tracing.current()}
-            self._connection.execute(insert(t.entry).values(**told), rows)
+            told = {"posted_by": self._posted_by, "traceparent": tracing.current()}
+            self._connection.execute(_APPEND, [row | told for row in rows])
             first = head + 1 if self.appended is None else self.appended[0]
             self.appended = (first, head + len(rows))
             self._connection.execute(_ADVANCE, {"rotor": rotor_id, "head": head + len(rows)})
@@ -206,19 +208,19 @@ class SqlLog:
         if blade is not None:
             query = query.where(t.entry.c.blade == blade)
         query = query.order_by(seq.desc() if newest else seq).limit(limit)
-        return [Event(**row._mapping) for row in self._connection.execute(query)]
+        return [Event(**row._mapping) for row in self._connection.execute(query).all()]
 
     def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
         asked = {"rotor": rotor_id, "after": after, "most": limit}
-        return [Event(**row._mapping) for row in self._connection.execute(_CHANGES, asked)]
+        return [Event(**row._mapping) for row in self._connection.execute(_CHANGES, asked).all()]
 
     def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]:
         """Retractions and corrections of these inspections, and retractions of those; no bodies."""
         found: dict[str, Event] = {}
         wanted = list(ids)
         while wanted:
-            asked = {"rotor": rotor_id, "ids": wanted[:CHUNK]}
-            rows = self._connection.execute(_OVERRULING, asked)
+            asked = {"rotor": rotor_id, "ids": json.dumps(wanted[:CHUNK])}
+            rows = self._connection.execute(_OVERRULING, asked).all()
             fresh = [Event(**row._mapping) for row in rows]
             fresh = [event for event in fresh if event.event_id not in found]
             found |= {event.event_id: event for event in fresh}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import Text
+from sqlalchemy import Boolean, Text, literal_column
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import FunctionElement
 
@@ -44,31 +44,53 @@ class without_long(FunctionElement[str]):
     """
 
     type = Text()
-    inherit_cache = False
+    inherit_cache = True
 
     def __init__(self, column: Any, most: int) -> None:
-        self.most = most
-        super().__init__(column)
+        super().__init__(column, literal_column(str(most)))
 
 
 # A value takes two characters at least, so that most texts need not be looked into.
 @compiles(without_long, "sqlite")
 def _short_sqlite(element: Any, compiler: Any, **kw: Any) -> str:
-    text = compiler.process(element.clauses, **kw)
+    text, most = (compiler.process(clause, **kw) for clause in element.clauses)
     count = f"json_array_length({text}, '$.values')"
     return (
-        f"CASE WHEN length({text}) > {2 * element.most} AND {count} > {element.most} THEN "
+        f"CASE WHEN length({text}) > 2 * {most} AND {count} > {most} THEN "
         f"json_set(json_remove({text}, '$.values', '$.nodes'), '$.count', {count}) ELSE {text} END"
     )
 
 
 @compiles(without_long, "postgresql")
 def _short_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
-    text = compiler.process(element.clauses, **kw)
+    text, most = (compiler.process(clause, **kw) for clause in element.clauses)
     count = f"json_array_length({text}::json -> 'values')"
     rest = f"({text}::jsonb - 'values' - 'nodes')"
     return (
-        f"CASE WHEN length({text}) > {2 * element.most} THEN CASE WHEN {count} > {element.most} "
+        f"CASE WHEN length({text}) > 2 * {most} THEN CASE WHEN {count} > {most} "
         f"THEN ({rest} || jsonb_build_object('count', {count}))::text ELSE {text} END "
         f"ELSE {text} END"
     )
+
+
+class among(FunctionElement[bool]):
+    """``among(column, names)``: whether it is one of the names, a JSON array of texts.
+
+    A statement with a parameter for each name is another text for each number of them, which both
+    SQLAlchemy and the driver would read anew.
+    """
+
+    type = Boolean()
+    inherit_cache = True
+
+
+@compiles(among, "sqlite")
+def _among_sqlite(element: Any, compiler: Any, **kw: Any) -> str:
+    column, names = (compiler.process(clause, **kw) for clause in element.clauses)
+    return f"{column} IN (SELECT value FROM json_each({names}))"
+
+
+@compiles(among, "postgresql")
+def _among_postgresql(element: Any, compiler: Any, **kw: Any) -> str:
+    column, names = (compiler.process(clause, **kw) for clause in element.clauses)
+    return f"{column} = ANY (ARRAY (SELECT json_array_elements_text(CAST({names} AS json))))"

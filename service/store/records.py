@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import Any
@@ -16,7 +16,7 @@ from service.errors import DamagedRotorError, NotFoundError
 from service.ports import BladeRecord, JobRecord, Json, ModelCard, ResidualRecord, RotorRecord
 from service.store import tables as t
 from service.store.engine import now_s
-from service.store.gathered import Gathered
+from service.store.gathered import Gathered, InexactError, Told
 from service.store.log import notify
 from service.store.parts import json_parts
 
@@ -210,8 +210,11 @@ class SqlRecords:
 
     def blades(self, rotor_id: str) -> list[BladeRecord]:
         """Blades by id in byte order: digests rest on it, and databases sort text differently."""
-        rows = _BLADES.rows(self._connection, {"rotor": rotor_id})
-        return sorted((_blade(rotor_id, row) for row in rows), key=lambda blade: blade.id)
+        asked = {"rotor": rotor_id}
+        try:
+            return list(_told_blades(rotor_id, _BLADES.told(self._connection, asked)))
+        except InexactError:
+            return _sorted_blades(rotor_id, _BLADES.single(self._connection, asked))
 
     def blade_ids(self, rotor_id: str, among: Collection[str] | None = None) -> set[str]:
         """The rotor's blades by name; those `among` some, where these are given."""
@@ -270,6 +273,16 @@ def _rotor(row: Row[Any]) -> RotorRecord:
         problem = f"rotor {row.id}: its row's network is no JSON: {error}"
         raise DamagedRotorError(row.id, [problem]) from None
     return RotorRecord(**dict(row._mapping) | {"network": network})
+
+
+@lru_cache(maxsize=256)
+def _told_blades(rotor_id: str, told: Told) -> tuple[BladeRecord, ...]:
+    """(Reads of a rotor look at all of its blades, and those seldom change.)"""
+    return tuple(_sorted_blades(rotor_id, _BLADES.read(told)))
+
+
+def _sorted_blades(rotor_id: str, rows: Iterable[tuple[Any, ...]]) -> list[BladeRecord]:
+    return sorted((_blade(rotor_id, row) for row in rows), key=lambda blade: blade.id)
 
 
 def _blade(rotor_id: str, row: tuple[Any, ...]) -> BladeRecord:

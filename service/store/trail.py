@@ -16,6 +16,7 @@ from service.tokens import redacted
 
 LONGEST_PATH = 500
 LONGEST_NAME = 200
+_NOTE = insert(t.audit).values(at=now_s()).returning(t.audit.c.id)
 
 
 class SqlAudit:
@@ -33,21 +34,20 @@ class SqlAudit:
     ) -> int:
         """Write the row of a request; its id."""
         first, last = entries or (None, None)
-        statement = insert(t.audit).values(
-            at=now_s(),
-            key_id=act.key_id,
-            who=act.who,
-            address=None if act.address is None else _text(act.address)[:LONGEST_NAME],
-            request_id=redacted(act.request_id),
-            what=act.what,
-            path=_text(redacted(act.path))[:LONGEST_PATH],
-            rotor_id=None if act.rotor is None else _text(redacted(act.rotor))[:LONGEST_NAME],
-            first_seq=first,
-            last_seq=last,
-            status=status,
-            problem=problem,
-        )
-        return int(self._connection.execute(statement.returning(t.audit.c.id)).scalar_one())
+        row = {
+            "key_id": act.key_id,
+            "who": act.who,
+            "address": None if act.address is None else _text(act.address)[:LONGEST_NAME],
+            "request_id": redacted(act.request_id),
+            "what": act.what,
+            "path": _text(redacted(act.path))[:LONGEST_PATH],
+            "rotor_id": None if act.rotor is None else _text(redacted(act.rotor))[:LONGEST_NAME],
+            "first_seq": first,
+            "last_seq": last,
+            "status": status,
+            "problem": problem,
+        }
+        return int(self._connection.execute(_NOTE, row).scalar_one())
 
     def correct(self, row: int, status: int, problem: str | None) -> None:
         """The answer was another one than the row says."""
