@@ -15,6 +15,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 MOST_BUCKETS = 10_000
 
@@ -78,6 +79,7 @@ class Buckets:
         return min(float(self._burst), level + (now - since) * self._rate)
 
 
+@lru_cache(maxsize=1024)
 def network(address: str | None) -> str:
     """What counts as one client: an IPv4 address, or the /64 that one IPv6 client has.
 

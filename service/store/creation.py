@@ -21,7 +21,7 @@ from service.errors import DamagedRotorError
 from service.ports import BladeRecord, Event, RotorRecord
 from service.store import tables as t
 from service.store.cache import Sound
-from service.store.records import SqlRecords
+from service.store.records import BLADE, SqlRecords, blade_of
 
 e = t.entry.c
 Part = Literal["rotor", "blade"]
@@ -41,6 +41,13 @@ _ENDS = select(
     select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery(),
     _MOVED.scalar_subquery(),
 ).where(t.rotor.c.id == bindparam("rotor"))
+# One blade, if it is there, and how many moved.
+_BLADE = (
+    select(_MOVED.scalar_subquery(), *BLADE)
+    .select_from(t.rotor)
+    .outerjoin(t.blade, (t.blade.c.rotor_id == t.rotor.c.id) & (t.blade.c.id == bindparam("blade")))
+    .where(t.rotor.c.id == bindparam("rotor"))
+)
 
 
 class Move(NamedTuple):
@@ -91,11 +98,10 @@ def sound_blade(
 ) -> BladeRecord | None:
     """A blade of the rotor, if it has it; DamagedRotorError as of `check`, the first time in a
     process and wherever one of the two rows reads otherwise than then."""
-    records = SqlRecords(connection)
-    found = None if name is None else records.blade(rotor.id, name)
-    moved = connection.execute(_MOVED, {"rotor": rotor.id}).scalar_one()
+    moved, own, *values = connection.execute(_BLADE, {"rotor": rotor.id, "blade": name}).one()
+    found = None if own is None else blade_of(rotor.id, (own, *values))
     if not sound.knows(rotor, moved, name, found):
-        check(connection, rotor, records.blades(rotor.id), sound)
+        check(connection, rotor, SqlRecords(connection).blades(rotor.id), sound)
     return found
 
 

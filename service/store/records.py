@@ -26,6 +26,7 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
 FEW = 8  # names that are looked up by themselves
+MOST_CARDS = 64
 UNFINISHED = ("queued", "running")
 LISTED = ("verdict", "names")
 BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
@@ -55,10 +56,16 @@ def insert_new(connection: Connection, table: Any, values: Json) -> bool:
 
 
 class SqlRecords:
-    """The `Records` of one transaction."""
+    """The `Records` of one transaction.
 
-    def __init__(self, connection: Connection) -> None:
+    cards   versions of models that this process has met: they never change
+    """
+
+    def __init__(
+        self, connection: Connection, cards: dict[tuple[str, str], ModelCard] | None = None
+    ) -> None:
         self._connection = connection
+        self._cards = {} if cards is None else cards
 
     def put_model(self, card: ModelCard, source: Json, *, newest: bool = False) -> None:
         """Make a version known; `newest`: the one that new rotors get, though it was known."""
@@ -83,6 +90,8 @@ class SqlRecords:
     def model(self, model_id: str, version: str | None = None) -> ModelCard:
         if version is None:
             text = self._connection.execute(_MODEL, {"model": model_id}).scalar()
+        elif (known := self._cards.get((model_id, version))) is not None:
+            return known
         else:
             asked = {"model": model_id, "version": version}
             text = self._connection.execute(_VERSION, asked).scalar()
@@ -91,7 +100,11 @@ class SqlRecords:
             raise NotFoundError(f"model {model_id} of version", version, remedy)
         if text is None:
             raise NotFoundError("model", model_id, "GET /v1/models lists those that exist")
-        return _card(text)
+        card = _card(text)
+        if len(self._cards) >= MOST_CARDS:
+            self._cards.clear()
+        self._cards[card.id, card.version] = card
+        return card
 
     def models(self, after: str, limit: int) -> list[ModelCard]:
         ids = select(t.model.c.id).where(t.model.c.id > after).distinct().order_by(t.model.c.id)
@@ -226,7 +239,7 @@ class SqlRecords:
     def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None:
         asked = {"rotor": rotor_id, "blade": blade_id}
         row = self._connection.execute(_ONE_BLADE, asked).one_or_none()
-        return None if row is None else _blade(rotor_id, tuple(row))
+        return None if row is None else blade_of(rotor_id, tuple(row))
 
     def put_blade(self, rotor_id: str, blade: BladeRecord) -> None:
         values = asdict(blade) | {"rotor_id": rotor_id, "known": _text(blade.known)}
@@ -282,10 +295,10 @@ def _told_blades(rotor_id: str, told: Told) -> tuple[BladeRecord, ...]:
 
 
 def _sorted_blades(rotor_id: str, rows: Iterable[tuple[Any, ...]]) -> list[BladeRecord]:
-    return sorted((_blade(rotor_id, row) for row in rows), key=lambda blade: blade.id)
+    return sorted((blade_of(rotor_id, row) for row in rows), key=lambda blade: blade.id)
 
 
-def _blade(rotor_id: str, row: tuple[Any, ...]) -> BladeRecord:
+def blade_of(rotor_id: str, row: tuple[Any, ...]) -> BladeRecord:
     values = dict(zip(BLADE_NAMES, row, strict=True))
     try:
         return BladeRecord(**values | {"known": _read(values["known"])})

@@ -16,6 +16,7 @@ from service.ports import (
     Gauges,
     Get,
     Guard,
+    ModelCard,
     Operations,
     RotorRecord,
 )
@@ -48,10 +49,11 @@ class SqlTransaction:
         sound: Sound,
         posted_by: str | None = None,
         settled: float = 0.0,
+        cards: dict[tuple[str, str], ModelCard] | None = None,
     ) -> None:
         self.connection = connection
         self._sound = sound
-        self.records = SqlRecords(connection)
+        self.records = SqlRecords(connection, cards)
         self.log = SqlLog(connection, posted_by)
         self.states = SqlStates(connection, cache, checked, settled)
         self.outbox = SqlOutbox(connection)
@@ -85,6 +87,7 @@ class SqlStore:
         self.cache = ArrayCache(cache_mb)
         self.checked = Checked()
         self.sound = Sound()
+        self._cards: dict[tuple[str, str], ModelCard] = {}
         self._act: Act | None = None
         self._guard: Guard | None = None
 
@@ -94,23 +97,29 @@ class SqlStore:
         other._act, other._guard = act, guard
         return other
 
+    def _opened(
+        self, connection: Connection, posted_by: str | None = None, settled: float = 0.0
+    ) -> SqlTransaction:
+        kept = (self.cache, self.checked, self.sound)
+        return SqlTransaction(connection, *kept, posted_by, settled, self._cards)
+
     @contextmanager
     def read(self) -> Iterator[SqlTransaction]:
         with transaction(self.engine, write=False) as connection:
-            yield SqlTransaction(connection, self.cache, self.checked, self.sound)
+            yield self._opened(connection)
 
     @contextmanager
     def read_as_of(self, rotor_id: str, at: float) -> Iterator[SqlTransaction]:
         until = settled(self.engine, rotor_id, at)
         with transaction(self.engine, write=False) as connection:
-            yield SqlTransaction(connection, self.cache, self.checked, self.sound, settled=until)
+            yield self._opened(connection, settled=until)
 
     @contextmanager
     def write(self) -> Iterator[SqlTransaction]:
         act, row = self._act, None
         with transaction(self.engine, write=True) as connection:
             poster = None if act is None else act.poster
-            tx = SqlTransaction(connection, self.cache, self.checked, self.sound, poster)
+            tx = self._opened(connection, poster)
             if self._guard is not None:
                 self._guard(tx)
             yield tx
