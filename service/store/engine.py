@@ -6,14 +6,8 @@ Of the pool's connections those used last are used next, so that few of them fil
 of SQLite's `KEPT` stay open.
 PostgreSQL runs READ COMMITTED, where a statement sees what was committed before it, whatever is
 around it. So those that only read go without BEGIN and COMMIT, each a message and an answer.
-A connection that rested for `RESTED_S` is asked whether it is alive before it is used; where the
-server went away within that time, a statement fails as where it goes away during one.
-Rows are locked by name where order matters, and a transaction whose
-process says nothing for `SILENT_S` is ended by the server: a frozen process does not hold its locks
-for ever. (Not so right after an `executemany`, which psycopg sends as a pipeline: its last message
-ends the server's timer. Who waits for such locks is told so after twice `SILENT_S`.)
-A server that vanishes without a word (`LIMITS`) is noticed within half a minute, and no thread
-waits longer for it.
+Rows are locked by name where order matters; what else is PostgreSQL's own is in
+`service.store.postgres`.
 What is said of a failed statement names its parameters nowhere: they are readings and digests.
 `now_s()` is the database's clock, the only clock that leases know, and `begun_s()` when its server
 was started.
@@ -21,37 +15,25 @@ was started.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from threading import RLock
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from sqlalchemy import Connection, Dialect, Double, Engine, Pool, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, DisconnectionError, OperationalError
+from sqlalchemy import Connection, Double, Engine, Pool, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import FunctionElement
 
 from core.errors import InputError
 from service.errors import StoreAwayError
+from service.store.postgres import open_postgres
 
 WRITE = "bladetwin_write"
 LEVEL = "isolation_level"
-RESTS = "bladetwin_rests"
-RESTED_S = 1.0
-SILENT_S = 30.0
 BUSY_S = 30.0
-# Of a connection whose server vanishes without a word: libpq's names, which an URL may set itself.
-LIMITS = {
-    "connect_timeout": "10",
-    "keepalives_idle": "15",
-    "keepalives_interval": "5",
-    "keepalives_count": "3",
-    "tcp_user_timeout": "30000",
-}
 PAGES = "cache_size=-500"  # KiB of a connection: emptied by every write of another one
 KEPT = 8  # SQLite's connections that stay open; a burst opens more, for as long as it lasts
 _WRITERS: WeakKeyDictionary[Pool, RLock] = WeakKeyDictionary()
@@ -101,21 +83,7 @@ def open_engine(url: str) -> Engine:
         ) from None
     backend = parsed.get_backend_name()
     if backend == "postgresql":
-        parsed = parsed.set(drivername="postgresql+psycopg")
-        given = {name: value for name, value in LIMITS.items() if name not in parsed.query}
-        parsed = parsed.update_query_dict(given)
-        engine = create_engine(
-            parsed,
-            connect_args={"cursor_factory": _postgres_cursor()},
-            pool_size=20,
-            max_overflow=40,
-            pool_use_lifo=True,
-            hide_parameters=True,
-        )
-        event.listen(engine, "connect", _prepare_postgres)
-        event.listen(engine, "checkin", _rest)
-        event.listen(engine, "checkout", partial(_wake, engine.dialect))
-        return engine
+        return open_postgres(parsed)
     if backend != "sqlite" or not parsed.database or parsed.database == ":memory:":
         raise InputError(
             "BLADETWIN_DATABASE_URL",
@@ -139,51 +107,6 @@ def open_engine(url: str) -> Engine:
 def _prepare_sqlite(connection: Any, record: Any) -> None:
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", PAGES):
         connection.execute(f"PRAGMA {pragma}").close()
-
-
-def _prepare_postgres(connection: Any, record: Any) -> None:
-    milliseconds = round(1e3 * SILENT_S)
-    connection.execute(f"SET idle_in_transaction_session_timeout = {milliseconds}").close()
-    connection.execute(f"SET lock_timeout = {2 * milliseconds}").close()
-    connection.commit()
-
-
-def _postgres_cursor() -> type[Any]:
-    """psycopg's cursor, whose columns are told by name and type alone.
-
-    That is what SQLAlchemy asks for, of every result; psycopg's own description looks up each
-    column's type in its registry: a seventh of the time of a small statement.
-    """
-    from psycopg import Cursor
-
-    class Light(Cursor[Any]):
-        @property
-        def description(self) -> Any:
-            result = self.pgresult
-            if result is None or not result.nfields:
-                return None
-            known, coding = range(result.nfields), self._encoding
-            return [
-                ((result.fname(i) or b"").decode(coding), result.ftype(i), *5 * (None,))
-                for i in known
-            ]
-
-    return Light
-
-
-def _rest(connection: Any, record: Any) -> None:
-    record.info[RESTS] = time.monotonic()
-
-
-def _wake(dialect: Dialect, connection: Any, record: Any, proxy: Any) -> None:
-    """DisconnectionError, upon which the pool opens another: a connection that rested is dead."""
-    since = record.info.get(RESTS)
-    if since is None or time.monotonic() - since < RESTED_S:
-        return
-    try:
-        dialect.do_ping(connection)
-    except dialect.loaded_dbapi.Error as error:
-        raise DisconnectionError(str(error)) from error
 
 
 def _begin_sqlite(connection: Connection) -> None:

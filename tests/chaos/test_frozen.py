@@ -12,7 +12,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import ProgrammingError
 
 from service.errors import StoreAwayError
-from service.store import engine as engines
+from service.store import postgres
 from service.store.engine import open_engine, transaction
 
 SILENT_S = 0.5
@@ -47,7 +47,7 @@ on_postgresql = pytest.mark.parametrize("database_url", ["postgresql"], indirect
 def test_the_database_ends_a_transaction_that_says_nothing(
     database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engines, "SILENT_S", SILENT_S)
+    monkeypatch.setattr(postgres, "SILENT_S", SILENT_S)
     assert SILENT_S * 0.8 < locked_out(database_url) < 5.0
 
 
@@ -55,7 +55,7 @@ def test_the_database_ends_a_transaction_that_says_nothing(
 def test_without_the_limit_a_frozen_process_keeps_its_locks(
     database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engines, "SILENT_S", 0.0)
+    monkeypatch.setattr(postgres, "SILENT_S", 0.0)
     with pytest.raises(StoreAwayError, match="QueryCanceled"):
         locked_out(database_url)
 
@@ -65,7 +65,7 @@ def test_who_waits_for_a_frozen_process_is_told_so(
     database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the server makes of the transaction: after an executemany it may not end it."""
-    monkeypatch.setattr(engines, "SILENT_S", SILENT_S)
+    monkeypatch.setattr(postgres, "SILENT_S", SILENT_S)
     engine, other = open_engine(database_url), open_engine(database_url)
     with transaction(engine, write=True) as connection:
         connection.execute(text("CREATE TABLE thing (id INTEGER)"))
@@ -89,7 +89,7 @@ def test_who_waits_for_a_frozen_process_is_told_so(
 def test_a_process_that_wakes_after_it_is_told_that_nothing_was_stored(
     database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engines, "SILENT_S", SILENT_S)
+    monkeypatch.setattr(postgres, "SILENT_S", SILENT_S)
     engine = open_engine(database_url)
     with transaction(engine, write=True) as connection:
         connection.execute(text("CREATE TABLE thing (id INTEGER)"))

@@ -14,7 +14,7 @@ from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
 from service.store import tables as t
 from service.store.engine import is_sqlite
-from service.store.gathered import Gathered
+from service.store.gathered import Gathered, InexactError
 from service.store.records import BLADE
 from service.store.unit_of_work import SqlStore
 
@@ -127,3 +127,42 @@ def test_blades_come_as_they_were_stored(store: SqlStore) -> None:
         assert tx.records.blade_ids("r1") == {"B1", "B2"}
         single = tx.connection.execute(select(*BLADE).where(B.rotor_id == "r1")).all()
     assert len(single) == 2
+
+
+def test_as_a_text_the_rows_are_the_same(store: SqlStore) -> None:
+    """On both databases; PostgreSQL's text has every digit, SQLite's says where it has not."""
+    gathered = Gathered(QUERY)
+    stored(store, PLAIN if is_sqlite(store.engine) else [*PLAIN, *ODD])
+    with store.read() as tx:
+        told = gathered.told(tx.connection, ASKED)
+        assert told == gathered.told(tx.connection, ASKED)
+        assert _bits(gathered.read(told)) == _bits(gathered.single(tx.connection, ASKED))
+    with store.write() as tx:
+        row = {"rotor_id": "r1", "id": "odd", "added_seq": 0, "retired_seq": 99, "time_h0": ODD[0]}
+        tx.connection.execute(insert(t.blade), row)
+    with store.read() as tx:
+        other = gathered.told(tx.connection, ASKED)
+    assert other != told
+    if is_sqlite(store.engine):
+        with pytest.raises(InexactError):
+            gathered.read(other)
+
+
+def test_no_row_is_an_empty_text_of_rows(store: SqlStore) -> None:
+    with store.read() as tx:
+        assert Gathered(QUERY).read(Gathered(QUERY).told(tx.connection, ASKED)) == []
+
+
+@pytest.mark.parametrize("hours", [1234.1, 1e-20])
+def test_blades_change_with_their_rows(store: SqlStore, hours: float) -> None:
+    """What was made of a rotor's rows is not given for other ones, nor for another rotor's."""
+    for rotor in ("r1", "r2"):
+        create_rotor(store, rotor, "rotor-blade", [BladeRecord("B1", time_h0=hours)], 64, 7)
+    with store.read() as tx:
+        assert tx.records.blades("r1") == tx.records.blades("r2")
+    with store.write() as tx:
+        tx.records.retire_blade("r1", "B1", 3)
+    with store.read() as tx:
+        (first,), (second,) = tx.records.blades("r1"), tx.records.blades("r2")
+    assert (first.retired_seq, second.retired_seq) == (3, None)
+    assert first.time_h0 == second.time_h0 == hours

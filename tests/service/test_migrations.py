@@ -22,8 +22,8 @@ from service.handlers.blades import add_blade
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, Which
 from service.settings import Settings
-from service.store import engine as engines
 from service.store import migrate as migrations
+from service.store import postgres
 from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.tables import metadata
 from service.store.unit_of_work import SqlStore
@@ -138,7 +138,7 @@ def test_who_comes_second_waits_for_a_long_migration(
     """Longer than any other lock is waited for."""
     if not bare_url.startswith("postgresql"):
         pytest.skip("SQLite has one writer, who is waited for 30 s")
-    monkeypatch.setattr(engines, "SILENT_S", 0.2)  # locks are waited for 0.4 s
+    monkeypatch.setattr(postgres, "SILENT_S", 0.2)  # locks are waited for 0.4 s
     first, second = open_engine(bare_url), open_engine(bare_url)
     done: list[str] = []
     with transaction(first, write=True) as connection:
