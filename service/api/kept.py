@@ -7,18 +7,25 @@ question. The same question is answered with them after one look at the version 
 database, so that a new one is seen from the moment on at which it is committed, by whatever
 process. What differs between callers (key, rate, request id) lies outside of this layer; what the
 answer is encoded in is part of the question.
+
+Where the version or the row is another one, the route's work is to be done again, but not the
+understanding of the question, which is half of what a small answer costs: finding the route,
+parsing and checking its parameters. So a route leaves with its answer what makes it (`Make`), and
+the innermost layer (`Again`) calls that. Where that fails, the route is asked, and tells why.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, MutableMapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.tags import COMPRESSED, REVALIDATE, same_tag
@@ -27,17 +34,22 @@ from service.handlers.reads import Basis, newest, standing
 from service.handlers.rotors import RotorView
 from service.ports import Store, Which
 
-PLACE = "bladetwin.rests_on"
+PLACE, AGAIN = "bladetwin.rests_on", "bladetwin.again"
+Make = Callable[[Request], Response]
 Question = tuple[str, bytes, bool]
 
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """What an answer follows from, beside its question: `look` at the rotor found `there`."""
+    """What an answer follows from, beside its question: `look` at the rotor found `there`.
+
+    again   makes the answer of a later state; None: its route does
+    """
 
     rotor: str
     look: Callable[[Store, str], object]
     there: object
+    again: Make | None = field(default=None, compare=False)
 
     def holds(self, store: Store) -> bool:
         return self.look(store, self.rotor) == self.there
@@ -62,7 +74,7 @@ class Kept:
 class Shelf:
     """Answers by question, least recently used ones dropped above `limit_mb`; for many threads."""
 
-    ENTRY_BYTES = 2048
+    ENTRY_BYTES = 3072
     LONGEST = 4096  # of a question's path and query; longer ones are not asked twice
 
     def __init__(self, limit_mb: float) -> None:
@@ -93,17 +105,18 @@ class Shelf:
         return self.ENTRY_BYTES + asked + heads + len(kept.body or b"")
 
 
-def rests_on(scope: MutableMapping[str, Any], found: Basis, which: Which) -> None:
+def rests_on(request: Request, found: Basis, which: Which, again: Make | None = None) -> None:
     """Say of the answer under way that it follows from the question and this version alone."""
     if which.newest:
         state = found.state
-        scope[PLACE] = Ground(state.rotor_id, newest, (state.version, state.digest))
+        there = (state.version, state.digest)
+        request.scope[PLACE] = Ground(state.rotor_id, newest, there, again)
 
 
-def shows(scope: MutableMapping[str, Any], view: RotorView) -> None:
+def shows(request: Request, view: RotorView, again: Make | None = None) -> None:
     """Say of the answer under way that it follows from the rotor as it stands alone."""
     rotor, state = view.rotor, view.state
-    scope[PLACE] = Ground(rotor.id, standing, (rotor, state and state.digest))
+    request.scope[PLACE] = Ground(rotor.id, standing, (rotor, state and state.digest), again)
 
 
 class Answers:
@@ -123,11 +136,13 @@ class Answers:
         question = (scope["path"], scope.get("query_string", b""), squeezed)
         known = headers.get("if-none-match", "")
         kept = self.shelf.get(question)
-        if kept is not None and await self._holds(kept):
+        if kept is not None:
             has = same_tag(known, kept.tag)
-            if has is not None or kept.body is not None:
+            told = has is not None or kept.body is not None
+            if told and await self._holds(kept):
                 await _again(scope, send, kept, has)
                 return
+            scope[AGAIN] = kept
         await self._ask(question, scope, receive, send)
 
     async def _holds(self, kept: Kept) -> bool:
@@ -164,6 +179,27 @@ class Answers:
             self.shelf.put(question, kept)
         elif (old := self.shelf.get(question)) is None or old.ground != ground:
             self.shelf.put(question, Kept(ground, tag, [], None, told))
+
+
+class Again:
+    """ASGI middleware, the innermost: a question that was understood before is only answered."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        kept: Kept | None = scope.pop(AGAIN, None)
+        if kept is not None and kept.ground.again is not None:
+            own = {**scope, **kept.scope}
+            try:
+                answer = await run_in_threadpool(kept.ground.again, Request(own))
+            except Exception:
+                answer = None
+            if answer is not None:
+                scope.update(own)
+                await answer(scope, receive, send)
+                return
+        await self.app(scope, receive, send)
 
 
 async def _again(scope: Scope, send: Send, kept: Kept, has: str | None) -> None:

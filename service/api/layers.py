@@ -14,6 +14,7 @@ Compression    gzip for large answers
 BodyLimit      bodies above the limit
 Repeats        Idempotency-Key
 EntityTags     ETag and 304
+Again          what was understood before is answered anew without its route
 =============  ===========================================================================
 """
 
@@ -24,7 +25,7 @@ from starlette.middleware.cors import CORSMiddleware
 
 from service.api.gate import Gate
 from service.api.heads import Heads
-from service.api.kept import Answers
+from service.api.kept import Again, Answers
 from service.api.limits import BodyLimit
 from service.api.manners import Manners
 from service.api.metrics import Measured, Requests
@@ -48,6 +49,7 @@ SHOWN = (
 def add_layers(app: FastAPI, services: Services, requests: Requests) -> None:
     """Put every layer around the application; the one added last is the outermost."""
     store, settings = services.store, services.settings
+    app.add_middleware(Again)
     app.add_middleware(EntityTags)
     app.add_middleware(Repeats, store=store, keep_s=3600 * settings.idempotency_h)
     app.add_middleware(BodyLimit, limit=int(settings.max_body_mb * 2**20))

@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
+from fastapi import APIRouter
 from sqlalchemy import update
 
 from core.observation import Inspection
@@ -230,3 +231,72 @@ def test_the_shelf_drops_what_was_not_asked_for_the_longest() -> None:
     assert found == {"a", "c", "d"}
     shelf.put(("a", b"", False), Kept(ground, "a", [], None, {}))
     assert shelf.get(("c", b"", False)) is not None
+
+
+@pytest.fixture
+def routed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The paths for which a route was looked for."""
+    found: list[str] = []
+    whole = APIRouter.app
+
+    async def app(self: APIRouter, scope: Any, receive: Any, send: Any) -> None:
+        found.append(scope["path"])
+        await whole(self, scope, receive, send)
+
+    monkeypatch.setattr(APIRouter, "app", app)
+    return found
+
+
+def test_what_was_understood_before_is_answered_anew_as_its_route_would(
+    routed: list[str],  # before the application is made
+    api: httpx.Client,
+    told: str,
+    serving: Serving,
+    post: Callable[..., int],
+    reading: Callable[..., Inspection],
+    worker: Worker,
+) -> None:
+    """To the byte and the header, in whatever encoding; and counted under the route's name."""
+    questions = [*QUESTIONS, f"/v1/rotors/{told}"]
+    encodings = [{"Accept-Encoding": one} for one in ("gzip", "identity")]
+    for question in questions:
+        for headers in encodings:
+            api.get(question, headers=headers)
+    post(told, reading("n1", time_h=9000.0, value=0.4))
+    worker.drain()
+    routed.clear()
+    anew = [api.get(q, headers=headers) for q in questions for headers in encodings]
+    assert routed == []
+    lines = api.get("/metrics").text.splitlines()
+    with serving() as fresh:
+        routed.clear()
+        whole = [fresh.get(q, headers=headers) for q in questions for headers in encodings]
+        assert len(routed) == len(whole)
+    for one, other in zip(anew, whole, strict=True):
+        assert one.content == other.content
+        assert own(one) == own(other)
+    count = [line for line in lines if "http_requests_total" in line and "/prediction" in line]
+    assert count == [
+        'bladetwin_http_requests_total{method="GET",'
+        'route="/v1/rotors/{r}/blades/{b}/prediction",status="200"} 8'
+    ]
+
+
+def test_where_it_cannot_be_answered_anew_its_route_tells_why(
+    routed: list[str],  # before the application is made
+    api: httpx.Client,
+    told: str,
+    store: SqlStore,
+    post: Callable[..., int],
+    reading: Callable[..., Inspection],
+    worker: Worker,
+) -> None:
+    assert api.get(QUESTIONS[0]).status_code == 200
+    post(told, reading("n1", time_h=9000.0, value=0.4))
+    worker.drain()
+    with store.write() as tx:
+        tx.connection.execute(update(t.blade).where(t.blade.c.id == "B1").values(lot="other"))
+    routed.clear()
+    answer = api.get(QUESTIONS[0])
+    assert (answer.status_code, len(routed)) == (503, 1)
+    assert "blades of its creation" in answer.json()["detail"]

@@ -49,14 +49,17 @@ def get_blade_posterior(
 
 
 def _posterior(request: Request, services: Wired, r: str, b: str | None, which: Which) -> Response:
-    found = use.basis(services.store, services.science, r, which, b)
-    rests_on(request.scope, found, which)
-    tag = tag_of_basis(request, found)
-    if (same := unchanged(request, tag)) is not None:
-        return same
-    body = {"rotor": r} | ({} if b is None else {"blade": b})
-    body |= use.posterior(services.store, services.science, found)
-    return tagged(body | {"rests_on": found.to_json()}, tag)
+    def answer(request: Request) -> Response:
+        found = use.basis(services.store, services.science, r, which, b)
+        rests_on(request, found, which, answer)
+        tag = tag_of_basis(request, found)
+        if (same := unchanged(request, tag)) is not None:
+            return same
+        body = {"rotor": r} | ({} if b is None else {"blade": b})
+        body |= use.posterior(services.store, services.science, found)
+        return tagged(body | {"rests_on": found.to_json()}, tag)
+
+    return answer(request)
 
 
 @router.get("/blades/{b}/prediction", summary="Bands of a quantity over time, by source")
@@ -87,22 +90,25 @@ def get_prediction(
         Query(description="csv: a row for each hour; sensorthings: an Observation for each"),
     ] = "json",
 ) -> Response:
-    found = use.basis(services.store, services.science, r, which, b)
-    asked = use.question(found.card, quantity, read_times(times), node, probability, instrument)
-    rests_on(request.scope, found, which)
-    tag = tag_of_basis(request, found)
-    if (same := unchanged(request, tag)) is not None:
-        return same
-    told = use.predict(services.store, services.science, found, asked)
-    body = {"rotor": r} | told | {"rests_on": found.to_json()}
-    saved = (r, b, asked.quantity, f"v{found.state.version}")
-    if format == "csv":
-        return file(prediction_csv(body), CSV, saved, "csv", tag, found)
-    if format == "sensorthings":
-        made = sensorthings.predicted(body, moment(found.state.created_at))
-        written = json.dumps(made, ensure_ascii=False).encode()
-        return file(written, SENSORTHINGS, saved, "json", tag, found)
-    return tagged(body, tag)
+    def answer(request: Request) -> Response:
+        found = use.basis(services.store, services.science, r, which, b)
+        asked = use.question(found.card, quantity, read_times(times), node, probability, instrument)
+        rests_on(request, found, which, answer)
+        tag = tag_of_basis(request, found)
+        if (same := unchanged(request, tag)) is not None:
+            return same
+        told = use.predict(services.store, services.science, found, asked)
+        body = {"rotor": r} | told | {"rests_on": found.to_json()}
+        saved = (r, b, asked.quantity, f"v{found.state.version}")
+        if format == "csv":
+            return file(prediction_csv(body), CSV, saved, "csv", tag, found)
+        if format == "sensorthings":
+            made = sensorthings.predicted(body, moment(found.state.created_at))
+            written = json.dumps(made, ensure_ascii=False).encode()
+            return file(written, SENSORTHINGS, saved, "json", tag, found)
+        return tagged(body, tag)
+
+    return answer(request)
 
 
 @router.get("/blades/{b}/life", summary="When a quantity passes a limit: a distribution of hours")
@@ -128,14 +134,17 @@ def get_life(
         Literal["x", "y", "z"] | None, Query(description="of a vector; default: z, the radius")
     ] = None,
 ) -> Response:
-    found = use.basis(services.store, services.science, r, which, b)
-    asked, part = along_question(found.card, quantity, read_times(times), node, component)
-    rests_on(request.scope, found, which)
-    tag = tag_of_basis(request, found)
-    if (same := unchanged(request, tag)) is not None:
-        return same
-    told = life(services.store, services.science, found, asked, part, limit)
-    return tagged({"rotor": r} | told | {"rests_on": found.to_json()}, tag)
+    def answer(request: Request) -> Response:
+        found = use.basis(services.store, services.science, r, which, b)
+        asked, part = along_question(found.card, quantity, read_times(times), node, component)
+        rests_on(request, found, which, answer)
+        tag = tag_of_basis(request, found)
+        if (same := unchanged(request, tag)) is not None:
+            return same
+        told = life(services.store, services.science, found, asked, part, limit)
+        return tagged({"rotor": r} | told | {"rests_on": found.to_json()}, tag)
+
+    return answer(request)
 
 
 def read_times(text: str | None) -> list[float] | None:

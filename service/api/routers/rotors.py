@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.api.kept import shows
+from service.api.kept import Make, shows
 from service.api.preconditions import rotor_tag, text_of
 from service.api.problems import RequestError, fault
 from service.api.rotor_answers import blade_out, rotor_out, view_out
@@ -93,11 +93,24 @@ async def get_rotor(
         view = await run_in_threadpool(use.view_rotor, services.store, r, which)
     else:
         raise _both(wait_for)
-    if which.newest and wait_for is None:
-        shows(request.scope, view)
+    if not which.newest or wait_for is not None:
+        return _told(request, view)
+
+    def again(request: Request) -> Response:
+        return _as_it_stands(request, use.view_rotor(services.store, r), again)
+
+    return _as_it_stands(request, view, again)
+
+
+def _as_it_stands(request: Request, view: use.RotorView, again: Make) -> Response:
+    shows(request, view, again)
+    return _told(request, view)
+
+
+def _told(request: Request, view: use.RotorView) -> Response:
     body = view_out(view)
     text = text_of(body)
-    tag = rotor_tag(r, text)
+    tag = rotor_tag(view.rotor.id, text)
     return unchanged(request, tag) or tagged(body, tag, text)
 
 
