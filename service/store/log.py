@@ -14,6 +14,7 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     Connection,
+    Row,
     Select,
     Text,
     bindparam,
@@ -79,10 +80,9 @@ _CHANGES = (
 # Of what overrules a reading nobody asks what it says.
 _OVERRULING = select(
     *(literal("").label("body") if column.name == "body" else column for column in COLUMNS)
-).where(
-    t.entry.c.rotor_id == bindparam("rotor"),
-    among(t.entry.c.replaces, bindparam("ids", type_=Text())),
-)
+).where(t.entry.c.rotor_id == bindparam("rotor"))
+_OVERRULES_EACH = _OVERRULING.where(t.entry.c.replaces.in_(bindparam("ids", expanding=True)))
+_OVERRULES = _OVERRULING.where(among(t.entry.c.replaces, bindparam("ids", type_=Text())))
 _APPEND = insert(t.entry).values(received_at=now_s())
 
 
@@ -219,13 +219,18 @@ class SqlLog:
         found: dict[str, Event] = {}
         wanted = list(ids)
         while wanted:
-            asked = {"rotor": rotor_id, "ids": json.dumps(wanted[:CHUNK])}
-            rows = self._connection.execute(_OVERRULING, asked).all()
+            rows = self._overruling(rotor_id, wanted[:CHUNK])
             fresh = [Event(**row._mapping) for row in rows]
             fresh = [event for event in fresh if event.event_id not in found]
             found |= {event.event_id: event for event in fresh}
             wanted = wanted[CHUNK:] + [e.event_id for e in fresh if e.kind == "inspection"]
         return list(found.values())
+
+    def _overruling(self, rotor_id: str, ids: Sequence[str]) -> Sequence[Row[Any]]:
+        asked: dict[str, object] = {"rotor": rotor_id, "ids": ids}
+        if self._connection.dialect.name == "sqlite":
+            return self._connection.execute(_OVERRULES_EACH, asked).all()
+        return self._connection.execute(_OVERRULES, asked | {"ids": json.dumps(ids)}).all()
 
     def entries(self, rotor_id: str, after: int, through: int, limit: int) -> list[Event]:
         """At most `limit` entries of every kind with after < seq <= through, in order."""
