@@ -27,7 +27,7 @@ from tests.browser.conftest import Running, Watched, watching
 from tests.browser.test_pages_in_browser import serious
 from tests.service.adopting import Offsets
 from tests.service.conftest import RunningServer, served
-from tests.service.test_adoption import NAME, OFF, visits
+from tests.service.test_adoption import NAME, OFF, of_a_lot, visits
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Twin:
     """A service whose twin can name an effect; its workers run when the test lets them."""
 
     client: httpx.Client
+    store: SqlStore
     worker: Worker
     diagnoser: Worker
 
@@ -68,7 +69,7 @@ def twin(tmp_path: Path) -> Iterator[Twin]:
     diagnoser = make_worker(store, science, settings, "diagnoser-1", "diagnose")
     worker.drain()
     with served(store, science, settings, server) as client:
-        yield Twin(client, worker, diagnoser)
+        yield Twin(client, store, worker, diagnoser)
     server.stop()
     store.close()
 
@@ -159,3 +160,24 @@ def test_the_report_is_saved_and_a_refusal_is_told_where_the_button_is(
     expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible()
     refusal = "Failed to load resource: the server responded with a status of 409 (Conflict)"
     assert seen.errors == [refusal], "the browser's own line, and nothing else"
+
+
+def test_pages_name_a_blade_that_joined_after_an_effect_of_its_lot(
+    seen: Watched, twin: Twin
+) -> None:
+    """On the page of the rotor and on its own; on no page before it joined."""
+    asked = twin.client.post("/v1/rotors/r1/diagnoses").json()["diagnosis"]["id"]
+    twin.diagnoser.drain()
+    name = of_a_lot(twin.store, asked)
+    twin.client.post(f"/v1/rotors/r1/diagnoses/{asked}/adoption").raise_for_status()
+    twin.worker.drain()
+    warning = f"B9 joined after “{name}” was adopted, which concerns it."
+    page = seen.open("/rotors/r1")
+    expect(page.locator("main")).to_contain_text("B3")
+    expect(page.locator("main")).not_to_contain_text("joined after")
+    twin.client.post("/v1/rotors/r1/blades", json={"id": "B9", "lot": "L1"}).raise_for_status()
+    twin.worker.drain()
+    for path in ("/rotors/r1", "/rotors/r1/blades/B9"):
+        page = seen.open(path)
+        expect(page.locator("main")).to_contain_text(warning)
+        expect(page.locator("main")).to_contain_text("diagnose and adopt anew")
