@@ -76,6 +76,7 @@ class Checked:
 
     def __init__(self) -> None:
         self._found: OrderedDict[tuple[str, int], tuple[str, Mapping[str, str]]] = OrderedDict()
+        self._last = dict[str, int]()
         self._lock = threading.Lock()
 
     def get(self, rotor_id: str, version: int, told: str | None = None) -> Mapping[str, str] | None:
@@ -90,8 +91,17 @@ class Checked:
         with self._lock:
             self._found[rotor_id, version] = (told, names)
             self._found.move_to_end((rotor_id, version))
+            self._last[rotor_id] = max(version, self._last.get(rotor_id, version))
             while len(self._found) > MOST_CHECKED:
-                self._found.popitem(last=False)
+                (rotor, dropped), _ = self._found.popitem(last=False)
+                if self._last.get(rotor) == dropped:
+                    del self._last[rotor]
+
+    def last(self, rotor_id: str) -> tuple[int, Mapping[str, str]] | None:
+        """The greatest version of a rotor that was compared, and SHA-256 of each of its arrays."""
+        with self._lock:
+            version = self._last.get(rotor_id)
+            return None if version is None else (version, self._found[rotor_id, version][1])
 
 
 class Asked(NamedTuple):

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from sys import intern
 from typing import Any
 
 from sqlalchemy import (
@@ -34,7 +33,7 @@ from service.store import intact
 from service.store import tables as t
 from service.store.cache import ArrayCache, Checked, Key
 from service.store.encoding import DamagedArrayError, Encoded, decode
-from service.store.gathered import Gathered
+from service.store.named import NEWEST_NAMES, digests, digests_since
 from service.store.settled import end_of
 
 NEWEST = (
@@ -161,7 +160,7 @@ class SqlStates:
         """The version, compared with its digest; None: it was thinned out meanwhile."""
         told = intact.told(row)
         if self._checked.get(row.rotor_id, row.version, told) is None:
-            names = digests(self._connection, row.rotor_id, row.version)
+            names = self._names(row)
             try:
                 intact.check(row, names)
             except DamagedError:
@@ -171,6 +170,16 @@ class SqlStates:
                 raise
             self._checked.put(row.rotor_id, row.version, told, names)
         return record_of(row)
+
+    def _names(self, row: Row[Any]) -> Mapping[str, str]:
+        """SHA-256 of each array of a version: as after the last version that was compared, if that
+        gives its digest, else of all of them."""
+        last = self._checked.last(row.rotor_id)
+        if last is not None and last[0] < row.version:
+            names = digests_since(self._connection, row.rotor_id, row.version, *last)
+            if not intact.problems(row, names):
+                return names
+        return digests(self._connection, row.rotor_id, row.version)
 
     def reader(self, state: StateRecord) -> Get:
         """The arrays of a version by name, inside this transaction."""
@@ -242,18 +251,7 @@ _ARRAY = (
     .order_by(_A.version.desc())
     .limit(1)
 )
-_NEWEST_NAMES = (
-    select(_A.name, func.max(_A.version).label("version")).where(*_UNTIL).group_by(_A.name)
-)
-_NEWEST = _NEWEST_NAMES.subquery()
-_DIGESTS = Gathered(
-    select(_A.name, _A.sha256).where(
-        _A.rotor_id == bindparam("rotor"),
-        _A.name == _NEWEST.c.name,
-        _A.version == _NEWEST.c.version,
-    )
-)
-_NEWEST_SMALL = _NEWEST_NAMES.where(
+_NEWEST_SMALL = NEWEST_NAMES.where(
     or_(_A.name.like("shared/%"), _A.name.like("column/%"))
 ).subquery()
 _SMALL = select(_A.name, *_BYTES).where(
@@ -272,11 +270,3 @@ def record_of(row: Row[Any]) -> StateRecord:
     """A row of `stored`, compared before."""
     values = {name: getattr(row, name) for name in t.state.c.keys()}  # noqa: SIM118
     return StateRecord(**values | {"meta": json.loads(row.meta)})
-
-
-def digests(connection: Connection, rotor_id: str, version: int | None = None) -> dict[str, str]:
-    """name -> SHA-256 of each array of a version; None: of the newest."""
-    asked = {"rotor": rotor_id, "version": 2**63 - 1 if version is None else version}
-    # Names, and most digests, are those of the versions before: each text is held once.
-    rows = _DIGESTS.rows(connection, asked)
-    return {intern(name): intern(sha256) for name, sha256 in rows if sha256}

@@ -25,7 +25,7 @@ from service.ports import ModelCard, RotorRecord, RotorSpec, Science
 from service.store import tables as t
 from service.store.creation import sound_blades
 from service.store.log import read_entries
-from service.store.states import digests
+from service.store.named import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.lease import Lease
 from service.worker.memory import NO_VERSION, Mark, Memory, mark

@@ -36,7 +36,7 @@ from service.store import tables as t
 from service.store.audit import audit
 from service.store.engine import snapshot, transaction
 from service.store.log import SqlLog
-from service.store.states import digests
+from service.store.named import digests
 from service.store.unit_of_work import SqlStore
 from service.worker import claiming, job_lease
 from service.worker import lease as leases

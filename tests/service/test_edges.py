@@ -24,7 +24,7 @@ from service.handlers.inspections import FEW, Item, post_inspections
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.log import CHUNK
-from service.store.states import digests
+from service.store.named import digests
 from service.store.trail import LONGEST_NAME
 from service.store.unit_of_work import SqlStore
 from service.store.versions import thin

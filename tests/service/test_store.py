@@ -35,8 +35,8 @@ from service.store import tables as t
 from service.store.cache import OVERHEAD, ArrayCache, Checked
 from service.store.encoding import DamagedArrayError, decode, encode
 from service.store.engine import open_engine, transaction
+from service.store.named import digests
 from service.store.postgres import LIMITS
-from service.store.states import digests
 from service.store.unit_of_work import SqlStore
 from service.store.versions import dropped, thin, write_state
 from service.worker.loop import Worker

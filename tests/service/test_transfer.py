@@ -33,7 +33,7 @@ from service.store import records
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.gathered import Gathered
-from service.store.states import digests
+from service.store.named import digests
 from service.store.unit_of_work import SqlStore
 from service.worker.rebuild import replay
 from tests.service.smooth import formula_science
