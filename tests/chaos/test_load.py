@@ -133,8 +133,10 @@ def test_under_load_everything_is_answered_and_applied(database_url: str, tmp_pa
     for sample in told["samples"][:-1]:
         assert {"api", "apply 1", "seal 1"} <= set(sample["memory_mb"])
         assert all(mb > 20 for mb in sample["memory_mb"].values())
+        assert 0.1 < sample["yardstick_ms"] < 1000
     shown = table({"machine": {"processors": 2}, **asdict(plan())}, {"here": told | {"faults": []}})
     assert f"On here: {told['posted']} posted, {told['applied']} applied" in shown
+    assert "A fixed piece of Python took " in shown
 
 
 class Late(Crowd):

@@ -170,6 +170,7 @@ def _sample(
         "gauges": watch.gauges(probe),
         "memory_mb": memory,
         "processors": processors,
+        "yardstick_ms": watch.yardstick_ms(),
         "database_mb": None if files is None else watch.files_mb(files),
     }
 

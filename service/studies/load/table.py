@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any
 
 
@@ -34,6 +35,7 @@ def table(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> 
             f"versions, {one['sealed_versions']} of them sealed; nothing left "
             f"{_shown(one['drained_after_s'])} s after the last post; database locked: "
             f"{'yes' if one['locked'] else 'never'}.",
+            *_yardstick(one["samples"]),
             "",
             "| course | median | slope per hour | 95 % interval | |",
             "|---|---|---|---|---|",
@@ -62,6 +64,18 @@ def table(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> 
                 f"the middle of {len(one['gain']['ratios'])} pair(s) ({shown}).",
             ]
     return "\n".join(lines) + "\n"
+
+
+def _yardstick(samples: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How quick the processors were meanwhile (`watch.yardstick_ms`)."""
+    took = [one["yardstick_ms"] for one in samples if "yardstick_ms" in one]
+    if not took:
+        return []
+    return [
+        "",
+        f"A fixed piece of Python took {median(took):.1f} ms of a processor meanwhile "
+        f"({min(took):.1f} … {max(took):.1f}).",
+    ]
 
 
 def _shown(value: float | None) -> str:
