@@ -11,7 +11,8 @@ answer is encoded in is part of the question.
 Where the version or the row is another one, the route's work is to be done again, but not the
 understanding of the question, which is half of what a small answer costs: finding the route,
 parsing and checking its parameters. So a route leaves with its answer what makes it (`Make`), and
-the innermost layer (`Again`) calls that. Where that fails, the route is asked, and tells why.
+who finds that the kept one does not hold any more calls that; the innermost layer (`Again`) sends
+what it gave. Where it fails, the route is asked, and tells why.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
@@ -29,7 +30,6 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.tags import COMPRESSED, REVALIDATE, same_tag
-from service.errors import StoreAwayError
 from service.handlers.reads import Basis, newest, standing
 from service.handlers.rotors import RotorView
 from service.ports import Store, Which
@@ -139,17 +139,28 @@ class Answers:
         if kept is not None:
             has = same_tag(known, kept.tag)
             told = has is not None or kept.body is not None
-            if told and await self._holds(kept):
+            own = {**scope, **kept.scope}
+            found = await run_in_threadpool(self._found, kept, Request(own), told)
+            if found is True:
                 await _again(scope, send, kept, has)
                 return
-            scope[AGAIN] = kept
+            if found is not None:
+                scope[AGAIN] = found, own
         await self._ask(question, scope, receive, send)
 
-    async def _holds(self, kept: Kept) -> bool:
+    def _found(self, kept: Kept, request: Request, told: bool) -> Response | Literal[True] | None:
+        """True: the kept answer still holds; else a new one. None: the route is to be asked, which
+        meets whatever failed here, and tells it.
+
+        told   the kept answer is enough for who asks
+        """
+        ground = kept.ground
         try:
-            return await run_in_threadpool(kept.ground.holds, self.store)
-        except StoreAwayError:
-            return False  # the route tells it
+            if told and ground.holds(self.store):
+                return True
+            return None if ground.again is None else ground.again(request)
+        except Exception:
+            return None
 
     async def _ask(self, question: Question, scope: Scope, receive: Receive, send: Send) -> None:
         start: Message | None = None
@@ -182,24 +193,18 @@ class Answers:
 
 
 class Again:
-    """ASGI middleware, the innermost: a question that was understood before is only answered."""
+    """ASGI middleware, the innermost: sends what was answered anew, in place of the route."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        kept: Kept | None = scope.pop(AGAIN, None)
-        if kept is not None and kept.ground.again is not None:
-            own = {**scope, **kept.scope}
-            try:
-                answer = await run_in_threadpool(kept.ground.again, Request(own))
-            except Exception:
-                answer = None
-            if answer is not None:
-                scope.update(own)
-                await answer(scope, receive, send)
-                return
-        await self.app(scope, receive, send)
+        if AGAIN in scope:
+            answer, own = scope.pop(AGAIN)
+            scope.update(own)
+            await answer(scope, receive, send)
+        else:
+            await self.app(scope, receive, send)
 
 
 async def _again(scope: Scope, send: Send, kept: Kept, has: str | None) -> None:
