@@ -17,6 +17,7 @@ from service.api.waiting import Changes
 from service.settings import Settings
 
 HEAD_BYTES = 64 * 2**10
+AT_ONCE = 64 * 2**10
 
 
 class Gathering:
@@ -29,6 +30,7 @@ class Gathering:
     def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
         self._transport, self._loop = transport, loop
         self._parts: list[bytes] = []
+        self._size = 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._transport, name)
@@ -37,10 +39,13 @@ class Gathering:
         if not self._parts:
             self._loop.call_soon(self._send)
         self._parts.append(data)
+        self._size += len(data)
+        if self._size > AT_ONCE:
+            self._send()
 
     def _send(self) -> None:
         if self._parts:
-            parts, self._parts = self._parts, []
+            parts, self._parts, self._size = self._parts, [], 0
             self._transport.write(b"".join(parts))
 
     def close(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any, cast
 
-from service.api.server import Gathering
+from service.api.server import AT_ONCE, Gathering
 
 
 class Wire:
@@ -53,3 +53,17 @@ def test_what_was_written_leaves_before_the_end() -> None:
         return wire.told
 
     assert asyncio.run(ending()) == [b"last words", "closed"]
+
+
+def test_what_is_large_is_not_held_back() -> None:
+    """Parts that come without a turn between them: the transport has to be able to say stop."""
+
+    async def streaming() -> list[int]:
+        wire, transport = wrapped()
+        for _ in range(10):
+            transport.write(b"x" * (AT_ONCE // 2))
+        before = [len(data) for data in wire.told]
+        await asyncio.sleep(0)
+        return [*before, *(len(data) for data in wire.told[len(before) :])]
+
+    assert asyncio.run(streaming()) == [3 * AT_ONCE // 2] * 3 + [AT_ONCE // 2]
