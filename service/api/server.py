@@ -24,7 +24,8 @@ class Gathering:
     """A transport from which all that is written in one turn of the event loop leaves at once.
 
     uvicorn writes the head of an answer and its body one after the other, and each would be sent by
-    itself: two calls of the system, and a client that is woken twice. All else is the transport's.
+    itself: two calls of the system, and a client that is woken twice. What is larger than
+    `AT_ONCE` goes straight away, so that the transport can say when it has enough.
     """
 
     def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
