@@ -29,7 +29,6 @@ from sqlalchemy.sql.functions import FunctionElement
 
 from core.errors import InputError
 from service.errors import StoreAwayError
-from service.store.postgres import open_postgres
 
 WRITE = "bladetwin_write"
 LEVEL = "isolation_level"
@@ -83,6 +82,8 @@ def open_engine(url: str) -> Engine:
         ) from None
     backend = parsed.get_backend_name()
     if backend == "postgresql":
+        from service.store.postgres import open_postgres  # the driver, where it is wanted
+
         return open_postgres(parsed)
     if backend != "sqlite" or not parsed.database or parsed.database == ":memory:":
         raise InputError(

@@ -24,9 +24,8 @@ from service.bootstrap import prepare
 from service.cli import app
 from service.errors import SchemaError, StoreAwayError
 from service.settings import Settings
-from service.store import engine as engines
 from service.store import migrate as migrations
-from service.store import standstill
+from service.store import postgres, standstill
 from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
@@ -367,7 +366,7 @@ def test_a_post_that_waits_too_long_for_a_migration_is_told_to_come_again(
     """And one that does not simply takes its time."""
     if is_sqlite(store.engine):
         pytest.skip("SQLite has one writer, who is waited for 30 s")
-    monkeypatch.setattr(engines, "SILENT_S", 0.5)  # locks are waited for 1 s
+    monkeypatch.setattr(postgres, "SILENT_S", 0.5)  # locks are waited for 1 s
     store.engine.dispose()
     upgrade = command.upgrade
 
