@@ -80,8 +80,8 @@ def pending() -> ColumnElement[bool]:
 def remodelled() -> ColumnElement[bool]:
     """An entry that is not applied yet changes the model.
 
-    Of each kind by itself, which the index of kinds answers at once; of several PostgreSQL reads
-    the rotor's whole log where it has no statistics of the table yet.
+    Each kind by itself, so that PostgreSQL finds it by the index of kinds once it has statistics of
+    the table; until then it goes through the rotor's log.
     """
     e = t.entry.c
     own = (e.rotor_id == c.rotor_id, e.seq > c.applied_seq)
