@@ -72,7 +72,7 @@ def serve(
     as_json: Json = False,
 ) -> None:
     """Serve the API and run the workers, until SIGTERM or Ctrl-C."""
-    from service.bootstrap import serve as run
+    from service.processes import serve as run
 
     settings = Settings.load(host=host, port=port, workers=workers)
     facts = {"url": f"http://{settings.host}:{settings.port}", "workers": settings.workers}
@@ -94,9 +94,23 @@ def worker(
     end_with_parent: Annotated[bool, typer.Option("--end-with-parent", hidden=True)] = False,
 ) -> None:
     """Run one worker, here or on another machine, against BLADETWIN_DATABASE_URL."""
-    from service.bootstrap import work
+    from service.processes import work
 
     work(Settings.load(), role=role.value, owner=owner, with_parent=end_with_parent)
+
+
+@app.command(hidden=True)
+def api(
+    place: Annotated[int, typer.Option()],
+    socket: Annotated[int, typer.Option()],
+    counts: Annotated[str, typer.Option()],
+    owner: Annotated[str, typer.Option()],
+) -> None:
+    """A further API process of the `serve` that starts it, on descriptors that it inherits."""
+    from service.processes import answer
+
+    files = [int(one) for one in counts.split(",")]
+    answer(Settings.load(), place=place, listening=socket, counts=files, owner=owner)
 
 
 @app.command()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from bisect import bisect_left
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 Labels = tuple[str, ...]
@@ -71,9 +71,22 @@ class Histogram:
             counts[bisect_left(self.bounds, value)] += 1
             self._sums[labels] = self._sums.get(labels, 0.0) + value
 
-    def lines(self) -> list[str]:
+    def told(self) -> list[tuple[Labels, list[int], float]]:
+        """What was observed, by labels: the count of each bucket, and the sum."""
         with self._lock:
-            found = {key: (list(counts), self._sums[key]) for key, counts in self._counts.items()}
+            return [(key, list(counts), self._sums[key]) for key, counts in self._counts.items()]
+
+    def add(self, told: Iterable[tuple[Sequence[str], Sequence[int], float]]) -> None:
+        """What another histogram of the same buckets told."""
+        with self._lock:
+            for labels, more, total in told:
+                key = tuple(labels)
+                counts = self._counts.get(key, [0] * len(self.bounds))
+                self._counts[key] = [a + b for a, b in zip(counts, more, strict=True)]
+                self._sums[key] = self._sums.get(key, 0.0) + total
+
+    def lines(self) -> list[str]:
+        found = {key: (counts, total) for key, counts, total in self.told()}
         lines = [f"# HELP {self.name} {self.meaning}", f"# TYPE {self.name} histogram"]
         for key, (counts, total) in sorted(found.items()):
             labels = dict(zip(self.labels, key, strict=True))
@@ -94,12 +107,21 @@ class Counter:
         self._counts: dict[Labels, int] = {}
         self._lock = threading.Lock()
 
-    def add(self, labels: Labels) -> None:
+    def count(self, labels: Labels) -> None:
+        self.add([(labels, 1)])
+
+    def told(self) -> list[tuple[Labels, int]]:
+        """What was counted, by labels."""
         with self._lock:
-            self._counts[labels] = self._counts.get(labels, 0) + 1
+            return sorted(self._counts.items())
+
+    def add(self, told: Iterable[tuple[Sequence[str], int]]) -> None:
+        """What another counter told."""
+        with self._lock:
+            for labels, more in told:
+                key = tuple(labels)
+                self._counts[key] = self._counts.get(key, 0) + more
 
     def lines(self) -> list[str]:
-        with self._lock:
-            found = sorted(self._counts.items())
-        samples = [(dict(zip(self.labels, key, strict=True)), count) for key, count in found]
+        samples = [(dict(zip(self.labels, key, strict=True)), count) for key, count in self.told()]
         return family(self.name, "counter", self.meaning, samples)

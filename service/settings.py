@@ -48,6 +48,9 @@ class Settings(BaseModel):
     )
     host: str = Field("127.0.0.1", description="address that `serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `serve` listens on")
+    api_processes: int = Field(
+        1, ge=1, le=64, description="processes that answer requests at that port"
+    )
     workers: int = Field(1, ge=0, le=256, description="worker processes that `serve` starts")
     sealers: int = Field(
         1, ge=0, le=256, description="processes that only seal; 0 = the workers do it themselves"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from functools import partial
 
 from fastapi import Depends, FastAPI
@@ -35,6 +36,7 @@ from service.api.routers import (
     webhooks,
 )
 from service.api.services import Services
+from service.api.together import Together
 from service.handlers.events import newest_notes
 from service.pages.routes import router as pages
 from service.release import release
@@ -66,19 +68,25 @@ PROBLEM = {
 }
 
 
-def create_app(services: Services, schema: Callable[[], tuple[str | None, str | None]]) -> FastAPI:
+def create_app(
+    services: Services,
+    schema: Callable[[], tuple[str | None, str | None]],
+    together: Together | None = None,
+) -> FastAPI:
     """The application over wired parts.
 
-    schema   the revision that the database has, and what to do where it is not this release's
+    schema     the revision that the database has, and what to do where it is not this release's
+    together   what other API processes of the same service count; None: there are none
     """
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         services.changes.start()
-        yield
-        services.changes.begin_close()
-        await app.state.feed.close()
-        services.changes.close()
+        async with _telling(together, app.state.requests, app.state.feed):
+            yield
+            services.changes.begin_close()
+            await app.state.feed.close()
+            services.changes.close()
 
     app = FastAPI(
         title="bladetwin",
@@ -95,7 +103,7 @@ def create_app(services: Services, schema: Callable[[], tuple[str | None, str | 
     app.state.services = services
     app.state.schema = schema
     app.state.feed = Feed(services.changes, partial(newest_notes, services.store))
-    app.state.requests = Requests()
+    app.state.requests, app.state.together = Requests(), together
     for module in (  # a request is held against one after the other: the busiest come first
         rotors,
         inspections,
@@ -121,3 +129,21 @@ def create_app(services: Services, schema: Callable[[], tuple[str | None, str | 
     add_layers(app, services, app.state.requests)
     describe(app, keys=keys_required(services.settings))
     return app
+
+
+@asynccontextmanager
+async def _telling(
+    together: Together | None, requests: Requests, feed: Feed
+) -> AsyncIterator[None]:
+    """The other API processes are told what this one counts."""
+    if together is None:
+        yield
+        return
+    together.resume(requests)
+    task = asyncio.create_task(together.keep_writing(requests, feed))
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task

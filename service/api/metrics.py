@@ -11,8 +11,7 @@ import time
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.feed import Feed
-from service.ports import Gauges
+from service.ports import Gauges, Json
 from service.prometheus import Counter, Histogram, family
 
 BOUNDS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
@@ -31,6 +30,15 @@ class Requests:
             ("method", "route"),
             BOUNDS_S,
         )
+
+    def told(self) -> Json:
+        """All of it, for another process."""
+        return {"total": self.total.told(), "seconds": self.seconds.told()}
+
+    def add(self, told: Json) -> None:
+        """What another process, or this one's predecessor, counted."""
+        self.total.add(told["total"])
+        self.seconds.add(told["seconds"])
 
     def lines(self) -> list[str]:
         return self.total.lines() + self.seconds.lines()
@@ -53,7 +61,7 @@ class Measured:
         async def watched(message: Message) -> None:
             if message["type"] == "http.response.start":
                 route = template(scope)
-                self.requests.total.add((method, route, str(message["status"])))
+                self.requests.total.count((method, route, str(message["status"])))
                 self.requests.seconds.observe((method, route), time.perf_counter() - begun)
             await send(message)
 
@@ -96,9 +104,9 @@ def of_database(found: Gauges | None) -> list[str]:
     return lines
 
 
-def page(found: Gauges | None, requests: Requests, feed: Feed) -> str:
+def page(found: Gauges | None, requests: Requests, streams: int) -> str:
     """Everything, as Prometheus reads it."""
-    streams = family(
-        "bladetwin_event_streams", "gauge", "Streams of events open now.", [({}, feed.listeners)]
+    opened = family(
+        "bladetwin_event_streams", "gauge", "Streams of events open now.", [({}, streams)]
     )
-    return "\n".join(of_database(found) + streams + requests.lines()) + "\n"
+    return "\n".join(of_database(found) + opened + requests.lines()) + "\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any, cast
 
@@ -109,8 +110,11 @@ class Server(uvicorn.Server):
     """
 
     changes: Changes | None = None
+    closing: Callable[[], None] | None = None  # called when it begins to end
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        if self.closing is not None:
+            self.closing()
         if self.changes is not None:
             self.changes.begin_close()
         await super().shutdown(sockets)

@@ -19,11 +19,12 @@ from sqlalchemy import event
 from core.errors import BladetwinError, InputError
 from service.access import SCOPES
 from service.api.loopback import keys_required
-from service.bootstrap import Later, make_app, make_science, make_worker, worker_roles
+from service.bootstrap import Later, make_app, make_science, make_worker
 from service.client.transports import PATIENCE_S
 from service.handlers.keys import create_key
 from service.handlers.models import register_builtins
 from service.ports import Science
+from service.processes import worker_roles
 from service.settings import Settings
 from service.store.engine import open_engine, transaction
 from service.store.migrate import migrate
@@ -174,7 +175,7 @@ def _headers(key: str | None) -> dict[str, str]:
 
 def _settings(folder: Path, science: str | Science, given: dict[str, Any]) -> Settings:
     """Of the keywords alone; the environment of the tests does not count."""
-    for name in ("database_url", "database_url_file", "science", "host", "port"):
+    for name in ("database_url", "database_url_file", "science", "host", "port", "api_processes"):
         if name in given:
             remedy = "leave it out, or run `bladetwin serve`"
             raise InputError(name, given[name], "is not for a service in memory", remedy)

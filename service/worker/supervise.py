@@ -1,6 +1,6 @@
-"""`serve` starts workers, restarts a dead one and leaves no orphan.
+"""`serve` starts workers and further API processes, restarts a dead one and leaves no orphan.
 
-Each worker gets the read end of a pipe as its standard input; the supervisor holds the write end
+Each gets the read end of a pipe as its standard input; the supervisor holds the write end
 and never writes. Children do not inherit each other's pipes, so the death of the supervisor by
 any means closes them all. The lease of a worker that died is ended at once: its rotor need not
 wait until the lease runs out. The attempt of a worker that died by itself is counted; that of one
@@ -11,18 +11,20 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from sqlalchemy import Engine
 
 import service
 from service.errors import StoreAwayError
-from service.worker.claiming import Role
 from service.worker.lease import release
 from service.worker.loop import owner_name
 
@@ -30,6 +32,7 @@ log = logging.getLogger("bladetwin.supervisor")
 HEALTHY_S = 5.0
 SHORTEST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 10.0
+R = TypeVar("R", bound=str)
 
 
 def same_code(environ: Mapping[str, str]) -> dict[str, str]:
@@ -44,30 +47,39 @@ def same_code(environ: Mapping[str, str]) -> dict[str, str]:
 
 
 @dataclass(slots=True)
-class Child:
-    """A running worker, its role, and the name under which it claims."""
+class Child(Generic[R]):
+    """A running process, its role, and the name under which a worker claims."""
 
     process: subprocess.Popen[bytes]
-    role: Role
+    role: R
     owner: str
     started: float
 
 
-class Supervisor:
-    """Keeps one worker alive for each of `roles`. `command(owner, role)` is a command line."""
+class Supervisor(Generic[R]):
+    """Keeps one process alive for each of `roles`. `command(owner, role)` is a command line.
+
+    inherited   descriptors that the processes get beside their standard ones
+    listens     makes a socket for each process, which is told of it by ``--socket``
+    """
 
     def __init__(
         self,
         engine: Engine,
-        roles: Sequence[Role],
-        command: Callable[[str, Role], list[str]],
+        roles: Sequence[R],
+        command: Callable[[str, R], list[str]],
         environ: Mapping[str, str],
+        *,
+        inherited: Sequence[int] = (),
+        listens: Callable[[], socket.socket] | None = None,
     ) -> None:
         self._engine = engine
         self._roles = tuple(roles)
         self._command = command
         self._environ = same_code({**os.environ, **environ})
-        self._children: list[Child] = []
+        self._inherited = tuple(inherited)
+        self._listens = listens
+        self._children: list[Child[R]] = []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="supervisor", daemon=True)
         self._pauses = [SHORTEST_PAUSE_S] * len(self._roles)
@@ -78,14 +90,23 @@ class Supervisor:
         self._thread.start()
 
     def pids(self) -> list[int]:
-        """Process ids of the workers that run now."""
+        """Process ids of those that run now."""
         return [child.process.pid for child in self._children if child.process.poll() is None]
 
-    def _spawn(self, role: Role) -> Child:
+    def _spawn(self, role: R) -> Child[R]:
         owner = owner_name()
-        process = subprocess.Popen(
-            self._command(owner, role), stdin=subprocess.PIPE, env=self._environ, close_fds=True
-        )
+        command, inherited = self._command(owner, role), self._inherited
+        with ExitStack() as own:
+            if self._listens is not None:
+                number = own.enter_context(self._listens()).fileno()
+                command, inherited = [*command, "--socket", str(number)], (*inherited, number)
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                env=self._environ,
+                close_fds=True,
+                pass_fds=inherited,
+            )
         return Child(process, role, owner, time.monotonic())
 
     def _watch(self) -> None:
@@ -104,38 +125,43 @@ class Supervisor:
                     log.exception("no worker could be started; another attempt in 1 s")
                     self._stop.wait(1.0)
 
-    def _ended(self, i: int, child: Child, code: int) -> None:
+    def _ended(self, i: int, child: Child[R], code: int) -> None:
         """Free what a worker held, and say when the next one is started in its place.
 
         At once where it had lived; one that ends soon after its start is likely to do so again, and
         waits the longer each time, while others are watched.
         """
-        log.warning("worker %d ended with %d; starting another", child.process.pid, code)
+        name = child.role if child.role == "api" else "worker"
+        log.warning("%s %d ended with %d; starting another", name, child.process.pid, code)
         self._close(child)
         self._release(child, counted=True)
         young = time.monotonic() - child.started < HEALTHY_S
         self._pauses[i] = min(2 * self._pauses[i], LONGEST_PAUSE_S) if young else SHORTEST_PAUSE_S
         self._due[i] = time.monotonic() + (self._pauses[i] if young else 0.0)
 
-    def _release(self, child: Child, *, counted: bool) -> None:
+    def _release(self, child: Child[R], *, counted: bool) -> None:
         try:
             release(self._engine, child.owner, counted=counted)
         except StoreAwayError as error:
             log.error("leases of %s stay until they run out: %s", child.owner, error)
 
     @staticmethod
-    def _close(child: Child) -> None:
+    def _close(child: Child[R]) -> None:
         if child.process.stdin is not None:
             child.process.stdin.close()
 
-    def stop(self, patience_s: float = 10.0) -> None:
-        """Let every worker end by itself; kill those that take longer than `patience_s`."""
+    def begin_stop(self) -> None:
+        """Tell every process to end, and start none any more."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
         for child in self._children:
             if child.process.poll() is None:
                 child.process.terminate()
+
+    def stop(self, patience_s: float = 10.0) -> None:
+        """Let every process end by itself; kill those that take longer than `patience_s`."""
+        self.begin_stop()
         end = time.monotonic() + patience_s
         for child in self._children:
             killed = False

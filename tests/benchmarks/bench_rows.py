@@ -20,10 +20,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from sqlalchemy import Connection, Engine, bindparam, select
 
-from service.bootstrap import SWITCH_S, make_science, make_store, prepare
+from service.bootstrap import make_science, make_store, prepare
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
+from service.processes import SWITCH_S
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import transaction

@@ -115,6 +115,7 @@ def plan(**given: Any) -> run.Plan:
         "rotors": 4,
         "blades": 5,
         "workers": 1,
+        "api_processes": 1,
         "science": "fake",
         "particles": 64,
         "window_s": 3.0,

@@ -16,7 +16,7 @@ from sqlalchemy import select, true, update
 from typer.testing import CliRunner
 
 from core.observation import Inspection
-from service.bootstrap import make_worker, worker_roles
+from service.bootstrap import make_worker
 from service.cli import app as commands
 from service.client import Client, ProblemError
 from service.errors import StoreAwayError
@@ -24,6 +24,7 @@ from service.fake import FakeScience
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord, Json, ModelCard, Progress, RotorSpec
+from service.processes import worker_roles
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction

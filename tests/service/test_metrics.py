@@ -240,7 +240,7 @@ def test_a_value_on_a_bound_belongs_to_its_bucket_and_buckets_are_cumulative() -
 
 def test_labels_that_hold_anything_are_escaped() -> None:
     made = Counter("c_total", "What it is.", ("route",))
-    made.add(('a"b\\c\nd',))
+    made.count(('a"b\\c\nd',))
     assert len(parse("\n".join(made.lines()) + "\n")) == 1
 
 

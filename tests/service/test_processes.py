@@ -22,7 +22,7 @@ import pytest
 from sqlalchemy import insert, select
 
 from core.observation import Inspection
-from service.bootstrap import EMBEDDED_NICENESS, SEALER_NICENESS, make_store, make_worker
+from service.bootstrap import make_store, make_worker
 from service.client import Client
 from service.fake import FakeScience
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
@@ -30,6 +30,7 @@ from service.handlers.inspections import retract
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, RotorSpec
+from service.processes import EMBEDDED_NICENESS, SEALER_NICENESS
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import transaction
@@ -468,7 +469,7 @@ def test_serve_refuses_a_database_that_is_not_migrated(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("module", ["service.bootstrap", "service.cli"])
+@pytest.mark.parametrize("module", ["service.processes", "service.cli"])
 def test_the_api_process_starts_without_the_heavy_packages(module: str) -> None:
     heavy = "{'numba', 'matplotlib', 'skfem', 'sklearn', 'xarray', 'pandas', 'meshio'}"
     code = f"import sys, {module}; print(sorted({heavy} & set(sys.modules)))"

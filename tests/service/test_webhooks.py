@@ -549,7 +549,7 @@ def test_real_workers_killed_between_delivery_and_record_deliver_again_and_lose_
 
 
 def test_serve_starts_a_worker_that_delivers_where_there_is_a_key_file(settings: Settings) -> None:
-    from service.bootstrap import worker_roles
+    from service.processes import worker_roles
 
     assert worker_roles(settings).count("deliver") == 1
     assert worker_roles(settings.model_copy(update={"sealers": 0})).count("deliver") == 1

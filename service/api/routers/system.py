@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 
-from service.api.metrics import page
+from service.api.metrics import Requests, page
 from service.api.services import Wired
 from service.errors import StoreAwayError
 from service.prometheus import MEDIA_TYPE
@@ -44,4 +44,7 @@ def metrics(request: Request, services: Wired) -> Response:
     except StoreAwayError:
         found = None
     state = request.app.state
-    return Response(page(found, state.requests, state.feed), media_type=MEDIA_TYPE)
+    counted: tuple[Requests, int] = (state.requests, state.feed.listeners)
+    if state.together is not None:
+        counted = state.together.whole(*counted)
+    return Response(page(found, *counted), media_type=MEDIA_TYPE)

@@ -34,7 +34,7 @@ from service.worker.supervise import same_code
 Kind = Role | Literal["api"]
 ROLES: tuple[Role, ...] = ("all", "apply", "seal")
 READY_S = 120.0
-PRELOAD = ("service.bootstrap", "service.cli", "service.studies.chaos.twin")
+PRELOAD = ("service.bootstrap", "service.processes", "service.cli", "service.studies.chaos.twin")
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,8 @@ class Descent(FakeScience):
 
 def main(kind: Kind, owner: str, delay_s: float = DELAY_S) -> None:
     """An API, or a worker with the twin, until it is stopped; settings from the environment."""
-    from service.bootstrap import make_store, make_worker, serve
+    from service.bootstrap import make_store, make_worker
+    from service.processes import serve
     from service.settings import Settings
     from service.telemetry import configure_logs
     from service.worker.loop import run_worker

@@ -53,6 +53,9 @@ def load(
     rotors: Annotated[int, typer.Option(min=1, help="Rotors.")] = 100,
     blades: Annotated[int, typer.Option(min=1, help="Blades of each rotor.")] = 100,
     workers: Annotated[int, typer.Option(min=1, help="Workers of the server.")] = 1,
+    api_processes: Annotated[
+        int, typer.Option(min=1, help="Processes of the server that answer requests.")
+    ] = 1,
     science: Annotated[
         str, typer.Option(help="fake: the exact twin; core: the blade physics.")
     ] = "fake",
@@ -83,7 +86,17 @@ def load(
     end_in_order()
     began_on, made_by = machine(), commit()
     plan = study.Plan(
-        minutes, rate, reads, rotors, blades, workers, science, particles, window_s, seed
+        minutes,
+        rate,
+        reads,
+        rotors,
+        blades,
+        workers,
+        api_processes,
+        science,
+        particles,
+        window_s,
+        seed,
     )
     asked = {name: ms for name, ms in (("posts", posts_ms), ("reads", reads_ms)) if ms > 0}
     results: dict[str, Any] = {}

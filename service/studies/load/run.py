@@ -40,6 +40,7 @@ class Plan:
     rotors: int
     blades: int
     workers: int
+    api_processes: int
     science: str
     particles: int
     window_s: float
@@ -52,6 +53,7 @@ class Plan:
             science=self.science,
             migrate="always",
             workers=self.workers,
+            api_processes=self.api_processes,
             diagnosers=0,
             port=free_port(),
             particles=self.particles,

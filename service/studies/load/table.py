@@ -15,7 +15,8 @@ def table(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> 
         "",
         f"{head['minutes']:g} minutes, {head['rotors']} rotors of {head['blades']} blades, "
         f"{head['rate']:g} posts and {head['reads']:g} reads a second at random moments, science "
-        f"{head['science']}, {head['workers']} worker(s) and a sealer; load generator, server and "
+        f"{head['science']}, {head.get('api_processes', 1)} API process(es), {head['workers']} "
+        "worker(s) and a sealer; load generator, server and "
         f"database share {machine['processors']} processors. Latencies count from the moment at "
         "which a request was due.",
         "",

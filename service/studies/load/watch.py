@@ -31,10 +31,12 @@ def yardstick_ms() -> float:
 
 
 def family(pid: int) -> dict[str, int]:
-    """A server's processes by their names: ``api``, then ``apply 1`` … by role."""
+    """A server's processes by their names: ``api`` and further ones, ``apply 1`` … by role."""
     found, counts = {"api": pid}, dict[str, int]()
     for child in sorted(_children(pid)):
         words = _text(f"/proc/{child}/cmdline").split("\0")
+        if "--place" in words:
+            found[f"api {int(words[words.index('--place') + 1]) + 1}"] = child
         if "--role" in words:
             role = words[words.index("--role") + 1]
             counts[role] = counts.get(role, 0) + 1
