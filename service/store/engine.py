@@ -5,7 +5,8 @@ writes begins with ``BEGIN IMMEDIATE``, so that two writers queue instead of fai
 Of the pool's connections those used last are used next, so that few of them fill their caches, and
 of SQLite's `KEPT` stay open.
 PostgreSQL runs READ COMMITTED, where a statement sees what was committed before it, whatever is
-around it. So those that only read go without BEGIN and COMMIT, each a message and an answer.
+around it. So those that only read go without BEGIN and COMMIT, each a message and an answer; so
+does a single statement that writes, which is a transaction as it is.
 Rows are locked by name where order matters; what else is PostgreSQL's own is in
 `service.store.postgres`.
 What is said of a failed statement names its parameters nowhere: they are readings and digests.
@@ -32,6 +33,7 @@ from service.errors import StoreAwayError
 
 WRITE = "bladetwin_write"
 LEVEL = "isolation_level"
+READ_ONLY = "25006"  # what PostgreSQL calls a writing statement where only reading is allowed
 BUSY_S = 30.0
 PAGES = "cache_size=-500"  # KiB of a connection: emptied by every write of another one
 KEPT = 8  # SQLite's connections that stay open; a burst opens more, for as long as it lasts
@@ -135,27 +137,31 @@ def _turn(engine: Engine, write: bool) -> Iterator[None]:
 
 
 @contextmanager
-def transaction(engine: Engine, *, write: bool) -> Iterator[Connection]:
+def transaction(engine: Engine, *, write: bool, alone: bool = False) -> Iterator[Connection]:
     """One transaction: committed at the end, rolled back on any error.
 
-    StoreAwayError: the database does not answer, or ended the connection, whatever the driver
-    calls that; what it said is the error's cause.
+    alone   it is a single statement that writes: PostgreSQL commits it by itself
+
+    StoreAwayError: the database does not answer, may only be read, or ended the connection,
+    whatever the driver calls that; what it said is the error's cause.
     """
     try:
         with _turn(engine, write), engine.connect() as connection:
-            connection = connection.execution_options(**_options(engine, write))
+            connection = connection.execution_options(**_options(engine, write, alone))
             with connection.begin():
                 yield connection
     except (DBAPIError, PoolTimeoutError) as error:
         lost = isinstance(error, DBAPIError) and error.connection_invalidated
+        lost = lost or getattr(getattr(error, "orig", None), "sqlstate", None) == READ_ONLY
         if not (lost or isinstance(error, (OperationalError, PoolTimeoutError))):
             raise
         raise StoreAwayError(type(getattr(error, "orig", None) or error).__name__) from error
 
 
-def _options(engine: Engine, write: bool) -> dict[str, Any]:
-    """Of a transaction: whether it writes, and that statements which only read stand alone."""
-    alone = not (write or is_sqlite(engine) or LEVEL in engine.get_execution_options())
+def _options(engine: Engine, write: bool, alone: bool) -> dict[str, Any]:
+    """Of a transaction: whether it writes, and that its statements stand alone."""
+    alone = alone or not write
+    alone = alone and not (is_sqlite(engine) or LEVEL in engine.get_execution_options())
     return {WRITE: write} | ({LEVEL: "AUTOCOMMIT"} if alone else {})
 
 

@@ -33,13 +33,16 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 from sqlalchemy import (
     ColumnElement,
     Engine,
+    Row,
     Select,
+    Update,
     and_,
+    bindparam,
     case,
     exists,
     false,
@@ -49,10 +52,11 @@ from sqlalchemy import (
     true,
     update,
 )
+from sqlalchemy.sql.dml import ReturningUpdate
 
 from service.adopted import KINDS as CHANGES
 from service.store import tables as t
-from service.store.engine import begun_s, now_s, transaction
+from service.store.engine import begun_s, is_sqlite, now_s, transaction
 from service.worker.lease import Lease
 
 c = t.cursor.c
@@ -165,55 +169,97 @@ def claim(
     Pending entries go before sealing; a rotor is sealed when it was quiet for `quiet_s`, and before
     anything else when it was provisional for `overdue_s`.
     """
-    conditions = (claimable, pending, remodelled, overdue, passed, over, unheld, AHEAD)
+    at_once = not is_sqlite(engine)
     for kind in KINDS[role]:
-        first = _longest(kind, lease_s, quiet_s, min(overdue_s, FOREVER), conditions)
-        lease = _claim(engine, owner, lease_s, kind in ("late", "quiet"), first)
+        asked = (kind, lease_s, quiet_s, min(overdue_s, FOREVER), _conditions())
+        lease = _claim_at_once(engine, owner, asked) if at_once else _claim(engine, owner, asked)
         if lease is not None:
             return lease
     return None
 
 
+Asked = tuple[Kind, float, float, float, tuple[object, ...]]
+TAKEN = (c.rotor_id, c.fence, c.applied_seq, c.version, c.attempts, c.sealing)
+
+
+def _conditions() -> tuple[object, ...]:
+    """What makes the statements, so that other ones make other statements."""
+    of_kind = (claimable, pending, remodelled, overdue, passed, unheld)
+    return (*of_kind, over, ran_out, outlived, counted, locked, now_s, begun_s, AHEAD)
+
+
+def locked(first: Select[Any]) -> Select[Any]:
+    """The rotor is the caller's alone until the claim is committed; held ones are passed over."""
+    return first.with_for_update(skip_locked=True, of=t.cursor)
+
+
 @lru_cache(maxsize=64)
 def _longest(
     kind: Kind, lease_s: float, quiet_s: float, overdue_s: float, conditions: tuple[object, ...]
-) -> Select[str]:
-    """The rotor that has waited longest, built once: every commit of anybody makes workers look.
-
-    conditions   what makes it, so that other ones make another statement
-    """
+) -> Select[Any]:
+    """The rotor that has waited longest, built once: every commit of anybody makes workers look."""
     due = claimable(kind, lease_s=lease_s, quiet_s=quiet_s, overdue_s=overdue_s)
-    return select(c.rotor_id).where(due).order_by(c.dirty_since).limit(1)
+    return select(c.rotor_id, c.sealing).where(due).order_by(c.dirty_since).limit(1)
 
 
-def _claim(
-    engine: Engine, owner: str, lease_s: float, sealing: bool, first: Select[str]
-) -> Lease | None:
+def _take(lease_s: float, kind: Kind) -> Update:
+    """The claim of rotors that a condition is still to name."""
+    return update(t.cursor).values(
+        fence=c.fence + 1,
+        attempts=c.attempts + counted(c.lease_until, lease_s),
+        owner=bindparam("by"),
+        lease_until=now_s() + lease_s,
+        sealing=kind in ("late", "quiet"),
+        takeovers=c.takeovers + case((ran_out(lease_s), 1), else_=0),
+    )
+
+
+@lru_cache(maxsize=64)
+def _first_taken(
+    kind: Kind, lease_s: float, quiet_s: float, overdue_s: float, conditions: tuple[object, ...]
+) -> ReturningUpdate[Any]:
+    """Look, lock and claim as one statement of PostgreSQL's.
+
+    A query that locks is computed once and by itself, wherever it stands (PostgreSQL inlines no
+    such CTE), so that one rotor is locked and no other. The lock is of the newest version of the
+    row: where somebody committed one after the statement began, the whole condition is asked of
+    that one again, and a rotor that does not meet it any more is passed over. Then the update,
+    whose own view of the row may be older than the lock, finds it changed, goes on to the same
+    newest version, which nobody can have changed since, asks again only for its name, and adds to
+    the fence that stands there. What the condition asks of other tables (the log's head, changes
+    of the model) is as of the statement's beginning, as it was with two statements.
+
+    Where nothing is due no row is locked and no transaction number taken.
+    """
+    first = locked(_longest(kind, lease_s, quiet_s, overdue_s, conditions)).cte("first")
+    take = _take(lease_s, kind).where(c.rotor_id == first.c.rotor_id)
+    return take.returning(*TAKEN, first.c.sealing.label("before"))
+
+
+def _claim_at_once(engine: Engine, owner: str, asked: Asked) -> Lease | None:
+    with transaction(engine, write=True, alone=True) as connection:
+        row = connection.execute(_first_taken(*asked), {"by": owner}).one_or_none()
+    return None if row is None else _lease(owner, row, after_sealing=row.before)
+
+
+def _claim(engine: Engine, owner: str, asked: Asked) -> Lease | None:
+    """The same of SQLite, which locks all of the database: looked at before anything is locked."""
+    first, (kind, lease_s, *_) = _longest(*asked), asked
     with transaction(engine, write=False) as connection:
-        if connection.execute(first).scalar() is None:
+        if connection.execute(first).first() is None:
             return None
-    locked = first.add_columns(c.sealing).with_for_update(skip_locked=True, of=t.cursor)
     with transaction(engine, write=True) as connection:
-        found = connection.execute(locked).one_or_none()
+        found = connection.execute(first).one_or_none()
         if found is None:
             return None
-        rotor_id = found.rotor_id
-        take = (
-            update(t.cursor)
-            .where(c.rotor_id == rotor_id)
-            .values(
-                fence=c.fence + 1,
-                attempts=c.attempts + counted(c.lease_until, lease_s),
-                owner=owner,
-                lease_until=now_s() + lease_s,
-                sealing=sealing,
-                takeovers=c.takeovers + case((ran_out(lease_s), 1), else_=0),
-            )
-            .returning(c.fence, c.applied_seq, c.version, c.attempts)
-        )
-        row = connection.execute(take).one()
+        take = _take(lease_s, kind).where(c.rotor_id == found.rotor_id).returning(*TAKEN)
+        row = connection.execute(take, {"by": owner}).one()
+    return _lease(owner, row, after_sealing=found.sealing)
+
+
+def _lease(owner: str, row: Row[Any], *, after_sealing: bool) -> Lease:
     place = (row.fence, row.applied_seq, row.version, row.attempts)
-    return Lease(rotor_id, owner, *place, sealing, after_sealing=found.sealing)
+    return Lease(row.rotor_id, owner, *place, row.sealing, after_sealing=after_sealing)
 
 
 def claim_rotor(engine: Engine, rotor_id: str, owner: str, lease_s: float) -> Lease | None:
@@ -227,7 +273,7 @@ def claim_rotor(engine: Engine, rotor_id: str, owner: str, lease_s: float) -> Le
         .values(fence=c.fence + 1, owner=owner, lease_until=now_s() + lease_s, sealing=False)
         .returning(c.fence, c.applied_seq, c.version, c.attempts)
     )
-    with transaction(engine, write=True) as connection:
+    with transaction(engine, write=True, alone=True) as connection:
         row = connection.execute(take).one_or_none()
     if row is None:
         return None

@@ -79,7 +79,7 @@ def uncounted(attempts: ColumnElement[int]) -> ColumnElement[int]:
 def return_unused(engine: Engine, lease: Lease) -> None:
     """End a claim of which nothing came, through no fault of the rotor's: no attempt is counted."""
     own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)
-    with transaction(engine, write=True) as connection:
+    with transaction(engine, write=True, alone=True) as connection:
         freed = update(t.cursor).where(own).values(attempts=uncounted(c.attempts))
         connection.execute(freed.values(owner=None, lease_until=None))
 
@@ -87,7 +87,7 @@ def return_unused(engine: Engine, lease: Lease) -> None:
 def heartbeat(engine: Engine, lease: Lease, lease_s: float) -> bool:
     """Prolong the lease; False: the rotor is no longer the caller's."""
     own = (c.rotor_id == lease.rotor_id) & holds(lease) & owned(lease)
-    with transaction(engine, write=True) as connection:
+    with transaction(engine, write=True, alone=True) as connection:
         beat = update(t.cursor).where(own).values(lease_until=now_s() + lease_s)
         return connection.execute(beat).rowcount == 1
 

@@ -52,7 +52,7 @@ def kinds(engine: Engine) -> list[str]:
 ROW = {"id": "m", "version": "1", "digest": "d", "source": "{}", "card": "{}", "created_at": 0.0}
 
 
-def test_statements_that_read_stand_alone_and_no_others(engine: Engine) -> None:
+def test_statements_that_read_and_single_ones_stand_alone_and_no_others(engine: Engine) -> None:
     """On one and the same connection, one after the other, whichever came before."""
     numbers = set[int]()
     for _ in range(2):
@@ -62,6 +62,9 @@ def test_statements_that_read_stand_alone_and_no_others(engine: Engine) -> None:
         with transaction(engine, write=True) as connection:
             numbers.add(own_number(connection))
             assert state(connection) is OPEN
+        with transaction(engine, write=True, alone=True) as connection:
+            numbers.add(own_number(connection))
+            assert state(connection) is IDLE
         with snapshot(engine) as connection:
             numbers.add(own_number(connection))
             assert state(connection) is OPEN
