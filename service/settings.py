@@ -165,7 +165,13 @@ class Settings(BaseModel):
     answers_mb: float = Field(
         64.0, ge=0, description="answers kept as bytes in each API process, MiB; 0 = none"
     )
-    rotors_in_memory: int = Field(8, ge=1, description="rotor states that a worker keeps in memory")
+    states_mb: float = Field(
+        384.0,
+        ge=0,
+        description="rotor states that a worker keeps in memory, MiB; that of the rotor seen last "
+        "is kept whatever its size",
+    )
+    rotors_in_memory: int = Field(512, ge=1, description="and how many of them at most")
     readings_mb: float = Field(
         64.0, ge=0, description="readings of further rotors that a worker keeps in memory, MiB"
     )

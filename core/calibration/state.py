@@ -75,6 +75,11 @@ class Arrays(Mapping[str, Array]):
     def __len__(self) -> int:
         return len(self._names)
 
+    @property
+    def held(self) -> Mapping[str, Array]:
+        """Those that are in memory: its own, and what was fetched so far."""
+        return self._found
+
     def over(self, own: Mapping[str, Array], kept: Iterable[str]) -> Arrays:
         """The arrays of the next state: its `own`, and the `kept` ones of this state."""
         kept = frozenset(kept)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from dataclasses import field as default
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +93,14 @@ class RotorState(Protocol):
     def arrays(self) -> Mapping[str, Array]: ...
     @property
     def fresh(self) -> frozenset[str]: ...
+
+
+@runtime_checkable
+class PartlyLoaded(Protocol):
+    """Arrays of a state that are loaded when they are first looked at; `held`: those that were."""
+
+    @property
+    def held(self) -> Mapping[str, Array]: ...
 
 
 @dataclass(frozen=True, slots=True)

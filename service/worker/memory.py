@@ -1,12 +1,13 @@
-"""What a worker remembers of its rotors: the last states of a few, the readings of many.
+"""What a worker remembers of its rotors: the last states, the readings of more.
 
-A state is used only while its version is the one that the claim read. Readings are of the log,
+A state is used only while its version is the one that the claim read. To read one anew takes
+long, but a state may be of some kilobytes or of tens of megabytes: so they are kept up to a number
+of bytes, and to a number. Readings are of the log,
 which only grows, so that those through an entry hold for ever, and an update reads what came since.
 To read and check the readings of a rotor anew costs some 25 µs for each (SQL, JSON, digest):
 without memory an update takes the longer the longer its rotor is in service, and a worker that
-cares for many rotors would do little else. States are large, so few of them are kept; readings are
-kept packed (`packing`), up to a number of bytes, but for those of the rotor seen last: rotors have
-their inspections in bursts.
+cares for many rotors would do little else. They are kept packed (`packing`), up to a number of
+bytes, but for those of the rotor seen last: rotors have their inspections in bursts.
 
 A database that was restored, or whose place a replica took that had not heard of the last commits,
 goes on from an earlier moment and may come to the same numbers by another way. So what a memory
@@ -20,10 +21,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from core.observation import Entry
-from service.ports import Event, RotorState
+from service.ports import Event, PartlyLoaded, RotorState
 from service.worker.packing import Chunks, packed, unpacked
 
 ROTOR_BYTES = 800  # a rotor without entries, measured
+ARRAY_BYTES = 600  # an array's objects, SHA-256 and place in the description beside its numbers
 NO_VERSION = -1
 Mark = tuple[str, str, float]
 
@@ -48,6 +50,15 @@ class Memory:
     last: Mark | None = None
     digest: str | None = None
     chunks: Chunks = ()
+
+    @property
+    def state_bytes(self) -> int:
+        """Of the state's arrays that are in memory; those still to be loaded are not."""
+        if self.state is None:
+            return 0
+        arrays = self.state.arrays
+        held = arrays.held if isinstance(arrays, PartlyLoaded) else arrays
+        return sum(array.nbytes for array in held.values()) + ARRAY_BYTES * len(arrays)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +91,15 @@ class Memories:
     """The rotors that a worker saw last; used by one thread.
 
     states       how many are kept with their state
+    states_mb    size of these states, MiB; that of the last one is kept whatever its size
     readings_mb  size of the readings that are kept of all but the last one, MiB
     """
 
-    def __init__(self, states: int, readings_mb: float) -> None:
-        self._most, self._limit = states, int(readings_mb * 2**20)
+    def __init__(self, states: int, states_mb: float, readings_mb: float) -> None:
+        self._most, self._room = states, int(states_mb * 2**20)
+        self._limit = int(readings_mb * 2**20)
+        self._sizes: dict[str, int] = {}  # of the states
+        self._held = 0  # their sum
         self._last: str | None = None
         self._states: OrderedDict[str, Memory] = OrderedDict()  # those before the last: no entries
         self._readings: OrderedDict[str, Readings] = OrderedDict()  # of all but the last
@@ -107,12 +122,19 @@ class Memories:
         if self._last is not None:
             self._pack(self._last)
         self._states[rotor_id], self._last = memory, rotor_id
-        while len(self._states) > self._most:
-            self._states.popitem(last=False)
+        self._sizes[rotor_id] = size = memory.state_bytes
+        self._held += size
+        while len(self._states) > self._most or (self._held > self._room and len(self._states) > 1):
+            self._drop(next(iter(self._states)))
         while self._bytes > self._limit:
             name, oldest = self._readings.popitem(last=False)
             self._bytes -= oldest.nbytes
-            self._states.pop(name, None)
+            self._drop(name)
+
+    def _drop(self, rotor_id: str) -> None:
+        """Its state, if it is kept."""
+        self._states.pop(rotor_id, None)
+        self._held -= self._sizes.pop(rotor_id, 0)
 
     def _pack(self, rotor_id: str) -> None:
         whole = self._states[rotor_id]
@@ -125,6 +147,6 @@ class Memories:
         """All that is remembered of a rotor."""
         if rotor_id == self._last:
             self._last = None
-        self._states.pop(rotor_id, None)
+        self._drop(rotor_id)
         rest = self._readings.pop(rotor_id, None)
         self._bytes -= 0 if rest is None else rest.nbytes

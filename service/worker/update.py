@@ -71,7 +71,7 @@ class Updater:
         self.role = role
         self.interrupt = Interrupt(stopping)
         self.bound: Bound = endless
-        self._memory = Memories(settings.rotors_in_memory, settings.readings_mb)
+        self._memory = Memories(settings.rotors_in_memory, settings.states_mb, settings.readings_mb)
         self._thinned: dict[str, int] = {}
 
     @property

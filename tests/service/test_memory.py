@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sqlalchemy import delete, update
+from sqlalchemy import delete, event, update
 
+from core.calibration.state import Array, Arrays, RotorState
 from core.observation import Entry, Inspection
 from service.bootstrap import make_worker
 from service.fake import FakeScience, FakeState
@@ -20,7 +21,7 @@ from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import task
-from service.worker.memory import NO_VERSION, ROTOR_BYTES, Memories, Memory
+from service.worker.memory import ARRAY_BYTES, NO_VERSION, ROTOR_BYTES, Memories, Memory
 from service.worker.packing import packed
 
 Make = Callable[..., Inspection]
@@ -40,7 +41,7 @@ def memory(count: int) -> Memory:
 
 
 def test_states_beyond_the_limit_go_and_their_readings_stay() -> None:
-    kept = Memories(states=2, readings_mb=1.0)
+    kept = Memories(states=2, states_mb=1.0, readings_mb=1.0)
     whole = {name: memory(3) for name in "abc"}
     for name in "ab":
         kept.put(name, whole[name])
@@ -62,7 +63,7 @@ def test_states_beyond_the_limit_go_and_their_readings_stay() -> None:
 
 
 def test_readings_beyond_the_limit_go_the_oldest_first() -> None:
-    kept = Memories(states=1, readings_mb=2 * HUNDRED / 2**20)
+    kept = Memories(states=1, states_mb=1.0, readings_mb=2 * HUNDRED / 2**20)
     for name in "abcd":  # d with its state; of a, b, c two have room
         kept.put(name, memory(100))
     assert [kept.get(name) is not None for name in "abcd"] == [False, True, True, True]
@@ -74,9 +75,110 @@ def test_readings_beyond_the_limit_go_the_oldest_first() -> None:
     assert kept.get("f") is not None
 
 
+def large(kib: float) -> Memory:
+    """One whose state counts as so much."""
+    numbers = np.zeros((int(kib * 2**10) - ARRAY_BYTES) // 8)
+    return replace(memory(1), state=FakeState({}, {"a": numbers}))
+
+
+def with_states(kept: Memories, names: str) -> str:
+    """Those that are remembered with their state."""
+    found = [(name, kept.get(name)) for name in names]
+    return "".join(name for name, one in found if one is not None and one.state is not None)
+
+
+def test_states_beyond_a_size_go_the_oldest_first_and_their_readings_stay() -> None:
+    kept = Memories(states=8, states_mb=1.0, readings_mb=1.0)
+    for name in "abc":
+        kept.put(name, large(341))
+    assert with_states(kept, "abc") == "abc"
+    kept.put("d", large(1))
+    assert with_states(kept, "abcd") == "abcd", "1,024 KiB are a MiB"
+    kept.put("b", large(342))  # seen again, and larger now: a is the oldest
+    assert with_states(kept, "abcd") == "bcd"
+    kept.put("e", large(600))
+    assert with_states(kept, "abcde") == "bde"
+    assert all(kept.get(name) is not None for name in "abcde")
+    kept.put("f", large(5000))
+    assert with_states(kept, "abcdef") == "f", "that of the last one stays, whatever its size"
+    kept.put("g", large(1))
+    assert with_states(kept, "abcdefg") == "g"
+    for name in "hij":
+        kept.put(name, large(300))
+        kept.forget(name)
+    for name in "klm":
+        kept.put(name, large(340))
+    assert with_states(kept, "ghijklm") == "gklm", "what is forgotten frees its room"
+
+
+def test_without_room_the_state_of_the_last_rotor_is_kept() -> None:
+    kept = Memories(states=8, states_mb=0.0, readings_mb=1.0)
+    for name in "abc":
+        kept.put(name, memory(1))
+    assert with_states(kept, "abc") == "abc", "no arrays, no bytes"
+    for name in "abc":
+        kept.put(name, large(1))
+    assert with_states(kept, "abc") == "c"
+
+
+def test_states_whose_readings_have_no_room_give_theirs_back() -> None:
+    kept = Memories(states=8, states_mb=1.0, readings_mb=2 * ROTOR_BYTES / 2**20)
+    for name in "abcdefgh":
+        kept.put(name, replace(large(5), entries=[]))
+    assert with_states(kept, "abcdefgh") == "fgh"
+    assert kept._held == sum(one.state_bytes for one in kept._states.values())
+
+
+def test_arrays_that_are_still_to_be_loaded_do_not_count_and_are_not_loaded() -> None:
+    asked: list[str] = []
+
+    def get(name: str) -> Array:
+        asked.append(name)
+        return np.zeros(1000)
+
+    arrays = Arrays("abc", {"a": np.zeros(10)}, get)
+    one = replace(memory(1), state=RotorState({}, arrays))
+    assert one.state_bytes == 80 + 3 * ARRAY_BYTES
+    assert asked == []
+    assert arrays["b"].nbytes == 8000
+    assert one.state_bytes == 8080 + 3 * ARRAY_BYTES
+    assert replace(one, state=None).state_bytes == 0
+
+
+@pytest.mark.parametrize(("states_mb", "reads"), [(1.0, 0), (0.0, 12)])
+def test_of_a_rotor_whose_state_is_kept_no_array_is_read(
+    store: SqlStore,
+    science: FakeScience,
+    settings: Settings,
+    reading: Make,
+    post: Post,
+    states_mb: float,
+    reads: int,
+) -> None:
+    """Three rotors in turn, with room for their states or for one (the control)."""
+    given = settings.model_copy(update={"states_mb": states_mb})
+    for name in ("r1", "r2", "r3"):
+        create_rotor(store, name, "rotor-blade", [BladeRecord("B1")], 64, 7)
+    worker = make_worker(store, science, given, "remembers")
+    worker.drain()
+    asked: list[str] = []
+
+    def note(_c: Any, _cursor: Any, statement: str, *_: Any) -> None:
+        if statement.startswith("SELECT state_array.name, state_array.encoding"):
+            asked.append(statement)
+
+    event.listen(store.engine, "before_cursor_execute", note)
+    for number in range(4):
+        for name in ("r1", "r2", "r3"):
+            post(name, reading(f"i{number}", time_h=8000.0 + number))
+            worker.drain()
+    event.remove(store.engine, "before_cursor_execute", note)
+    assert len(asked) == reads
+
+
 def test_only_the_last_rotor_is_kept_as_objects() -> None:
     """Readings count for the limit whether or not their rotor's state is kept."""
-    kept = Memories(states=8, readings_mb=2 * HUNDRED / 2**20)
+    kept = Memories(states=8, states_mb=1.0, readings_mb=2 * HUNDRED / 2**20)
     for name in "abcd":
         kept.put(name, memory(100))
     assert [kept.get(name) is not None for name in "abcd"] == [False, True, True, True]
@@ -92,7 +194,7 @@ def test_only_the_last_rotor_is_kept_as_objects() -> None:
 
 
 def test_what_is_forgotten_frees_its_room() -> None:
-    kept = Memories(states=1, readings_mb=HUNDRED / 2**20)
+    kept = Memories(states=1, states_mb=1.0, readings_mb=HUNDRED / 2**20)
     kept.put("a", memory(100))
     kept.put("b", memory(100))
     for name in "ab":
@@ -105,7 +207,7 @@ def test_what_is_forgotten_frees_its_room() -> None:
 
 
 def test_rotors_without_readings_have_their_room_too() -> None:
-    kept = Memories(states=1, readings_mb=3 * ROTOR_BYTES / 2**20)
+    kept = Memories(states=1, states_mb=1.0, readings_mb=3 * ROTOR_BYTES / 2**20)
     for name in "abcdef":
         kept.put(name, memory(0))
     assert [kept.get(name) is not None for name in "abcdef"] == [False] * 2 + [True] * 4
