@@ -50,7 +50,7 @@ def test_kernels_are_compiled_on_demand() -> None:
 def test_the_help_of_serve_lists_every_setting() -> None:
     shown = CliRunner().invoke(app, ["serve", "--help"]).output
     assert [name for name in names() if name not in shown] == []
-    assert len(names()) == 45
+    assert len(names()) == 46
 
 
 def test_no_password_is_shown() -> None:
