@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from operator import is_
 from typing import NamedTuple
 
 from service.ports import Array, BladeRecord, Json, RotorRecord
@@ -158,3 +159,37 @@ class Sound:
             if rotor_id in self._found:
                 self._found.move_to_end(rotor_id)
             return self._found.get(rotor_id, (None, 0, {}))
+
+
+class Compared:
+    """Rotors whose rows, and what their logs tell of blades, were found sound, as they read then.
+
+    For who computes from them, and has to notice any change of any row: equal is not enough, for 1
+    and 1.0 are equal and have other digests. Blades that read the same to the last character are
+    the same objects (`service.store.records`).
+    """
+
+    def __init__(self) -> None:
+        self._found: OrderedDict[str, tuple[str, object, tuple[BladeRecord, ...]]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def knows(self, rotor: RotorRecord, moves: object, blades: Sequence[BladeRecord]) -> bool:
+        """Whether all of it reads as it did. moves   what the log tells of blades"""
+        with self._lock:
+            known = self._found.get(rotor.id)
+            if known is None:
+                return False
+            self._found.move_to_end(rotor.id)
+        asked, told, there = known
+        return (
+            (asked, told) == (repr(Asked.of(rotor)), moves)
+            and len(there) == len(blades)
+            and all(map(is_, there, blades))
+        )
+
+    def put(self, rotor: RotorRecord, moves: object, blades: Sequence[BladeRecord]) -> None:
+        with self._lock:
+            self._found[rotor.id] = repr(Asked.of(rotor)), moves, tuple(blades)
+            self._found.move_to_end(rotor.id)
+            while len(self._found) > MOST_SOUND:
+                self._found.popitem(last=False)

@@ -20,7 +20,7 @@ from service.entries import BLADES
 from service.errors import DamagedRotorError
 from service.ports import BladeRecord, Event, RotorRecord
 from service.store import tables as t
-from service.store.cache import Sound
+from service.store.cache import Compared, Sound
 from service.store.records import BLADE, SqlRecords, blade_of
 
 e = t.entry.c
@@ -59,10 +59,21 @@ class Move(NamedTuple):
     digest: str
 
 
-def sound_blades(connection: Connection, rotor: RotorRecord) -> list[BladeRecord]:
-    """The rotor's blades; DamagedRotorError: its row, or one of theirs, is not what was written."""
+def sound_blades(
+    connection: Connection, rotor: RotorRecord, compared: Compared | None = None
+) -> list[BladeRecord]:
+    """The rotor's blades; DamagedRotorError: its row, or one of theirs, is not what was written.
+
+    compared   what was found sound before. Every row is read all the same, and those of the log
+               that tell of blades: only where all of them read as they did is no digest made again
+    """
     blades = SqlRecords(connection).blades(rotor.id)
-    check(connection, rotor, blades)
+    head, end, moved = connection.execute(_ENDS, {"rotor": rotor.id}).one()
+    moves = _moves(connection, rotor, blades) if moved else ()
+    known = compared is not None and compared.knows(rotor, moves, blades)
+    _refuse(rotor, [] if known else _problems(rotor, blades, moves), head, end)
+    if compared is not None:
+        compared.put(rotor, moves, blades)
     return blades
 
 
@@ -82,15 +93,22 @@ def check(
     """
     head, end, moved = connection.execute(_ENDS, {"rotor": rotor.id}).one()
     known = sound is not None and sound.knows_all(rotor, moved, blades)
-    found = [] if known else _compared(connection, rotor, blades)
+    moves = _moves(connection, rotor, blades) if moved and not known else ()
+    _refuse(rotor, [] if known else _problems(rotor, blades, moves), head, end)
+    if sound is not None:
+        sound.put(rotor, moved, blades)
+
+
+def _refuse(rotor: RotorRecord, problems: Iterable[Problem], head: int, end: int | None) -> None:
+    """DamagedRotorError where there are problems, or where the log ends elsewhere than at `head`,
+    where the rotor's row says that it does."""
+    found = list(problems)
     if head != (end or 0):
         found.append(("rotor", rotor.id, f"its head_seq is {head}, the log ends at {end or 0}"))
     if found:
         raise DamagedRotorError(
             rotor.id, [f"rotor {rotor.id}: {part} {name}: {what}" for part, name, what in found]
         )
-    if sound is not None:
-        sound.put(rotor, moved, blades)
 
 
 def sound_blade(
@@ -105,14 +123,13 @@ def sound_blade(
     return found
 
 
-def _compared(
+def _moves(
     connection: Connection, rotor: RotorRecord, blades: Sequence[BladeRecord]
-) -> list[Problem]:
-    asked = {"rotor": rotor.id}
+) -> tuple[Move, ...]:
+    """What the log tells of blades, up to where the rotor and the blades were read."""
     told = {seq for blade in blades for seq in (blade.added_seq, blade.retired_seq)}
-    moves = [Move(*row) for row in connection.execute(_MOVES, asked)]
-    known = [move for move in moves if move.seq <= rotor.head_seq or move.seq in told]
-    return list(_problems(rotor, blades, known))
+    moves = (Move(*row) for row in connection.execute(_MOVES, {"rotor": rotor.id}))
+    return tuple(move for move in moves if move.seq <= rotor.head_seq or move.seq in told)
 
 
 def problems(

@@ -23,7 +23,7 @@ from service.ports import (
 from service.store import creation
 from service.store.answers import SqlAnswers
 from service.store.blobs import SqlBlobs
-from service.store.cache import ArrayCache, Checked, Sound
+from service.store.cache import ArrayCache, Checked, Compared, Sound
 from service.store.engine import transaction
 from service.store.gauges import read_gauges
 from service.store.glance import read_blade_readings, read_operations
@@ -47,12 +47,14 @@ class SqlTransaction:
         cache: ArrayCache,
         checked: Checked,
         sound: Sound,
+        compared: Compared,
         posted_by: str | None = None,
         settled: float = 0.0,
         cards: dict[tuple[str, str], ModelCard] | None = None,
     ) -> None:
         self.connection = connection
         self._sound = sound
+        self._compared = compared
         self.records = SqlRecords(connection, cards)
         self.log = SqlLog(connection, posted_by)
         self.states = SqlStates(connection, cache, checked, settled)
@@ -72,6 +74,9 @@ class SqlTransaction:
     def check_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
         creation.check(self.connection, rotor, blades, self._sound)
 
+    def sound_blades(self, rotor: RotorRecord) -> list[BladeRecord]:
+        return creation.sound_blades(self.connection, rotor, self._compared)
+
     def sound_blade(self, rotor: RotorRecord, name: str | None) -> BladeRecord | None:
         return creation.sound_blade(self.connection, rotor, name, self._sound)
 
@@ -87,6 +92,7 @@ class SqlStore:
         self.cache = ArrayCache(cache_mb)
         self.checked = Checked()
         self.sound = Sound()
+        self.compared = Compared()
         self._cards: dict[tuple[str, str], ModelCard] = {}
         self._act: Act | None = None
         self._guard: Guard | None = None
@@ -100,7 +106,7 @@ class SqlStore:
     def _opened(
         self, connection: Connection, posted_by: str | None = None, settled: float = 0.0
     ) -> SqlTransaction:
-        kept = (self.cache, self.checked, self.sound)
+        kept = (self.cache, self.checked, self.sound, self.compared)
         return SqlTransaction(connection, *kept, posted_by, settled, self._cards)
 
     @contextmanager

@@ -2,8 +2,8 @@
 
 A state is used only while its version is the one that the claim read. To read one anew takes
 long, but a state may be of some kilobytes or of tens of megabytes: so they are kept up to a number
-of bytes, and to a number. Readings are of the log,
-which only grows, so that those through an entry hold for ever, and an update reads what came since.
+of bytes, and to a number. Readings are of the log, which only grows, so that those through an entry
+hold for ever, and an update reads what came since.
 To read and check the readings of a rotor anew costs some 25 µs for each (SQL, JSON, digest):
 without memory an update takes the longer the longer its rotor is in service, and a worker that
 cares for many rotors would do little else. They are kept packed (`packing`), up to a number of

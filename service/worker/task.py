@@ -23,7 +23,6 @@ from service.entries import entries_of
 from service.errors import DamagedError
 from service.ports import ModelCard, RotorRecord, RotorSpec, Science
 from service.store import tables as t
-from service.store.creation import sound_blades
 from service.store.log import read_entries
 from service.store.named import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction
@@ -58,7 +57,7 @@ class Task:
 def spec_of(tx: SqlTransaction, rotor: RotorRecord, through: int) -> RotorSpec:
     """The rotor as an update through entry `through` sees it; DamagedRotorError: nothing is to be
     computed from it. It goes before the model is looked for, which the rotor's row names."""
-    blades = [b for b in sound_blades(tx.connection, rotor) if b.added_seq <= through]
+    blades = [b for b in tx.sound_blades(rotor) if b.added_seq <= through]
     known = {b.id: b.known for b in blades if b.known is not None}
     name = rotor.origin or rotor.id
     return RotorSpec(name, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)

@@ -32,6 +32,7 @@ from service.settings import Settings
 from service.store import creation, intact, records
 from service.store import tables as t
 from service.store.audit import Finding, audit
+from service.store.cache import Compared
 from service.store.engine import snapshot, transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import claiming, rebuild
@@ -235,6 +236,56 @@ def test_a_damaged_row_blocks_its_rotor_and_is_named(
     assert f"rotor {moved}: " in str(view.last_error)
     assert whose in str(view.last_error)
     assert "restore the database, or import the rotor" in str(view.last_error)
+
+
+def test_rows_that_read_as_they_did_are_not_digested_again(
+    store: SqlStore, worker: Worker, worn: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[object] = []
+    real = creation.digest_of_rotor
+    monkeypatch.setattr(
+        creation, "digest_of_rotor", lambda *given: (made.append(given), real(*given))[1]
+    )
+
+    def look() -> int:
+        made.clear()
+        with store.read() as tx:
+            tx.sound_blades(tx.records.rotor(worn))
+        return len(made)
+
+    add_blade(store, worn, BladeRecord("B9"))
+    assert [look(), look(), look()] == [1, 0, 0]
+    retire_blade(store, worn, "B9")
+    assert [look(), look()] == [1, 0]
+    for changed, back in (
+        ("UPDATE rotor SET seed = 8", "UPDATE rotor SET seed = 7"),
+        ("UPDATE blade SET lot = 'x' WHERE id = 'B9'",
+         "UPDATE blade SET lot = NULL WHERE id = 'B9'"),
+        ("UPDATE event SET blade = 'B1' WHERE kind = 'retirement'",
+         "UPDATE event SET blade = 'B9' WHERE kind = 'retirement'"),
+    ):  # fmt: skip
+        damage(store, changed)
+        for _ in range(2):
+            with pytest.raises(DamagedRotorError):
+                look()
+        damage(store, back)
+        assert look() in (0, 1)
+        assert look() == 0
+
+
+def test_what_is_equal_and_has_another_digest_is_not_taken_for_the_same(
+    store: SqlStore, worn: str
+) -> None:
+    with store.read() as tx:
+        rotor = replace(tx.records.rotor(worn), network={"a": 1.0})
+    blades, known = [BladeRecord("B1", known={"a": 1.0})], Compared()
+    assert not known.knows(rotor, (), blades)
+    known.put(rotor, (), blades)
+    assert known.knows(rotor, (), blades)
+    assert not known.knows(replace(rotor, network={"a": 1}), (), blades)
+    assert not known.knows(rotor, (), [BladeRecord("B1", known={"a": 1})])
+    assert not known.knows(rotor, ("moved",), blades)
+    assert not known.knows(rotor, (), blades * 2)
 
 
 def test_a_rotor_whose_row_is_as_it_was_again_goes_on(
