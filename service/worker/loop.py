@@ -8,9 +8,11 @@ at any point, for nothing is written outside a transaction.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import threading
+from time import monotonic
 from types import FrameType
 from typing import Protocol
 
@@ -28,6 +30,11 @@ from service.worker.wake import open_wake
 
 log = logging.getLogger("bladetwin.worker")
 IDLE_S = 0.5
+# Every post wakes every worker. What a sealer does waits for a pause in the readings anyway
+# (BLADETWIN_SEAL_AFTER_S, 0.3 s), so it looks again no sooner than after a rest; one that applies
+# looks for jobs, which take seconds, no more often than this.
+REST_S = 0.1
+JOBS_S = 0.25
 
 
 def owner_name() -> str:
@@ -82,33 +89,41 @@ class Worker:
                     raise
                 log.error("model %s cannot be used: %s", card.id, error)
 
-    def drain(self) -> None:
+    def drain(self, *, jobs: bool = True) -> None:
         """Apply everything that can be applied now."""
-        while not self._stop.is_set() and self.run_once():
+        while not self._stop.is_set() and self.run_once(jobs=jobs):
             pass
 
-    def run_once(self) -> bool:
-        """One piece of work, of any kind that the role has; False: there was none."""
-        if self.updater.run_once() or self.jobs.run_once():
+    def run_once(self, *, jobs: bool = True) -> bool:
+        """One piece of work, of any kind that the role has; False: there was none.
+
+        jobs   whether they are looked for, too
+        """
+        if self.updater.run_once() or (jobs and self.jobs.run_once()):
             return True
         return self.role == "diagnose" and self.residuals.run_once()
 
     def run(self) -> None:
         """Work until stopped; a database that is away is waited for."""
         wake = open_wake(self.store.engine, "bladetwin_work", self.settings.poll_ms)
-        cold = True
+        cold, looked = True, -math.inf
         try:
             while not self._stop.is_set():
+                jobs = self.role != "apply" or monotonic() >= looked + JOBS_S
                 try:
                     if cold:
                         self.warm()
                         cold = False
-                    self.drain()
+                    self.drain(jobs=jobs)
                 except StoreAwayError as error:
                     log.error("%s The worker looks again in 1 s.", error)
                     self._stop.wait(1.0)
                     continue
-                wake.wait(IDLE_S)
+                if self.role == "seal":
+                    self._stop.wait(REST_S)
+                if jobs:
+                    looked = monotonic()
+                wake.wait(IDLE_S if jobs else max(0.0, looked + JOBS_S - monotonic()))
         finally:
             wake.close()
 
