@@ -119,7 +119,8 @@ def check(
     for rotor in rotors:
         own = {entry: seq for (r, entry), seq in acknowledged.items() if r == rotor}
         with snapshot(store.engine) as connection:
-            tx = SqlTransaction(connection, store.cache, store.checked, store.sound)
+            kept = (store.cache, store.checked, store.sound, store.compared)
+            tx = SqlTransaction(connection, *kept)
             _check_rotor(store, tx, rotor, own, found, again)
     return found
 
