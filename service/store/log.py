@@ -84,13 +84,23 @@ _OVERRULING = select(
 _OVERRULES_EACH = _OVERRULING.where(t.entry.c.replaces.in_(bindparam("ids", expanding=True)))
 _OVERRULES = _OVERRULING.where(among(t.entry.c.replaces, bindparam("ids", type_=Text())))
 _APPEND = insert(t.entry).values(received_at=now_s())
+_BETWEEN = (
+    select(*COLUMNS)
+    .where(
+        t.entry.c.rotor_id == bindparam("rotor"),
+        t.entry.c.seq > bindparam("after"),
+        t.entry.c.seq <= bindparam("through"),
+    )
+    .order_by(t.entry.c.seq)
+)
+_SOME_BETWEEN = _BETWEEN.limit(bindparam("most"))
+_NOTIFY = text("SELECT pg_notify(:channel, :payload)")
 
 
 def notify(connection: Connection, channel: str, payload: str = "") -> None:
     """Wake listeners at the commit (PostgreSQL; SQLite's readers watch the file)."""
     if connection.dialect.name == "postgresql":
-        statement = text("SELECT pg_notify(:channel, :payload)")
-        connection.execute(statement, {"channel": channel, "payload": payload})
+        connection.execute(_NOTIFY, {"channel": channel, "payload": payload})
 
 
 def lock_rotor(connection: Connection, rotor_id: str) -> int | None:
@@ -246,10 +256,9 @@ def read_entries(
     connection: Connection, rotor_id: str, after: int, through: int, limit: int | None = None
 ) -> list[Event]:
     """The entries with after < seq <= through, in order; at most `limit` of them."""
-    query = (
-        select(*COLUMNS)
-        .where(t.entry.c.rotor_id == rotor_id, t.entry.c.seq > after, t.entry.c.seq <= through)
-        .order_by(t.entry.c.seq)
-        .limit(limit)
-    )
-    return [Event(**row._mapping) for row in connection.execute(query)]
+    asked: dict[str, object] = {"rotor": rotor_id, "after": after, "through": through}
+    if limit is None:
+        rows = connection.execute(_BETWEEN, asked)
+    else:
+        rows = connection.execute(_SOME_BETWEEN, asked | {"most": limit})
+    return [Event(**row._mapping) for row in rows]

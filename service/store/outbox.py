@@ -22,6 +22,8 @@ from service.store.log import notify
 from service.store.webhooks import tell
 
 o = t.outbox.c
+# Of every commit: built and understood once. Nobody asks for the number.
+_NOTE = insert(t.outbox).values(at=now_s()).inline()
 
 
 class SqlOutbox:
@@ -50,8 +52,8 @@ def post(connection: Connection, rotor_id: str, kind: str, payload: dict[str, An
 
     The rotor's row has to be locked, so that its notes are numbered in the order of its commits.
     """
-    row = {"rotor_id": rotor_id, "kind": kind, "payload": json.dumps(payload), "at": now_s()}
-    connection.execute(insert(t.outbox).values(row))
+    row = {"rotor_id": rotor_id, "kind": kind, "payload": json.dumps(payload)}
+    connection.execute(_NOTE, row)
     tell(connection, rotor_id, kind, payload)
     notify(connection, "bladetwin_applied", rotor_id)
 

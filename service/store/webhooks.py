@@ -19,6 +19,8 @@ from service.store.engine import now_s
 from service.store.untold import bound, count_untold, message, written
 
 w, d, u = t.webhook.c, t.delivery.c, t.untold.c
+# A webhook that is being deleted is waited for: no delivery may outlive it.
+_ALL = select(w.id, w.events, w.rotors).order_by(w.id).with_for_update(read=True, key_share=True)
 
 
 def tell(connection: Connection, rotor_id: str, note: str, payload: dict[str, Any]) -> None:
@@ -27,9 +29,7 @@ def tell(connection: Connection, rotor_id: str, note: str, payload: dict[str, An
     kind = kind_of(note, payload)
     if kind is None:
         return
-    query = select(w.id, w.events, w.rotors).order_by(w.id)
-    # A webhook that is being deleted is waited for: no delivery may outlive it.
-    rows = connection.execute(query.with_for_update(read=True, key_share=True)).all()
+    rows = connection.execute(_ALL).all()
     asked = [row.id for row in rows if kind in json.loads(row.events) and _knows(row, rotor_id)]
     if not asked:
         return

@@ -9,9 +9,26 @@ Every condition below is one function, so that a test can take it away and see t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import cast
 
-from sqlalchemy import ColumnElement, Connection, Engine, case, func, select, true, update
+from sqlalchemy import (
+    BindParameter,
+    ColumnElement,
+    Connection,
+    Engine,
+    bindparam,
+    case,
+    func,
+    select,
+    true,
+    update,
+)
+from sqlalchemy.sql.dml import ReturningUpdate
+from sqlalchemy.sql.visitors import iterate
 
 from service.errors import LostLeaseError
 from service.store import tables as t
@@ -37,6 +54,10 @@ class Lease:
     attempts: int
     sealing: bool
     after_sealing: bool = False
+
+
+Condition = Callable[[Lease], ColumnElement[bool]]
+OWN = ("own_rotor_id", "own_fence", "own_applied_seq", "own_owner")
 
 
 def holds(lease: Lease) -> ColumnElement[bool]:
@@ -108,17 +129,36 @@ def advance(
     """
     head = lock_rotor(connection, lease.rotor_id)
     dirty = not sealed or (head or 0) > through
+    move, names = _move(sealed, dirty, (holds, moves_on))
+    given = {"to": through, "ess": ess_ratio}
+    given |= {name: getattr(lease, name.removeprefix("own_")) for name in names if name in OWN}
+    version = connection.execute(move, given).scalar()
+    if version is None:
+        raise LostLeaseError(lease.rotor_id, lease.fence)
+    told = {"version": version, "through_seq": through, "sealed": sealed}
+    post(connection, lease.rotor_id, "applied", told)
+    if dirty:
+        notify(connection, "bladetwin_work")
+    return int(version)
+
+
+@lru_cache(maxsize=64)
+def _move(
+    sealed: bool, dirty: bool, conditions: tuple[Condition, ...]
+) -> tuple[ReturningUpdate[int], frozenset[str]]:
+    """The cursor's move, built once, and the names of what it has to be given."""
+    own = cast("Lease", SimpleNamespace(**{n.removeprefix("own_"): bindparam(n) for n in OWN}))
     move = (
         update(t.cursor)
-        .where(c.rotor_id == lease.rotor_id, holds(lease), moves_on(lease))
+        .where(c.rotor_id == own.rotor_id, *(condition(own) for condition in conditions))
         .values(
-            applied_seq=through,
+            applied_seq=bindparam("to"),
             version=c.version + 1,
             dirty=dirty,
             dirty_since=now_s() if dirty else None,
             provisional_since=None if sealed else func.coalesce(c.provisional_since, now_s()),
             seals=c.seals + int(sealed),
-            ess_ratio=ess_ratio,
+            ess_ratio=bindparam("ess"),
             attempts=case((c.blocked == true(), c.attempts), else_=0),
             owner=None,
             lease_until=None,
@@ -129,14 +169,8 @@ def advance(
         )
         .returning(c.version)
     )
-    version = connection.execute(move).scalar()
-    if version is None:
-        raise LostLeaseError(lease.rotor_id, lease.fence)
-    told = {"version": version, "through_seq": through, "sealed": sealed}
-    post(connection, lease.rotor_id, "applied", told)
-    if dirty:
-        notify(connection, "bladetwin_work")
-    return int(version)
+    binds = (part for part in iterate(move) if isinstance(part, BindParameter))
+    return move, frozenset(bind.key for bind in binds)
 
 
 def fail(

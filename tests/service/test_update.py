@@ -22,6 +22,7 @@ from service.handlers.inspections import retract
 from service.handlers.rotors import create_rotor, retry, view_rotor
 from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
+from service.store import creation, log, named, outbox, versions, webhooks
 from service.store import tables as t
 from service.store.unit_of_work import SqlStore
 from service.worker import claiming, lease, task, update
@@ -304,6 +305,27 @@ def test_a_database_that_is_away_or_full_never_blocks_a_rotor(
         assert tuple(row) == (None, 0)
     worker.drain()
     assert view_rotor(store, rotor).has_applied(1)
+
+
+def test_an_update_builds_none_of_its_statements_anew(
+    store: SqlStore, worker: Worker, rotor: str, reading: Make, post: Post,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """But for those of SQLite's claims. To build one takes as long as to have it answered."""
+    post(rotor, reading("i1"))
+    worker.drain()
+    post(rotor, reading("i2"))
+
+    def built(*given: Any, **more: Any) -> Any:
+        raise AssertionError("a statement is built")
+
+    for module in (lease, log, outbox, task, versions, webhooks, creation, named):
+        for name in ("insert", "select", "text", "update"):
+            monkeypatch.setattr(module, name, built, raising=False)
+    assert worker.updater.run_once()
+    assert view_rotor(store, rotor).has_applied(2)
+    with pytest.raises(AssertionError, match="a statement is built"):
+        lease.release(store.engine, "nobody")
 
 
 def die(store: SqlStore, settings: Settings, role: Role = "all") -> None:
