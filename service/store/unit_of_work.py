@@ -47,10 +47,10 @@ class SqlTransaction:
         cache: ArrayCache,
         checked: Checked,
         sound: Sound,
-        compared: Compared,
         posted_by: str | None = None,
         settled: float = 0.0,
         cards: dict[tuple[str, str], ModelCard] | None = None,
+        compared: Compared | None = None,
     ) -> None:
         self.connection = connection
         self._sound = sound
@@ -106,8 +106,9 @@ class SqlStore:
     def _opened(
         self, connection: Connection, posted_by: str | None = None, settled: float = 0.0
     ) -> SqlTransaction:
-        kept = (self.cache, self.checked, self.sound, self.compared)
-        return SqlTransaction(connection, *kept, posted_by, settled, self._cards)
+        kept = (self.cache, self.checked, self.sound)
+        met = (self._cards, self.compared)
+        return SqlTransaction(connection, *kept, posted_by, settled, *met)
 
     @contextmanager
     def read(self) -> Iterator[SqlTransaction]:

@@ -119,8 +119,7 @@ def check(
     for rotor in rotors:
         own = {entry: seq for (r, entry), seq in acknowledged.items() if r == rotor}
         with snapshot(store.engine) as connection:
-            kept = (store.cache, store.checked, store.sound, store.compared)
-            tx = SqlTransaction(connection, *kept)
+            tx = SqlTransaction(connection, store.cache, store.checked, store.sound)
             _check_rotor(store, tx, rotor, own, found, again)
     return found
 
