@@ -22,10 +22,11 @@ WITHOUT_JSON = {"worker"}
 
 
 def walk(command: Any = None, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Every command with its words."""
+    """Every command that is shown, with its words."""
     command = get_command(commands) if command is None else command
     for inner, found in getattr(command, "commands", {}).items():
-        yield from walk(found, f"{name} {inner}".strip())
+        if not found.hidden:
+            yield from walk(found, f"{name} {inner}".strip())
     if not hasattr(command, "commands"):
         yield name, command
 
