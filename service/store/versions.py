@@ -11,15 +11,17 @@ never missed, however often and whenever it is thinned.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from itertools import pairwise
 from typing import Any
 
 from sqlalchemy import (
     Connection,
     Engine,
+    bindparam,
     delete,
-    exists,
     func,
     insert,
     select,
@@ -29,10 +31,23 @@ from sqlalchemy import (
 from service.ports import StateRecord
 from service.store import tables as t
 from service.store.encoding import Encoded
-from service.store.engine import now_s, transaction
+from service.store.engine import is_sqlite, now_s, transaction
 
 ENDED = Encoded("npy", "", "", "", b"")
 MOST = 500  # versions that one transaction drops: rows without arrays
+# Rows of arrays that one transaction drops, by whether it is SQLite's, where all writers wait.
+CHUNK = {True: 8, False: 200}
+_OWN = t.state_array.c.rotor_id == bindparam("rotor")
+_WRITTEN = (
+    select(t.state_array.c.name, t.state_array.c.version)
+    .where(_OWN)
+    .order_by(t.state_array.c.name, t.state_array.c.version)
+)
+_KEPT = (
+    select(t.state.c.version)
+    .where(t.state.c.rotor_id == bindparam("rotor"))
+    .order_by(t.state.c.version)
+)
 # Of every commit: built and understood once. Keys are given, so that nobody asks for them.
 _STATE = insert(t.state).values(created_at=now_s()).inline()
 _ARRAYS = insert(t.state_array)
@@ -84,35 +99,16 @@ def dropped(versions: Iterable[tuple[int, bool]], last: int, every: int) -> list
     return gone
 
 
-def thin(engine: Engine, rotor_id: str, keep: int, every: int, chunk: int = 8) -> int:
+def thin(engine: Engine, rotor_id: str, keep: int, every: int, chunk: int | None = None) -> int:
     """Keep the `keep` newest versions and checkpoints of older ones; drop what only others used.
 
-    An array row of version a, replaced at version b, is needed while a kept version lies in
-    a … b-1. Rows go in short transactions of `chunk`, so that no writer waits long; a thinning that
-    is cut goes on with the next. The log is never deleted. Returns the number of rows dropped.
+    Rows of arrays go in short transactions of `chunk` (None: `CHUNK`), so that no writer waits
+    long; a thinning that is cut goes on with the next. The log is never deleted. Returns the number
+    of rows dropped.
     """
-    row = t.state_array
-    later = row.alias("later")
-    replaced_at = (
-        select(func.min(later.c.version))
-        .where(
-            later.c.rotor_id == row.c.rotor_id,
-            later.c.name == row.c.name,
-            later.c.version > row.c.version,
-        )
-        .correlate(row)
-        .scalar_subquery()
-    )
-    needed = exists().where(
-        t.state.c.rotor_id == row.c.rotor_id,
-        t.state.c.version >= row.c.version,
-        t.state.c.version < replaced_at,
-    )
-    unneeded = select(row.c.name, row.c.version).where(
-        row.c.rotor_id == rotor_id, replaced_at.is_not(None), ~needed
-    )
-    newest = select(func.max(t.state.c.version)).where(t.state.c.rotor_id == rotor_id)
-    own = t.state.c.rotor_id == rotor_id
+    most = CHUNK[is_sqlite(engine)] if chunk is None else chunk
+    row, own = t.state_array, t.state.c.rotor_id == rotor_id
+    newest = select(func.max(t.state.c.version)).where(own)
     with transaction(engine, write=False) as connection:
         last = (connection.execute(newest).scalar() or 0) - keep
         old = select(t.state.c.version, t.state.c.sealed).where(own, t.state.c.version <= last)
@@ -123,9 +119,31 @@ def thin(engine: Engine, rotor_id: str, keep: int, every: int, chunk: int = 8) -
         with transaction(engine, write=True) as connection:
             connection.execute(delete(t.state).where(own, these))
     with transaction(engine, write=False) as connection:
-        doomed = [(r.name, r.version) for r in connection.execute(unneeded)]
-    for first in range(0, len(doomed), chunk):
-        keys = tuple_(row.c.name, row.c.version).in_(doomed[first : first + chunk])
+        # In this order: the row of a version that is written in between is not seen, so that what
+        # it replaces stays.
+        written = connection.execute(_WRITTEN, {"rotor": rotor_id}).all()
+        kept = list(connection.execute(_KEPT, {"rotor": rotor_id}).scalars())
+    doomed = unneeded([(row.name, row.version) for row in written], kept)
+    for first in range(0, len(doomed), most):
+        keys = tuple_(row.c.name, row.c.version).in_(doomed[first : first + most])
         with transaction(engine, write=True) as connection:
             connection.execute(delete(row).where(row.c.rotor_id == rotor_id, keys))
     return len(doomed)
+
+
+def unneeded(written: Sequence[tuple[str, int]], kept: Sequence[int]) -> list[tuple[str, int]]:
+    """Rows of arrays, (name, version) in order, that no kept version needs; both rise.
+
+    A row of version a, replaced at version b, is needed while a kept version lies in a … b-1; one
+    that nothing replaces always is.
+
+    >>> unneeded([("x", 1), ("x", 3), ("x", 4), ("y", 2)], [2, 4, 5])
+    [('x', 3)]
+    """
+    found = []
+    for (name, version), (later, replaced) in pairwise(written):
+        if name == later:
+            first = bisect_left(kept, version)
+            if first == len(kept) or kept[first] >= replaced:
+                found.append((name, version))
+    return found
