@@ -10,30 +10,55 @@ and after it (`service.variant`), so that
 on every machine, for every version that is kept, and for whoever replays or imports the log.
 Adoptions lie on one another like sheets: each was calibrated with those below it in the model, so
 only the last one is backed out.
+
+A blade that joins a lot of which an effect is in force has the effect, as it grows with the blade's
+own hours: its name goes into the network's list of blades, by an entry of the log for each adoption
+that concerns it, in the transaction in which it joins. What lies above that adoption was put on the
+network without it; so the network that a back-out brings back has the blade as well. An effect that
+runs by the rotor's hours is not told so (where the new blade's hours began is not known to it), nor
+one of an event, which the blade did not see.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 from service.errors import DamagedLogError
 from service.ports import BladeRecord, Event, Json, RotorRecord, Transaction
 
-ADOPTION, BACK_OUT = "adoption", "back-out"
-KINDS = (ADOPTION, BACK_OUT)
+ADOPTION, BACK_OUT, JOINING = "adoption", "back-out", "joining"
+KINDS = (ADOPTION, BACK_OUT, JOINING)
+PARTS = ("drifts", "biases")
+LOTS = ("lot", "coating_lot")
 PAGE = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """An adoption that is in force: its diagnosis, its effects, its entry, what was below it."""
+    """An adoption that is in force: its diagnosis, its effects, its entry, what was below it.
+
+    parts    what it added to the network's drifts and biases, by name
+    joined   (part, blade) of each blade that has joined an effect since
+    """
 
     diagnosis: str
     effects: tuple[Json, ...]
     seq: int
     before: Json | None
+    parts: frozenset[str] = frozenset()
+    joined: tuple[tuple[str, str], ...] = ()
+
+    def joins(self, blade: BladeRecord) -> list[Json]:
+        """Its effects that a blade has which joins now: those of its lot, by its own hours."""
+        return [e for e in self.effects if _by_lot(e, blade) and part_of(e, self.parts)]
+
+    def joined_to(self, effect: Json) -> list[str]:
+        """The blades that have joined one of its effects."""
+        part = part_of(effect, self.parts)
+        return [blade for there, blade in self.joined if there == part]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +67,7 @@ class Adopted:
 
     network   as `service.variant` reads it; None: the model's own
     sheets    what is in force, the first adopted first
-    count     entries that adopted or backed out so far
+    count     entries of `KINDS` so far
     """
 
     network: Json | None
@@ -53,7 +78,12 @@ class Adopted:
     def effects(self) -> list[Json]:
         """Every effect in force, with its diagnosis and entry."""
         return [
-            {**effect, "diagnosis": sheet.diagnosis, "seq": sheet.seq}
+            {
+                **effect,
+                "diagnosis": sheet.diagnosis,
+                "seq": sheet.seq,
+                "joined": sheet.joined_to(effect),
+            }
             for sheet in self.sheets
             for effect in sheet.effects
         ]
@@ -68,25 +98,101 @@ class Adopted:
         if event.kind == ADOPTION:
             if body["diagnosis"] in {sheet.diagnosis for sheet in self.sheets}:
                 raise ValueError(f"diagnosis {body['diagnosis']} is adopted already")
-            new = Sheet(body["diagnosis"], tuple(body["effects"]), event.seq, self.network)
+            parts = frozenset(_parts(body["after"]) - _parts(self.network))
+            new = Sheet(body["diagnosis"], tuple(body["effects"]), event.seq, self.network, parts)
             return Adopted(body["after"], (*self.sheets, new), self.count + 1)
+        if event.kind == JOINING:
+            return self._joined(body)
         if not self.sheets or self.sheets[-1].diagnosis != body["diagnosis"]:
             raise ValueError(f"diagnosis {body['diagnosis']} is not the last one adopted")
         if body["after"] != self.sheets[-1].before:
             raise ValueError("it does not bring back the network before the adoption")
         return Adopted(body["after"], self.sheets[:-1], self.count + 1)
 
+    def joining(self, sheet: Sheet, effects: Sequence[Json], blade: str) -> Json:
+        """The body of the entry by which a blade joins effects of one of the sheets."""
+        parts = [part for e in effects if (part := part_of(e, sheet.parts))]
+        return {
+            "number": self.count + 1,
+            "diagnosis": sheet.diagnosis,
+            "blade": blade,
+            "effects": list(effects),
+            "before": self.network,
+            "after": with_blade(self.network, parts, blade),
+        }
+
+    def _joined(self, body: Json) -> Adopted:
+        told = {sheet.diagnosis: sheet for sheet in self.sheets}
+        if (sheet := told.get(body["diagnosis"])) is None:
+            raise ValueError(f"diagnosis {body['diagnosis']} is not adopted")
+        blade, effects = body["blade"], body["effects"]
+        if not effects or any(one not in sheet.effects for one in effects):
+            raise ValueError("its effects are not those of the adoption")
+        if body != self.joining(sheet, effects, blade):
+            raise ValueError(f"it does more than to put blade {blade} into these effects")
+        parts = [part for e in effects if (part := part_of(e, sheet.parts))]
+        new = replace(sheet, joined=(*sheet.joined, *((part, blade) for part in parts)))
+        sheets = (new if one is sheet else one for one in self.sheets)
+        below = tuple(replace(one, before=with_blade(one.before, parts, blade)) for one in sheets)
+        return Adopted(body["after"], below, self.count + 1)
+
+
+def part_of(effect: Json, parts: Iterable[str]) -> str | None:
+    """The drift or bias by which an effect is in the network; None: none of these.
+
+    Its name is the effect's, in the characters that a parameter's name may have, and numbered where
+    there was one of that name (`core.diagnosis.adopt.parameter_name`).
+
+    >>> part_of({"name": "wear (lot L1.2)"}, ["wear (lot L1 2) 2", "wear (lot L1 2) of"])
+    'wear (lot L1 2) 2'
+    """
+    name = re.escape(effect["name"].replace("@", " at ").replace(".", " "))
+    return next((one for one in sorted(parts) if re.fullmatch(rf"{name}(?: \d+)?", one)), None)
+
+
+def with_blade(network: Json | None, parts: Iterable[str], blade: str) -> Json | None:
+    """A network whose drifts and biases of these names concern one more blade.
+
+    >>> wear = {"name": "wear", "blades": ["B1"]}
+    >>> with_blade({"effects": {"drifts": [wear], "biases": []}}, ["wear"], "B0")
+    {'effects': {'drifts': [{'name': 'wear', 'blades': ['B0', 'B1']}], 'biases': []}}
+    """
+    if network is None or "effects" not in network:
+        return network
+    names, effects = frozenset(parts), network["effects"]
+    changed = {
+        kind: [
+            {**one, "blades": sorted({*one["blades"], blade})}
+            if one["name"] in names and one.get("blades") is not None
+            else one
+            for one in effects[kind]
+        ]
+        for kind in PARTS
+        if kind in effects
+    }
+    return {**network, "effects": {**effects, **changed}}
+
+
+def _parts(network: Json | None) -> set[str]:
+    """Names of the drifts and biases, of effects in a network, that concern some blades only."""
+    effects = (network or {}).get("effects", {})
+    listed = (one for kind in PARTS for one in effects.get(kind, ()))
+    return {one["name"] for one in listed if one.get("blades") is not None}
+
 
 def untold(effect: Json, blades: Iterable[BladeRecord]) -> list[str]:
     """Blades that joined after an effect in force (`Adopted.effects`), and that it concerns.
 
     The model takes such a blade for one that the effect leaves alone, or that began with the rotor.
+    Those that joined the effect (`JOINING`) are told.
 
     >>> wear = {"seq": 7, "whom": "lot", "value": "L1", "clock": "blade", "shape": "linear"}
     >>> untold(wear, [BladeRecord(f"B{n}", lot="L1", added_seq=n) for n in (0, 6, 8)])
     ['B8']
     """
-    return [b.id for b in blades if b.added_seq > effect["seq"] and concerns(effect, b)]
+    told = effect.get("joined", ())
+    late = (b for b in blades if b.added_seq > effect["seq"] and b.id not in told)
+    return [b.id for b in late if concerns(effect, b)]
 
 
 def concerns(effect: Json, blade: BladeRecord) -> bool:
@@ -94,14 +200,24 @@ def concerns(effect: Json, blade: BladeRecord) -> bool:
 
     An event's, which was before it joined, it did not see.
     """
-    whom, value = effect.get("whom"), effect.get("value")
+    whom = effect.get("whom")
     if effect.get("clock") == "event":
         return False
-    own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
-    if whom in own:
-        return bool(own[whom] == value)
+    if whom in LOTS:
+        return _of_lot(effect, blade)
     runs = effect.get("clock") == "rotor" and effect.get("shape") != "constant"
     return bool(runs and whom in ("all", "instrument", "campaign"))
+
+
+def _of_lot(effect: Json, blade: BladeRecord) -> bool:
+    own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
+    return effect["value"] is not None and bool(own[effect["whom"]] == effect["value"])
+
+
+def _by_lot(effect: Json, blade: BladeRecord) -> bool:
+    """Whether an effect is of the blade's lot and grows with the blade's own hours."""
+    own = effect.get("clock") == "blade" and effect.get("whom") in LOTS
+    return own and _of_lot(effect, blade)
 
 
 def adopted_at(tx: Transaction, rotor: RotorRecord, through: int | None = None) -> Adopted:
@@ -119,7 +235,7 @@ def adopted_at(tx: Transaction, rotor: RotorRecord, through: int | None = None) 
 
 
 def entries(tx: Transaction, rotor_id: str, through: int | None = None) -> list[Event]:
-    """The entries that adopt or back out, in order."""
+    """The entries that adopt, back out or let a blade join, in order."""
     found: list[Event] = []
     last = 0
     while page := tx.log.changes(rotor_id, last, PAGE):

@@ -372,10 +372,11 @@ class AdoptionNetworks(TypedDict):
 class Adoption(TypedDict):
     rotor: str
     diagnosis: str
-    what: Literal["adoption", "back-out"]
+    what: Literal["adoption", "back-out", "joining"]
     seq: int
+    blade: str | None
     effects: list[dict[str, Any]]
-    models: AdoptionModels
+    models: AdoptionModels | None
     networks: AdoptionNetworks
     readings_since: int | None
     unasked: bool

@@ -84,7 +84,9 @@ def models_of(
     before = science.vary(card, now.network).digest
     if before != result["models"]["before"]:
         since = [sheet.diagnosis for sheet in now.sheets]
+        joined = sorted({blade for sheet in now.sheets for _, blade in sheet.joined})
         why = f" (adopted since: {', '.join(since)})" if since else ""
+        why += f" (joined effects in force: {', '.join(joined)})" if joined else ""
         problem = (
             f"it was made for model {result['models']['before'][:12]}…, "
             f"and the rotor has {before[:12]}…{why}"

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from core.observation import Entry
-from service.adopted import ADOPTION, BACK_OUT, adopted_at, entries
+from service.adopted import ADOPTION, BACK_OUT, JOINING, adopted_at, entries
 from service.digests import digest_of_json
 from service.errors import AdoptionError, NotFoundError
 from service.handlers.adoptable import (
@@ -133,17 +133,18 @@ def back_out(store: Store, science: Science, rotor_id: str, diagnosis: str) -> C
 
 
 def history(store: Store, rotor_id: str, after: int, limit: int) -> list[Change]:
-    """What was adopted and backed out, in order, after a sequence number."""
+    """What was adopted and backed out, and who joined, in order, after a sequence number."""
     with store.read() as tx:
         tx.records.rotor(rotor_id)
         return [_change(event) for event in tx.log.changes(rotor_id, after, limit)]
 
 
 def standing(store: Store, rotor_id: str, diagnosis: str) -> Change | None:
-    """The last entry that concerns a diagnosis; None: it was never adopted."""
+    """The entry by which a diagnosis was last adopted or backed out; None: it never was."""
     with store.read() as tx:
-        own = [c for c in map(_change, entries(tx, rotor_id)) if c.body["diagnosis"] == diagnosis]
-    return own[-1] if own else None
+        own = [e for e in entries(tx, rotor_id) if e.kind != JOINING]
+    found = [c for c in map(_change, own) if c.body["diagnosis"] == diagnosis]
+    return found[-1] if found else None
 
 
 def _change(event: Event, *, new: bool = False) -> Change:

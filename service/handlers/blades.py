@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from service.adopted import JOINING, adopted_at
 from service.digests import digest_of_json, told_of
 from service.errors import ConflictError, FaultsError, NotFoundError
-from service.ports import Appended, BladeRecord, NewEvent, Store, Transaction
+from service.ports import Appended, BladeRecord, NewEvent, RotorRecord, Store, Transaction
 from service.slots import fault_beside
 from service.variant import check_known
 
@@ -33,7 +34,8 @@ def blades_at(blades: Sequence[BladeRecord], seq: int) -> list[BladeRecord]:
 
 
 def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
-    """A blade joins the rotor; its prior is what the rotor knows.
+    """A blade joins the rotor; its prior is what the rotor knows. An effect in force of its lot is
+    its, too, by an entry of its own.
 
     FaultsError: its slot is that of a blade that runs. The rotor is locked by then, so that of two
     blades that come at once the second finds the first.
@@ -59,7 +61,20 @@ def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
         answer = tx.log.append(rotor_id, [event])[0]
         if answer.new:
             tx.records.put_blade(rotor_id, replace(blade, added_seq=answer.seq))
+            join_effects(tx, tx.records.rotor(rotor_id), blade)
     return answer
+
+
+def join_effects(tx: Transaction, rotor: RotorRecord, blade: BladeRecord) -> None:
+    """A blade that has just joined has the effects in force of its lot, too (`service.adopted`)."""
+    now = adopted_at(tx, rotor)
+    for diagnosis in [sheet.diagnosis for sheet in now.sheets]:
+        sheet = next(sheet for sheet in now.sheets if sheet.diagnosis == diagnosis)
+        if effects := sheet.joins(blade):
+            text, digest = digest_of_json(now.joining(sheet, effects, blade.id))
+            event = NewEvent(f"{JOINING}/{now.count + 1}", JOINING, text, digest)
+            seq = tx.log.append(rotor.id, [event])[0].seq
+            now = now.after(tx.log.changes(rotor.id, seq - 1, 1)[0])
 
 
 def retire_blade(store: Store, rotor_id: str, blade_id: str) -> Appended:

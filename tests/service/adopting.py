@@ -36,6 +36,8 @@ def corrected(network: Network, readings: Sequence[Inspection]) -> list[Inspecti
 
 
 def _offset(network: Network, one: Bias, reading: Inspection) -> float:
+    if one.blades is not None and reading.blade not in one.blades:
+        return 0.0
     size = network.parameter(one.name).prior.mean
     assert size is not None
     return size * one.share(reading.time_h, reading.instrument, reading.campaign)
@@ -123,3 +125,46 @@ class Offsets(FakeScience):
             parameters=(*network.parameters, amplitude),
             biases=(*network.biases, bias),
         )
+
+
+class Lots(Offsets):
+    """The twin whose lot L1 may be longer than it creeps; then campaigns are looked at."""
+
+    SIZE = 0.1
+
+    def named(self, card: ModelCard, campaign: str, size: float) -> Json:
+        if any(one.blades is not None for one in card.network.biases):
+            return super().named(card, campaign, size)
+        name = "long tips (lot L1)"
+        amplitude = Parameter(
+            name, "shared", Prior("normal", -1.0, 1.0, self.SIZE, 0.01), nominal=0.0
+        )
+        bias = Bias(name, "elongation", Course.of(1.0), blades=("B1", "B2"), lasting=True)
+        network = card.network
+        more = replace(
+            network,
+            parameters=(*network.parameters, amplitude),
+            biases=(*network.biases, bias),
+        )
+        effect = {
+            "name": name,
+            "words": name,
+            "family": "long tips",
+            "kind": "geometry",
+            "target": "elongation",
+            "how": "plus",
+            "shape": "constant",
+            "whom": "lot",
+            "value": "L1",
+            "clock": "blade",
+            "step_h": None,
+            "amplitude": {"mean": self.SIZE, "sd": 0.01, "of": "added to elongation"},
+        }
+        return {
+            "verdict": "effect",
+            "names": [name],
+            "claimed": True,
+            "effects": [effect],
+            "models": {"before": card.digest, "after": digest(more)},
+            "adds": effects_between(network, more),
+        }

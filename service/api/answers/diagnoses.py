@@ -104,10 +104,11 @@ VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]
 ADOPTION = having(
     rotor=TEXT,
     diagnosis=TEXT,
-    what={"enum": ["adoption", "back-out"]},
+    what={"enum": ["adoption", "back-out", "joining"]},
     seq=WHOLE,
+    blade=maybe(TEXT),
     effects=each(ANY),
-    models=having(before=TEXT, after=TEXT),
+    models=maybe(having(before=TEXT, after=TEXT)),
     networks=having(before=maybe(ANY), after=maybe(ANY)),
     readings_since=maybe(WHOLE),
     unasked=YES,

@@ -21,8 +21,9 @@ def adoption_out(rotor: str, change: use.Change) -> dict[str, Any]:
         "diagnosis": body["diagnosis"],
         "what": event.kind,
         "seq": event.seq,
+        "blade": body.get("blade"),
         "effects": body["effects"],
-        "models": body["models"],
+        "models": body.get("models"),
         "networks": {"before": body["before"], "after": body["after"]},
         "readings_since": body.get("readings_since"),
         "unasked": body.get("unasked", False),
@@ -54,7 +55,10 @@ def delete_adoption(r: Name, d: Name, services: Wired) -> JSONResponse:
     return _answer(r, use.back_out(services.store, services.science, r, d))
 
 
-@router.get("/adoptions", summary="What was adopted and backed out, in order")
+@router.get(
+    "/adoptions",
+    summary="What was adopted and backed out, and which blades joined effects since, in order",
+)
 def get_adoptions(
     r: Name, services: Wired, limit: Limit = None, cursor: Number = None
 ) -> dict[str, Any]:

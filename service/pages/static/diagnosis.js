@@ -102,11 +102,20 @@ function result(found, unitName) {
   ];
 }
 
+/** The words for an entry that concerns a diagnosis. */
+function happened(one) {
+  if (one.what === "joining") return `blade ${one.blade} joined`;
+  return one.what === "adoption" ? "adopted" : "backed out";
+}
+
+/** Whether what a diagnosis found is in the model: blades that joined since do not change that. */
+const isInForce = (history) => history.findLast((one) => one.what !== "joining")?.what === "adoption";
+
 /** What of this diagnosis is in the rotor's model: when it was adopted, and since which version. */
 function standing(history, now) {
   const last = history.at(-1);
   if (!last) return h("p", {}, "Not in the model.");
-  const inForce = last.what === "adoption";
+  const inForce = isInForce(history);
   const state = now.posterior;
   const computed = state !== null && state.through_seq >= last.seq;
   const what = inForce ? "the effect" : "the network before it";
@@ -115,7 +124,7 @@ function standing(history, now) {
       computed ? `Version ${fixed(state.version, 0)} of the posterior has ${what}${state.sealed ? "" : "; it is provisional, the sealed one follows"}.`
         : `The next version will have ${what}; a worker has yet to compute it.`),
     table([
-      { name: "What happened", value: (one) => (one.what === "adoption" ? "adopted" : "backed out") },
+      { name: "What happened", value: happened },
       { name: "Entry", value: (one) => fixed(one.seq, 0), number: true },
       { name: "When", value: (one) => moment(one.at) },
       { name: "By key", value: (one) => (one.unasked ? "the rotor itself" : one.posted_by ?? "–") },
@@ -132,7 +141,7 @@ async function draw() {
   const [now, adoptions] = await Promise.all([get(rotor), pages(`${rotor}/adoptions`)]);
   drawn.version = now.version;
   const history = adoptions.items.filter((one) => one.diagnosis === names.d);
-  const inForce = history.at(-1)?.what === "adoption";
+  const inForce = isInForce(history);
   const going = d.status === "queued" || d.status === "running";
   show($("states"), badge(...stateOf(d)));
   notices([d.status === "failed" && ["bad", `It failed after ${number(d.attempts, "attempt")}.`, d.error],
