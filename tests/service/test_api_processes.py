@@ -64,6 +64,13 @@ def connections(pid: int, port: int) -> int:
     return sum(f"socket:[{r[9]}]" in own for r in here)
 
 
+def place(client: Client) -> tuple[str, int]:
+    """The server's address, and its port."""
+    url = client._http.base_url
+    assert url.port is not None
+    return str(url), url.port
+
+
 def spread(pid: int, port: int) -> list[int]:
     """Sixty connections at once: how many each API process has."""
     held = [socket.create_connection(("127.0.0.1", port)) for _ in range(60)]
@@ -95,9 +102,7 @@ def test_all_processes_answer_and_count_as_one(bare_url: str) -> None:
     settings = Settings(database_url=bare_url, science="fake", api_processes=3, diagnosers=0)
     with serving(settings) as (process, client):
         until("three that answer", lambda: len(answering(process.pid)) == 3)
-        base = str(client._http.base_url)
-        port = client._http.base_url.port
-        assert port is not None
+        base, port = place(client)
         client.create_rotor("r1", blades=["B1"])
 
         until("connections at each of them", lambda: min(spread(process.pid, port)) >= 5)
@@ -126,9 +131,7 @@ def test_a_dead_one_takes_no_request_along_that_comes_later_and_loses_no_count(
     settings = Settings(database_url=url, science="fake", api_processes=2, workers=0)
     with serving(settings) as (process, client):
         until("two that answer", lambda: len(answering(process.pid)) == 2)
-        base = str(client._http.base_url)
-        port = client._http.base_url.port
-        assert port is not None
+        base, port = place(client)
         until("its first answers", lambda: asked(base, 20) == 20 and counted(client) >= 20)
         own, other = answering(process.pid)
         before = counted(client)

@@ -98,6 +98,23 @@ def adopted(api: httpx.Client, named: str, worker: Worker) -> str:
     return named
 
 
+@pytest.fixture
+def second(
+    store: SqlStore,
+    science: Lots,
+    settings: Settings,
+    adopted: str,
+    post: Post,
+    reading: Make,
+    worker: Worker,
+) -> str:
+    """A second diagnosis, with the lot's effect in the model: a campaign is off."""
+    for blade, lot in LOTS.items():
+        post("r1", *read(reading, blade, lot, "off", 0.3)[:1])
+    worker.drain()
+    return diagnosed(store, science, settings)
+
+
 def concerned(store: SqlStore) -> list[list[str]]:
     """The blades of each bias in the rotor's network."""
     network = view_rotor(store, "r1").adopted.network or {}
@@ -189,17 +206,10 @@ def test_a_back_out_takes_the_effect_from_those_who_joined_as_well(
 def test_what_lies_above_is_backed_out_and_the_blade_stays_in_what_lies_below(
     api: httpx.Client,
     store: SqlStore,
-    science: Lots,
-    settings: Settings,
     adopted: str,
+    second: str,
     worker: Worker,
-    post: Post,
-    reading: Make,
 ) -> None:
-    for blade, lot in LOTS.items():
-        post("r1", *read(reading, blade, lot, "off", 0.3)[:1])
-    worker.drain()
-    second = diagnosed(store, science, settings)
     sent = api.post(f"/v1/rotors/r1/diagnoses/{second}/adoption")
     assert sent.status_code == 202, sent.text
     add_blade(store, "r1", BladeRecord("B9", lot="L1"))
@@ -221,20 +231,12 @@ def test_what_lies_above_is_backed_out_and_the_blade_stays_in_what_lies_below(
 def test_an_older_diagnosis_says_who_joined(
     api: httpx.Client,
     store: SqlStore,
-    science: Lots,
-    settings: Settings,
     adopted: str,
-    worker: Worker,
-    post: Post,
-    reading: Make,
+    second: str,
 ) -> None:
     """It was made for a model that did not concern the new blade."""
-    for blade, lot in LOTS.items():
-        post("r1", *read(reading, blade, lot, "off", 0.3)[:1])
-    worker.drain()
-    later = diagnosed(store, science, settings)
     add_blade(store, "r1", BladeRecord("B9", lot="L1"))
-    told = api.post(f"/v1/rotors/r1/diagnoses/{later}/adoption").json()
+    told = api.post(f"/v1/rotors/r1/diagnoses/{second}/adoption").json()
     assert told["type"].endswith("not-adoptable")
     assert "(joined effects in force: B9)" in told["detail"]
 
