@@ -25,8 +25,10 @@ KEPT = [
 # fourteen finite-element truths the noise has .919 ± .023, T1T .738 ± .057); ranks are inside
 # their bands
 MISSED = {("rotor-100", 200, 7), ("fe", 210, 11), ("fe-nu-six-outages", 210, 12)}
-# forty claims and twenty bands of one study; each half of its rotors misses others
+# forty claims and twenty bands of one study; each half of its rotors misses others. One of seven
+# bands, by a thousandth: three exact runs in ten leave one of theirs
 AMONG_MANY = {
+    ("rotor-20", 500, 13): (["creep_transient"], []),
     ("eight-shared", 400, 11): (
         ["theta.deformation.y", "creep_transient, CEEQ read"],
         ["t1t_rate", "creep_transient, scanned blade"],
