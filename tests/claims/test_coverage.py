@@ -32,7 +32,7 @@ AMONG_MANY = {
     ("eight-shared", 400, 11): (
         ["theta.deformation.y", "creep_transient, CEEQ read"],
         ["t1t_rate", "creep_transient, scanned blade"],
-    )
+    ),
 }
 # truths that are no draws from the prior (every coating at an end of its range): predictions cover
 # .68 ± .03 and .95 ± .02, but are narrow by more than chance
