@@ -76,10 +76,8 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
 def faults_here(store: Store, rotor_id: str, items: Sequence[Item]) -> list[InputError]:
     """`faults_of` a rotor as it stands."""
     with store.read() as tx:
-        rotor = tx.records.rotor(rotor_id)
-        card = tx.records.model(rotor.model_id, rotor.model_version)
         named = {item.reading.blade for item in items}
-        blades = tx.records.blade_ids(rotor_id, named)
+        card, blades = tx.records.covering(rotor_id, named)
         if not named <= blades:
             blades = tx.records.blade_ids(rotor_id)  # a fault names those that exist
     return faults_of(items, card.network, card, blades, rotor_id)

@@ -44,6 +44,14 @@ _BLADES = Gathered(select(*BLADE).where(_OF_ROTOR))
 _SOME_BLADES = select(t.blade.c.id).where(
     _OF_ROTOR, t.blade.c.id.in_(bindparam("ids", expanding=True))
 )
+_COVERING = (
+    select(t.rotor.c.model_id, t.rotor.c.model_version, t.blade.c.id)
+    .outerjoin(
+        t.blade,
+        (t.blade.c.rotor_id == t.rotor.c.id) & t.blade.c.id.in_(bindparam("ids", expanding=True)),
+    )
+    .where(t.rotor.c.id == bindparam("rotor"))
+)
 _BLADE_IDS = Gathered(select(t.blade.c.id).where(_OF_ROTOR))
 _ONE_BLADE = select(*BLADE).where(_OF_ROTOR, t.blade.c.id == bindparam("blade"))
 
@@ -235,6 +243,19 @@ class SqlRecords:
             asked = {"rotor": rotor_id, "ids": sorted(among)}
             return set(self._connection.execute(_SOME_BLADES, asked).scalars())
         return {name for (name,) in _BLADE_IDS.rows(self._connection, {"rotor": rotor_id})}
+
+    def covering(self, rotor_id: str, among: Collection[str]) -> tuple[ModelCard, set[str]]:
+        """The card of the rotor's model, and which of these names are blades of the rotor."""
+        if len(among) > FEW:
+            rotor = self.rotor(rotor_id)
+            blades = self.blade_ids(rotor_id, among)
+            return self.model(rotor.model_id, rotor.model_version), blades
+        asked = {"rotor": rotor_id, "ids": sorted(among)}
+        rows = self._connection.execute(_COVERING, asked).all()
+        if not rows:
+            raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
+        blades = {row.id for row in rows if row.id is not None}
+        return self.model(rows[0].model_id, rows[0].model_version), blades
 
     def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None:
         asked = {"rotor": rotor_id, "blade": blade_id}
