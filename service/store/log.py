@@ -33,7 +33,7 @@ from sqlalchemy import (
 from service import tracing
 from service.adopted import KINDS
 from service.errors import ConflictError, NotFoundError
-from service.ports import Appended, Event, NewEvent
+from service.ports import Appended, Event, ModelCard, NewEvent
 from service.store import tables as t
 from service.store.engine import now_s
 from service.store.parts import among, without_long
@@ -135,11 +135,8 @@ class SqlLog:
 
         ConflictError names an id that is there with another digest: then nothing is written.
         """
-        if len(events) == 1 and self._postgres:
-            head, seq = append_one(self._connection, rotor_id, events[0], self._posted_by)
-            if head is not None and seq is not None:
-                self._appended(rotor_id, head, seq)
-                return [Appended(events[0].event_id, seq, True)]
+        if len(events) == 1 and (answer := self.append_new(rotor_id, events[0])) is not None:
+            return [answer]
         head = self.lock(rotor_id)
         known = self._known(rotor_id, [event.event_id for event in events])
         answers: list[Appended] = []
@@ -164,6 +161,21 @@ class SqlLog:
             self._connection.execute(_ADVANCE, {"rotor": rotor_id, "head": head + len(rows)})
             self._appended(rotor_id, head, head + len(rows))
         return answers
+
+    def append_new(
+        self, rotor_id: str, event: NewEvent, card: ModelCard | None = None
+    ) -> Appended | None:
+        """Append an entry in the shortest way; None: it is not to be had, and nothing is written.
+
+        card   of the rotor's model; then its blade must be one of the rotor, too
+        """
+        if not self._postgres:
+            return None
+        head, seq = append_one(self._connection, rotor_id, event, self._posted_by, card)
+        if head is None or seq is None:
+            return None
+        self._appended(rotor_id, head, seq)
+        return Appended(event.event_id, seq, True)
 
     @property
     def _postgres(self) -> bool:

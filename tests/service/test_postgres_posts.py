@@ -9,11 +9,26 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import pytest
-from sqlalchemy import Connection, Engine, event, false, or_, select, text, update
+from sqlalchemy import (
+    Connection,
+    Engine,
+    delete,
+    event,
+    false,
+    insert,
+    literal,
+    or_,
+    select,
+    text,
+    update,
+)
 
-from service.errors import ConflictError, NotFoundError
+from core.observation import Inspection
+from service.errors import ConflictError, FaultsError, NotFoundError
 from service.fake import FakeScience
+from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
 from service.ports import Appended, BladeRecord, NewEvent
@@ -30,15 +45,20 @@ WAITING = text("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'L
 
 
 @pytest.fixture
-def engine(databases: Databases) -> Iterator[Engine]:
+def store(databases: Databases) -> Iterator[SqlStore]:
     """One rotor of one blade, whose prior is to be applied."""
     name = databases.take()
     store = SqlStore(open_engine(databases.url(name)))
     register_builtins(store, FakeScience())
     create_rotor(store, "r", "rotor-blade", [BladeRecord("B1")], 64, 7)
-    yield store.engine
+    yield store
     store.close()
     databases.give(name)
+
+
+@pytest.fixture
+def engine(store: SqlStore) -> Engine:
+    return store.engine
 
 
 def reading(name: str, digest: str = "d") -> NewEvent:
@@ -163,6 +183,74 @@ def test_the_cursor_looked_at_in_the_same_statement_would_lose_it(
     """The statement sees the cursor as it stood before the wait: at work, so with nothing to do."""
     c = t.cursor.c
     flip = update(t.cursor).where(or_(c.dirty == false(), c.applied_seq == 1)).values(dirty=True)
-    monkeypatch.setattr(single, "ONE", single.statement().add_cte(flip.cte("flip")))
+    monkeypatch.setattr(single, "ONE", single.statement(checked=False).add_cte(flip.cte("flip")))
     monkeypatch.setattr(log, "_FLIP_AND_TELL", select(1))
     assert not work_is_left(engine)
+
+
+def item(name: str, value: float = 0.1, blade: str = "B1") -> list[Item]:
+    values = np.array([value])
+    read = Inspection(id=name, blade=blade, quantity="elongation", time_h=1e3, values=values)
+    return [Item("", read)]
+
+
+def test_a_reading_of_a_blade_that_was_met_is_checked_without_a_question(store: SqlStore) -> None:
+    def asked(name: str) -> int:
+        return len(statements(store.engine, lambda: post_inspections(store, "r", item(name))))
+
+    assert (asked("a"), asked("b"), asked("c")) == (3, 2, 2)
+    other = SqlStore(store.engine)
+    told = statements(store.engine, lambda: post_inspections(other, "r", item("d")))
+    assert len(told) == 4, "what one store has met, of blades and of models, another has not"
+    assert post_inspections(store, "r", item("b")) == [Appended("b", 2, False)]
+    with pytest.raises(ConflictError):
+        post_inspections(store, "r", item("b", 0.2))
+    assert [name for _, name in numbers(store.engine)[1]] == ["a", "b", "c", "d"]
+
+
+def refused(store: SqlStore, items: list[Item]) -> str:
+    with pytest.raises(FaultsError) as told:
+        post_inspections(store, "r", items)
+    return str(told.value)
+
+
+def test_what_is_wrong_with_a_reading_is_told_alike_whether_its_blade_was_met(
+    store: SqlStore,
+) -> None:
+    wrong = [item("a", np.nan), item("a", blade="B2")]
+    before = [refused(store, items) for items in wrong]
+    post_inspections(store, "r", item("b"))
+    assert [refused(store, items) for items in wrong] == before
+
+
+def lost(store: SqlStore) -> None:
+    """The database is another one than that which the process has met: its rotor has no blade."""
+    post_inspections(store, "r", item("a"))
+    with transaction(store.engine, write=True) as connection:
+        connection.execute(delete(t.blade))
+
+
+def test_what_the_process_knows_is_held_against_the_database(store: SqlStore) -> None:
+    lost(store)
+    assert "is no blade of rotor r" in refused(store, item("b"))
+    assert numbers(store.engine) == (1, [(1, "a")])
+
+
+def test_a_rotor_of_another_model_is_asked_for_its_own(store: SqlStore) -> None:
+    """The version that it has there cannot be read at all, which nobody would have noticed."""
+    post_inspections(store, "r", item("a"))
+    row = select(t.model.c.id, literal("later"), literal("d"), t.model.c.source, literal("{}"), 0.0)
+    columns = ["id", "version", "digest", "source", "card", "created_at"]
+    with transaction(store.engine, write=True) as connection:
+        connection.execute(
+            insert(t.model).from_select(columns, row.where(t.model.c.id == "rotor-blade"))
+        )
+        connection.execute(update(t.rotor).values(model_version="later"))
+    with pytest.raises(KeyError):
+        post_inspections(store, "r", item("b"))
+
+
+def test_unchecked_it_would_be_taken(store: SqlStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(single, "CHECKED", single.ONE)
+    lost(store)
+    assert post_inspections(store, "r", item("b")) == [Appended("b", 2, True)]
