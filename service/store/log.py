@@ -19,6 +19,7 @@ from sqlalchemy import (
     Text,
     bindparam,
     false,
+    func,
     insert,
     literal,
     or_,
@@ -32,10 +33,11 @@ from sqlalchemy import (
 from service import tracing
 from service.adopted import KINDS
 from service.errors import ConflictError, NotFoundError
-from service.ports import Appended, Event, NewEvent
+from service.ports import Appended, Event, ModelCard, NewEvent
 from service.store import tables as t
 from service.store.engine import now_s
 from service.store.parts import among, without_long
+from service.store.single import append_one
 
 COLUMNS = [c for c in t.entry.c if c.name not in ("rotor_id", "traceparent")]
 NAMES = [column.name for column in COLUMNS]
@@ -61,6 +63,8 @@ _FLIP = (
     )
     .values(dirty=True, dirty_since=now_s())
 )
+_FLIPPED = _FLIP.returning(t.cursor.c.rotor_id).cte("flipped")
+_FLIP_AND_TELL = select(func.pg_notify("bladetwin_work", "")).select_from(_FLIPPED)
 # Of each kind by itself: asked for several kinds in the order of their numbers, SQLite goes through
 # the rotor's whole log.
 _CHANGES = (
@@ -131,6 +135,8 @@ class SqlLog:
 
         ConflictError names an id that is there with another digest: then nothing is written.
         """
+        if len(events) == 1 and (answer := self.append_new(rotor_id, events[0])) is not None:
+            return [answer]
         head = self.lock(rotor_id)
         known = self._known(rotor_id, [event.event_id for event in events])
         answers: list[Appended] = []
@@ -152,11 +158,28 @@ class SqlLog:
         if rows:
             told = {"posted_by": self._posted_by, "traceparent": tracing.current()}
             self._connection.execute(_APPEND, [row | told for row in rows])
-            first = head + 1 if self.appended is None else self.appended[0]
-            self.appended = (first, head + len(rows))
             self._connection.execute(_ADVANCE, {"rotor": rotor_id, "head": head + len(rows)})
-            self._mark_dirty(rotor_id, head)
+            self._appended(rotor_id, head, head + len(rows))
         return answers
+
+    def append_new(
+        self, rotor_id: str, event: NewEvent, card: ModelCard | None = None
+    ) -> Appended | None:
+        """Append an entry in the shortest way; None: it is not to be had, and nothing is written.
+
+        card   of the rotor's model; then its blade must be one of the rotor, too
+        """
+        if not self._postgres:
+            return None
+        head, seq = append_one(self._connection, rotor_id, event, self._posted_by, card)
+        if head is None or seq is None:
+            return None
+        self._appended(rotor_id, head, seq)
+        return Appended(event.event_id, seq, True)
+
+    @property
+    def _postgres(self) -> bool:
+        return self._connection.dialect.name == "postgresql"
 
     def _known(self, rotor_id: str, ids: Sequence[str]) -> dict[str, tuple[str | None, int]]:
         rows = self._named(_KNOWN, rotor_id, ids)
@@ -171,11 +194,11 @@ class SqlLog:
             asked = {"rotor": rotor_id, "ids": ids[start : start + CHUNK]}
             yield from self._connection.execute(query, asked)
 
-    def _mark_dirty(self, rotor_id: str, head: int) -> None:
-        """Note that there is work; workers are woken when there was none pending before."""
-        result = self._connection.execute(_FLIP, {"rotor": rotor_id, "head": head})
-        if result.rowcount == 1:
-            notify(self._connection, "bladetwin_work")
+    def _appended(self, rotor_id: str, head: int, last: int) -> None:
+        """Entries after `head` came: there is work; workers are woken when none was pending."""
+        self.appended = (head + 1 if self.appended is None else self.appended[0], last)
+        flip = _FLIP_AND_TELL if self._postgres else _FLIP
+        self._connection.execute(flip, {"rotor": rotor_id, "head": head})
 
     def free(self, rotor_id: str) -> None:
         """Let a blocked or pausing rotor be tried again at once."""

@@ -18,6 +18,7 @@ from service.store import tables as t
 from service.store.engine import now_s
 from service.store.gathered import Gathered, InexactError, Told
 from service.store.log import notify
+from service.store.met import Met
 from service.store.parts import json_parts
 
 ROTOR = (
@@ -26,7 +27,6 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
 FEW = 8  # names that are looked up by themselves
-MOST_CARDS = 64
 UNFINISHED = ("queued", "running")
 LISTED = ("verdict", "names")
 BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
@@ -44,6 +44,14 @@ _BLADES = Gathered(select(*BLADE).where(_OF_ROTOR))
 _SOME_BLADES = select(t.blade.c.id).where(
     _OF_ROTOR, t.blade.c.id.in_(bindparam("ids", expanding=True))
 )
+_COVERING = (
+    select(t.rotor.c.model_id, t.rotor.c.model_version, t.blade.c.id)
+    .outerjoin(
+        t.blade,
+        (t.blade.c.rotor_id == t.rotor.c.id) & t.blade.c.id.in_(bindparam("ids", expanding=True)),
+    )
+    .where(t.rotor.c.id == bindparam("rotor"))
+)
 _BLADE_IDS = Gathered(select(t.blade.c.id).where(_OF_ROTOR))
 _ONE_BLADE = select(*BLADE).where(_OF_ROTOR, t.blade.c.id == bindparam("blade"))
 
@@ -58,14 +66,12 @@ def insert_new(connection: Connection, table: Any, values: Json) -> bool:
 class SqlRecords:
     """The `Records` of one transaction.
 
-    cards   versions of models that this process has met: they never change
+    met   models and blades that this process has read
     """
 
-    def __init__(
-        self, connection: Connection, cards: dict[tuple[str, str], ModelCard] | None = None
-    ) -> None:
+    def __init__(self, connection: Connection, met: Met | None = None) -> None:
         self._connection = connection
-        self._cards = {} if cards is None else cards
+        self._met = Met() if met is None else met
 
     def put_model(self, card: ModelCard, source: Json, *, newest: bool = False) -> None:
         """Make a version known; `newest`: the one that new rotors get, though it was known."""
@@ -90,7 +96,7 @@ class SqlRecords:
     def model(self, model_id: str, version: str | None = None) -> ModelCard:
         if version is None:
             text = self._connection.execute(_MODEL, {"model": model_id}).scalar()
-        elif (known := self._cards.get((model_id, version))) is not None:
+        elif (known := self._met.card(model_id, version)) is not None:
             return known
         else:
             asked = {"model": model_id, "version": version}
@@ -101,9 +107,7 @@ class SqlRecords:
         if text is None:
             raise NotFoundError("model", model_id, "GET /v1/models lists those that exist")
         card = _card(text)
-        if len(self._cards) >= MOST_CARDS:
-            self._cards.clear()
-        self._cards[card.id, card.version] = card
+        self._met.put_card(card)
         return card
 
     def models(self, after: str, limit: int) -> list[ModelCard]:
@@ -235,6 +239,21 @@ class SqlRecords:
             asked = {"rotor": rotor_id, "ids": sorted(among)}
             return set(self._connection.execute(_SOME_BLADES, asked).scalars())
         return {name for (name,) in _BLADE_IDS.rows(self._connection, {"rotor": rotor_id})}
+
+    def covering(self, rotor_id: str, among: Collection[str]) -> tuple[ModelCard, set[str]]:
+        """The card of the rotor's model, and which of these names are blades of the rotor."""
+        if len(among) > FEW:
+            rotor = self.rotor(rotor_id)
+            blades = self.blade_ids(rotor_id, among)
+            return self.model(rotor.model_id, rotor.model_version), blades
+        asked = {"rotor": rotor_id, "ids": sorted(among)}
+        rows = self._connection.execute(_COVERING, asked).all()
+        if not rows:
+            raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
+        blades = {row.id for row in rows if row.id is not None}
+        card = self.model(rows[0].model_id, rows[0].model_version)
+        self._met.put_blades(rotor_id, card, blades)
+        return card, blades
 
     def blade(self, rotor_id: str, blade_id: str) -> BladeRecord | None:
         asked = {"rotor": rotor_id, "blade": blade_id}

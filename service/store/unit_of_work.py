@@ -24,11 +24,12 @@ from service.store import creation
 from service.store.answers import SqlAnswers
 from service.store.blobs import SqlBlobs
 from service.store.cache import ArrayCache, Checked, Compared, Sound
-from service.store.engine import transaction
+from service.store.engine import is_sqlite, transaction
 from service.store.gauges import read_gauges
 from service.store.glance import read_blade_readings, read_operations
 from service.store.keys import SqlKeys
 from service.store.log import SqlLog
+from service.store.met import Met
 from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
 from service.store.settled import settled
@@ -49,13 +50,13 @@ class SqlTransaction:
         sound: Sound,
         posted_by: str | None = None,
         settled: float = 0.0,
-        cards: dict[tuple[str, str], ModelCard] | None = None,
+        met: Met | None = None,
         compared: Compared | None = None,
     ) -> None:
         self.connection = connection
         self._sound = sound
         self._compared = compared
-        self.records = SqlRecords(connection, cards)
+        self.records = SqlRecords(connection, met)
         self.log = SqlLog(connection, posted_by)
         self.states = SqlStates(connection, cache, checked, settled)
         self.outbox = SqlOutbox(connection)
@@ -93,7 +94,7 @@ class SqlStore:
         self.checked = Checked()
         self.sound = Sound()
         self.compared = Compared()
-        self._cards: dict[tuple[str, str], ModelCard] = {}
+        self._met = Met()
         self._act: Act | None = None
         self._guard: Guard | None = None
 
@@ -107,8 +108,7 @@ class SqlStore:
         self, connection: Connection, posted_by: str | None = None, settled: float = 0.0
     ) -> SqlTransaction:
         kept = (self.cache, self.checked, self.sound)
-        met = (self._cards, self.compared)
-        return SqlTransaction(connection, *kept, posted_by, settled, *met)
+        return SqlTransaction(connection, *kept, posted_by, settled, self._met, self.compared)
 
     @contextmanager
     def read(self) -> Iterator[SqlTransaction]:
@@ -136,6 +136,10 @@ class SqlStore:
             tell(entries="{}-{}".format(*tx.log.appended))
         if act is not None and row is not None:
             act.row = row
+
+    def met(self, rotor_id: str, blade: str) -> ModelCard | None:
+        """On PostgreSQL, where each question is a message (`service.ports.Store`)."""
+        return None if is_sqlite(self.engine) else self._met.card_of(rotor_id, blade)
 
     def blob(self, name: str) -> bytes:
         """A stored file by its SHA-256, in a transaction of its own."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 from core.observation import Inspection
 from service.bootstrap import make_worker
+from service.fake import FakeScience
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
@@ -25,9 +27,10 @@ from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 from tests.browser.conftest import Running, Watched, watching
 from tests.browser.test_pages_in_browser import serious
-from tests.service.adopting import Offsets
+from tests.service.adopting import Lots, Offsets
 from tests.service.conftest import RunningServer, served
 from tests.service.test_adoption import NAME, OFF, of_a_lot, visits
+from tests.service.test_joining import LOTS, read
 
 
 @dataclass(frozen=True)
@@ -51,20 +54,18 @@ def reading(name: str, *, value: float, **given: Any) -> Inspection:
     return Inspection(id=name, quantity="elongation", values=np.array([value]), **given)
 
 
-@pytest.fixture
-def twin(tmp_path: Path) -> Iterator[Twin]:
+@contextmanager
+def running(
+    folder: Path, science: FakeScience, blades: list[BladeRecord], readings: list[Inspection]
+) -> Iterator[Twin]:
     settings = Settings(
-        database_url=f"sqlite:///{tmp_path / 'x.db'}", science="fake", seal_after_s=0.0
+        database_url=f"sqlite:///{folder / 'x.db'}", science="fake", seal_after_s=0.0
     )
-    store, science, server = (
-        SqlStore(open_engine(settings.database_url)),
-        Offsets(),
-        RunningServer(),
-    )
+    store, server = SqlStore(open_engine(settings.database_url)), RunningServer()
     migrate(store.engine)
     register_builtins(store, science)
-    create_rotor(store, "r1", "rotor-blade", [BladeRecord(f"B{i}") for i in (1, 2, 3)], 64, 7)
-    post_inspections(store, "r1", [Item("", one) for one in visits(reading, OFF)])
+    create_rotor(store, "r1", "rotor-blade", blades, 64, 7)
+    post_inspections(store, "r1", [Item("", one) for one in readings])
     worker = make_worker(store, science, settings, "worker-1")
     diagnoser = make_worker(store, science, settings, "diagnoser-1", "diagnose")
     worker.drain()
@@ -75,7 +76,32 @@ def twin(tmp_path: Path) -> Iterator[Twin]:
 
 
 @pytest.fixture
+def twin(tmp_path: Path) -> Iterator[Twin]:
+    blades = [BladeRecord(f"B{i}") for i in (1, 2, 3)]
+    with running(tmp_path, Offsets(), blades, visits(reading, OFF)) as twin:
+        yield twin
+
+
+@pytest.fixture
+def lots(tmp_path: Path) -> Iterator[Twin]:
+    """Of two lots of two blades, one reads longer."""
+    blades = [BladeRecord(name, lot=lot) for name, lot in LOTS.items()]
+    readings = [one for name, lot in LOTS.items() for one in read(reading, name, lot)]
+    with running(tmp_path, Lots(), blades, readings) as twin:
+        yield twin
+
+
+@pytest.fixture
 def seen(browser: Browser, twin: Twin) -> Iterator[Watched]:
+    yield from watched(browser, twin)
+
+
+@pytest.fixture
+def seen_lots(browser: Browser, lots: Twin) -> Iterator[Watched]:
+    yield from watched(browser, lots)
+
+
+def watched(browser: Browser, twin: Twin) -> Iterator[Watched]:
     yield from watching(browser, Running(str(twin.client.base_url).rstrip("/"), "", twin.client))
 
 
@@ -181,3 +207,33 @@ def test_pages_name_a_blade_that_joined_after_an_effect_of_its_lot(
         page = seen.open(path)
         expect(page.locator("main")).to_contain_text(warning)
         expect(page.locator("main")).to_contain_text("diagnose and adopt anew")
+
+
+def test_the_page_of_an_adopted_diagnosis_tells_which_blade_joined(
+    seen_lots: Watched, lots: Twin
+) -> None:
+    """A row of its own, of what is in force; neither page warns of a blade that has the effect."""
+    name = lots.client.post("/v1/rotors/r1/diagnoses").json()["diagnosis"]["id"]
+    lots.diagnoser.drain()
+    lots.client.post(f"/v1/rotors/r1/diagnoses/{name}/adoption").raise_for_status()
+    lots.worker.drain()
+    page = seen_lots.open(f"/rotors/r1/diagnoses/{name}")
+    standing = page.locator("section", has=page.get_by_role("heading", name="In the model"))
+    expect(standing.locator("tbody tr")).to_have_count(1)
+    for blade, lot in (("B8", "L2"), ("B9", "L1")):
+        body = {"id": blade, "lot": lot}
+        lots.client.post("/v1/rotors/r1/blades", json=body).raise_for_status()
+    lots.worker.drain()
+    page = seen_lots.open(f"/rotors/r1/diagnoses/{name}")
+    rows = standing.locator("tbody tr")
+    expect(rows).to_have_count(2)
+    expect(rows.filter(has_text="blade B9 joined")).to_have_count(1)
+    expect(rows.filter(has_text="B8")).to_have_count(0)
+    expect(standing).to_contain_text("has the effect")
+    expect(page.get_by_role("button", name="Back out")).to_be_visible()
+    assert serious(page) == []
+    for path in ("/rotors/r1", "/rotors/r1/blades/B9"):
+        page = seen_lots.open(path)
+        expect(page.locator("main")).to_contain_text("B9")
+        expect(page.locator("main")).not_to_contain_text("joined after")
+    assert (seen_lots.errors, seen_lots.outside) == ([], [])
