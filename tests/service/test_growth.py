@@ -184,4 +184,4 @@ def test_a_question_that_goes_through_the_log_is_noticed(
     _is_lite(store)
     monkeypatch.setattr(log, "_CHANGES", _in_one_question())
     grown = {kind for kind, (few, many) in _steps(store, worker, api).items() if many > 2 * few}
-    assert {"update", "rotor", "prediction"} <= grown
+    assert {"update", "adoptions"} <= grown
