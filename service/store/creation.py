@@ -13,7 +13,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
-from sqlalchemy import Connection, bindparam, func, select, union_all
+from sqlalchemy import (
+    Connection,
+    ScalarSelect,
+    String,
+    bindparam,
+    func,
+    literal_column,
+    select,
+    union_all,
+)
 
 from service.digests import as_created, digest_of_blade, digest_of_rotor
 from service.entries import BLADES
@@ -36,12 +45,18 @@ _MOVES = union_all(
         for kind in BLADES
     )
 )
+
+
+def count_of(kinds: Sequence[str]) -> ScalarSelect[int]:
+    """How many entries of these kinds a rotor has, as a column of a query for one."""
+    # written out: values of an IN are put into the statement anew, each time that it is asked
+    names = [literal_column(f"'{kind}'", String()) for kind in kinds]
+    own = select(func.count()).where(e.rotor_id == bindparam("rotor"), e.kind.in_(names))
+    return own.scalar_subquery()
+
+
 # Where a rotor's row says that its log ends, where it does, and how many of it moved a blade.
-MOVED = (
-    select(func.count())
-    .where(e.rotor_id == bindparam("rotor"), e.kind.in_(BLADES))
-    .scalar_subquery()
-)
+MOVED = count_of(BLADES)
 END = select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery()
 _ENDS = select(t.rotor.c.head_seq, END, MOVED).where(t.rotor.c.id == bindparam("rotor"))
 

@@ -25,18 +25,18 @@ from service.store.gathered import Told
 from service.store.records import BLADE, BLADES, ROTOR, SqlRecords, blade_of, found_of, rotor_of
 from service.store.states import SqlStates
 
-e, _versions = t.entry.c, t.state.alias("versions")
+_versions = t.state.alias("versions")
 STATE = t.state.c.keys()
 _ROWS = len(ROTOR), len(ROTOR) + len(STATE)
 _OWN = t.rotor.c.id == bindparam("rotor")
 _LAST = select(func.max(_versions.c.version)).where(_versions.c.rotor_id == bindparam("rotor"))
-_CHANGES = select(func.count()).where(e.rotor_id == bindparam("rotor"), e.kind.in_(KINDS))
+_CHANGES = creation.count_of(KINDS)
 
 
 def _asked(*more: ColumnElement[Any]) -> Select[Any]:
     """Rotor, newest version, how many entries change the model, and more."""
     last = (t.state.c.rotor_id == t.rotor.c.id) & (t.state.c.version == _LAST.scalar_subquery())
-    columns = (*ROTOR, *t.state.c, _CHANGES.scalar_subquery(), creation.MOVED, *more)
+    columns = (*ROTOR, *t.state.c, _CHANGES, creation.MOVED, *more)
     return select(*columns).select_from(t.rotor).join(t.cursor).outerjoin(t.state, last).where(_OWN)
 
 
