@@ -221,10 +221,8 @@ class SqlRecords:
         return rotor_of(found_of(rotor_id, self._connection.execute(_ROTOR, {"rotor": rotor_id})))
 
     def standing(self, rotor_id: str) -> tuple[RotorRecord, str | None]:
-        *values, digest = found_of(
-            rotor_id, self._connection.execute(_STANDING, {"rotor": rotor_id})
-        )
-        return rotor_of(values), digest
+        row = found_of(rotor_id, self._connection.execute(_STANDING, {"rotor": rotor_id}))
+        return rotor_of(row[:-1]), row[-1]
 
     def rotors(
         self, after: str, limit: int, only: Sequence[str] | None = None

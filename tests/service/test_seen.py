@@ -239,8 +239,10 @@ def test_what_is_found_is_what_was_found_part_by_part(
 
 
 def test_the_row_and_the_digest_of_the_newest_version_are_told_at_once(
-    store: SqlStore, told: str, worker: Worker
+    store: SqlStore, told: str, worker: Worker, post: Post, reading: Make
 ) -> None:
+    post(told, reading("b", time_h=9000.0))
+    worker.drain()
     create_rotor(store, "r2", "rotor-blade", [], 64, 7)
     view = view_rotor(store, told)
     assert view.state is not None
