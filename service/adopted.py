@@ -220,12 +220,19 @@ def _by_lot(effect: Json, blade: BladeRecord) -> bool:
     return own and _of_lot(effect, blade)
 
 
-def adopted_at(tx: Transaction, rotor: RotorRecord, through: int | None = None) -> Adopted:
+def adopted_at(
+    tx: Transaction, rotor: RotorRecord, through: int | None = None, changes: int | None = None
+) -> Adopted:
     """What the rotor's model holds as of entry `through`; None: as of its head.
+
+    changes   entries of `KINDS` up to the rotor's head, where they were counted: of most rotors
+              there are none, and none are asked for
 
     Raises DamagedLogError where the entries do not go on from one another.
     """
     found = Adopted(rotor.network)
+    if changes == 0 and through is not None and through <= rotor.head_seq:
+        return found
     for event in entries(tx, rotor.id, through):
         try:
             found = found.after(event)

@@ -87,13 +87,14 @@ def basis(
     DamagedRotorError: the rotor, or a blade of it, is not what was written.
     """
     with reading(store, rotor_id, which) as tx:
-        rotor = tx.records.rotor(rotor_id)
-        found = tx.sound_blade(rotor, blade)
+        seen = tx.seen_with(rotor_id, blade)
+        seen.check()
+        rotor, found = seen.rotor, seen.blades[0] if seen.blades else None
         if blade is not None and found is None:
             raise NotFoundError("blade", blade, f"GET /v1/rotors/{rotor_id} lists the blades")
-        state = state_of(tx, rotor_id, which)
+        state = seen.state() if which.newest else state_of(tx, rotor_id, which)
         card = tx.records.model(rotor.model_id, state.model_version)
-        adopted = adopted_at(tx, rotor, state.through_seq)
+        adopted = adopted_at(tx, rotor, state.through_seq, seen.changes)
         blades = [found] if found else tx.records.blades(rotor_id) if adopted.sheets else []
     there = [one for one in blades if one.added_seq <= state.through_seq]
     missed = {effect["name"] for effect in adopted.effects if untold(effect, there)}
@@ -119,11 +120,9 @@ def standing(store: Store, rotor_id: str) -> tuple[RotorRecord, str | None] | No
     rotor as it stands follows; None: there is no such rotor."""
     with store.read() as tx:
         try:
-            rotor = tx.records.rotor(rotor_id)
+            return tx.records.standing(rotor_id)
         except NotFoundError:
             return None
-        found = tx.states.newest(rotor_id)
-    return rotor, found and found[1]
 
 
 def posterior(store: Store, science: Science, found: Basis) -> Json:

@@ -147,25 +147,26 @@ def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
     """
     with reading(store, rotor_id, which) as tx:
         if which.newest:
-            view = view_in(tx, rotor_id)
-            if not view.rotor.blocked:
-                tx.check_rotor(view.rotor, view.blades)
-            return view
-        rotor = tx.records.rotor(rotor_id)
-        blades = tuple(tx.records.blades(rotor_id))
-        tx.check_rotor(rotor, blades)
+            return view_in(tx, rotor_id, checked=True)
+        seen = tx.seen(rotor_id)
+        seen.check()
         state = state_of(tx, rotor_id, which)
-        adopted = adopted_at(tx, rotor, state.through_seq)
-    return RotorView(rotor, tuple(blades_at(blades, state.through_seq)), state, adopted)
+        adopted = adopted_at(tx, seen.rotor, state.through_seq, seen.changes)
+    blades = tuple(blades_at(seen.blades, state.through_seq))
+    return RotorView(seen.rotor, blades, state, adopted)
 
 
-def view_in(tx: Transaction, rotor_id: str) -> RotorView:
-    """The rotor as this transaction sees it."""
-    rotor = tx.records.rotor(rotor_id)
-    blades = tuple(tx.records.blades(rotor_id))
-    state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
+def view_in(tx: Transaction, rotor_id: str, *, checked: bool = False) -> RotorView:
+    """The rotor as this transaction sees it; `checked`: a damaged one that is not blocked is
+    refused."""
+    seen = tx.seen(rotor_id)
+    rotor = seen.rotor
+    state = seen.state() if rotor.version else None
     through = 0 if state is None else state.through_seq
-    return RotorView(rotor, blades, state, adopted_at(tx, rotor, through))
+    view = RotorView(rotor, seen.blades, state, adopted_at(tx, rotor, through, seen.changes))
+    if checked and not rotor.blocked:
+        seen.check()
+    return view
 
 
 def reading(store: Store, rotor_id: str, which: Which) -> AbstractContextManager[Transaction]:

@@ -19,6 +19,7 @@ from service.ports.records import (
     PlanTarget,
     ResidualRecord,
     RotorRecord,
+    Seen,
     StateRecord,
     Which,
 )
@@ -84,6 +85,7 @@ __all__ = [
     "RotorSpec",
     "RotorState",
     "Science",
+    "Seen",
     "StateRecord",
     "States",
     "Store",

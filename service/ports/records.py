@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from service.ports.values import (
@@ -137,6 +137,23 @@ class StateRecord:
     events_digest: str
     meta: Json
     created_at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A rotor as one look found it: nothing came in between its parts.
+
+    blades    all of them, in byte order of their names; of whoever names one, that, if it is there
+    changes   entries of its log that adopt effects or back them out (`service.adopted.KINDS`)
+    state     its newest version, as of `States.get`
+    check     DamagedRotorError: rotor or blades are not what was written
+    """
+
+    rotor: RotorRecord
+    blades: tuple[BladeRecord, ...]
+    changes: int
+    state: Callable[[], StateRecord]
+    check: Callable[[], None]
 
 
 @dataclass(frozen=True, slots=True)

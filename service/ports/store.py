@@ -20,6 +20,7 @@ from service.ports.records import (
     Operations,
     ResidualRecord,
     RotorRecord,
+    Seen,
     StateRecord,
 )
 from service.ports.values import (
@@ -54,6 +55,10 @@ class Records(Protocol):
     def cancel_job(self, job_id: str) -> None: ...
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool: ...
     def rotor(self, rotor_id: str) -> RotorRecord: ...
+    def standing(self, rotor_id: str) -> tuple[RotorRecord, str | None]:
+        """A rotor, and the digest of its newest version without looking into it."""
+        ...
+
     def rotors(
         self, after: str, limit: int, only: Sequence[str] | None = None
     ) -> list[RotorRecord]: ...
@@ -177,8 +182,12 @@ class Transaction(Protocol):
         """DamagedRotorError: the rotor's row, or one of its blades', is not what was written."""
         ...
 
-    def sound_blade(self, rotor: RotorRecord, name: str | None) -> BladeRecord | None:
-        """A blade, if the rotor has it; DamagedRotorError as of `check_rotor`."""
+    def seen(self, rotor_id: str) -> Seen:
+        """The rotor as it stands, with all of its blades."""
+        ...
+
+    def seen_with(self, rotor_id: str, blade: str | None) -> Seen:
+        """The same with one blade, if the rotor has it, or none."""
         ...
 
     def operations(self, limit: int) -> Operations: ...

@@ -13,7 +13,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
-from sqlalchemy import Connection, bindparam, func, select, union_all
+from sqlalchemy import (
+    Connection,
+    ScalarSelect,
+    String,
+    bindparam,
+    func,
+    literal_column,
+    select,
+    union_all,
+)
 
 from service.digests import as_created, digest_of_blade, digest_of_rotor
 from service.entries import BLADES
@@ -21,11 +30,12 @@ from service.errors import DamagedRotorError
 from service.ports import BladeRecord, Event, RotorRecord
 from service.store import tables as t
 from service.store.cache import Compared, Sound
-from service.store.records import BLADE, SqlRecords, blade_of
+from service.store.records import SqlRecords
 
 e = t.entry.c
 Part = Literal["rotor", "blade"]
 Problem = tuple[Part, str, str]
+Ends = tuple[int, int | None, int]
 # Of each kind by itself, so that an index finds them (`service.store.log`).
 _MOVES = union_all(
     *(
@@ -35,19 +45,20 @@ _MOVES = union_all(
         for kind in BLADES
     )
 )
-_MOVED = select(func.count()).where(e.rotor_id == bindparam("rotor"), e.kind.in_(BLADES))
-_ENDS = select(
-    t.rotor.c.head_seq,
-    select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery(),
-    _MOVED.scalar_subquery(),
-).where(t.rotor.c.id == bindparam("rotor"))
-# One blade, if it is there, and how many moved.
-_BLADE = (
-    select(_MOVED.scalar_subquery(), *BLADE)
-    .select_from(t.rotor)
-    .outerjoin(t.blade, (t.blade.c.rotor_id == t.rotor.c.id) & (t.blade.c.id == bindparam("blade")))
-    .where(t.rotor.c.id == bindparam("rotor"))
-)
+
+
+def count_of(kinds: Sequence[str]) -> ScalarSelect[int]:
+    """How many entries of these kinds a rotor has, as a column of a query for one."""
+    # written out: values of an IN are put into the statement anew, each time that it is asked
+    names = [literal_column(f"'{kind}'", String()) for kind in kinds]
+    own = select(func.count()).where(e.rotor_id == bindparam("rotor"), e.kind.in_(names))
+    return own.scalar_subquery()
+
+
+# Where a rotor's row says that its log ends, where it does, and how many of it moved a blade.
+MOVED = count_of(BLADES)
+END = select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery()
+_ENDS = select(t.rotor.c.head_seq, END, MOVED).where(t.rotor.c.id == bindparam("rotor"))
 
 
 class Move(NamedTuple):
@@ -82,6 +93,7 @@ def check(
     rotor: RotorRecord,
     blades: Sequence[BladeRecord],
     sound: Sound | None = None,
+    ends: Ends | None = None,
 ) -> None:
     """DamagedRotorError: a rotor's row, or one of its blades' in byte order, is not what was
     written.
@@ -90,8 +102,9 @@ def check(
     damage where it came after the rotor was read.
 
     sound   what was compared before, and reads the same, is not compared again
+    ends    (head_seq, `END`, `MOVED`) as they were read with the rotor and its blades
     """
-    head, end, moved = connection.execute(_ENDS, {"rotor": rotor.id}).one()
+    head, end, moved = ends or connection.execute(_ENDS, {"rotor": rotor.id}).one()
     known = sound is not None and sound.knows_all(rotor, moved, blades)
     moves = _moves(connection, rotor, blades) if moved and not known else ()
     _refuse(rotor, [] if known else _problems(rotor, blades, moves), head, end)
@@ -111,16 +124,22 @@ def _refuse(rotor: RotorRecord, problems: Iterable[Problem], head: int, end: int
         )
 
 
-def sound_blade(
-    connection: Connection, rotor: RotorRecord, name: str | None, sound: Sound
-) -> BladeRecord | None:
-    """A blade of the rotor, if it has it; DamagedRotorError as of `check`, the first time in a
-    process and wherever one of the two rows reads otherwise than then."""
-    moved, own, *values = connection.execute(_BLADE, {"rotor": rotor.id, "blade": name}).one()
-    found = None if own is None else blade_of(rotor.id, (own, *values))
+def check_one(
+    connection: Connection,
+    rotor: RotorRecord,
+    name: str | None,
+    found: BladeRecord | None,
+    sound: Sound,
+    moved: int,
+) -> None:
+    """The same where one blade was asked for, or none: all of them are compared the first time in a
+    process, and wherever one of the two rows reads otherwise than then.
+
+    found   the blade, if the rotor has it
+    moved   `MOVED` as it was read with them
+    """
     if not sound.knows(rotor, moved, name, found):
         check(connection, rotor, SqlRecords(connection).blades(rotor.id), sound)
-    return found
 
 
 def _moves(

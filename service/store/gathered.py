@@ -27,6 +27,7 @@ from sqlalchemy import (
     Connection,
     Double,
     Integer,
+    ScalarSelect,
     Select,
     String,
     Text,
@@ -81,6 +82,10 @@ class Gathered:
         split = connection.dialect.name == "sqlite"
         one = self._split if split else self._whole
         return Told(str(connection.execute(one, asked).scalar_one()), split)
+
+    def column(self, split: bool) -> ScalarSelect[str]:
+        """The text of `told` as a column of another query."""
+        return (self._split if split else self._whole).scalar_subquery()
 
     def read(self, told: Told) -> list[tuple[Any, ...]]:
         """The rows of a text; InexactError: it does not hold all of their numbers exactly."""

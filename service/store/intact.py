@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from hashlib import sha256
+from types import SimpleNamespace
 from typing import Any
 
 from sqlalchemy import Row
@@ -21,10 +22,11 @@ from sqlalchemy import Row
 from core.digest import state_digest
 from service.errors import DamagedError
 
+Stored = Row[Any] | SimpleNamespace  # of `service.store.states.stored`, or its values by name
 REPEATED = ("sealed", "events_digest", "algorithm_version")
 
 
-def told(row: Row[Any]) -> str:
+def told(row: Stored) -> str:
     """A name of everything that `check` looks at in the row itself."""
     stands = (row.version > row.newest, row.version == row.newest and row.applied_seq)
     parts = (row.meta, row.digest, row.through_seq, *stands)
@@ -32,7 +34,7 @@ def told(row: Row[Any]) -> str:
     return sha256(text.encode()).hexdigest()
 
 
-def problems(row: Row[Any], names: Mapping[str, str]) -> list[str]:
+def problems(row: Stored, names: Mapping[str, str]) -> list[str]:
     """What in a row of `service.store.states.stored` is not what was written.
 
     names   SHA-256 of each array that the version has
@@ -59,7 +61,7 @@ def problems(row: Row[Any], names: Mapping[str, str]) -> list[str]:
     return found
 
 
-def check(row: Row[Any], names: Mapping[str, str]) -> None:
+def check(row: Stored, names: Mapping[str, str]) -> None:
     """DamagedError where the version is not what was written."""
     found = problems(row, names)
     if found:

@@ -8,7 +8,8 @@ transaction the rotor's cursor becomes dirty; workers are notified when it flips
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import (
@@ -99,6 +100,23 @@ _BETWEEN = (
 )
 _SOME_BETWEEN = _BETWEEN.limit(bindparam("most"))
 _NOTIFY = text("SELECT pg_notify(:channel, :payload)")
+
+
+@lru_cache(maxsize=64)
+def _page(after: bool, blade: bool, newest: bool, most_values: int | None) -> Select[Any]:
+    """The query of `SqlLog.page`: whether a number and a blade are given, and the rest of it."""
+    seq, columns = t.entry.c.seq, list[ColumnElement[Any]](COLUMNS)
+    if most_values is not None:
+        short = without_long(t.entry.c.body, most_values).label("body")
+        columns = [short if column.name == "body" else column for column in COLUMNS]
+    query = select(*columns).where(
+        t.entry.c.rotor_id == bindparam("rotor"), t.entry.c.kind == bindparam("kind")
+    )
+    if after:
+        query = query.where(seq < bindparam("after") if newest else seq > bindparam("after"))
+    if blade:
+        query = query.where(t.entry.c.blade == bindparam("blade"))
+    return query.order_by(seq.desc() if newest else seq).limit(bindparam("most"))
 
 
 def notify(connection: Connection, channel: str, payload: str = "") -> None:
@@ -231,21 +249,13 @@ class SqlLog:
 
         most_values   readings with more of them come without, and with their ``count``
         """
-        seq, columns = t.entry.c.seq, list[ColumnElement[Any]](COLUMNS)
-        if most_values is not None:
-            short = without_long(t.entry.c.body, most_values).label("body")
-            columns = [short if column.name == "body" else column for column in COLUMNS]
-        query = select(*columns).where(t.entry.c.rotor_id == rotor_id, t.entry.c.kind == kind)
-        if after is not None:
-            query = query.where(seq < after if newest else seq > after)
-        if blade is not None:
-            query = query.where(t.entry.c.blade == blade)
-        query = query.order_by(seq.desc() if newest else seq).limit(limit)
-        return [Event(**row._mapping) for row in self._connection.execute(query).all()]
+        query = _page(after is not None, blade is not None, newest, most_values)
+        asked = {"rotor": rotor_id, "kind": kind, "after": after, "blade": blade, "most": limit}
+        return _events(self._connection.execute(query, asked).all())
 
     def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
         asked = {"rotor": rotor_id, "after": after, "most": limit}
-        return [Event(**row._mapping) for row in self._connection.execute(_CHANGES, asked).all()]
+        return _events(self._connection.execute(_CHANGES, asked).all())
 
     def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]:
         """Retractions and corrections of these inspections, and retractions of those; no bodies."""
@@ -253,8 +263,7 @@ class SqlLog:
         wanted = list(ids)
         while wanted:
             rows = self._overruling(rotor_id, wanted[:CHUNK])
-            fresh = [Event(**row._mapping) for row in rows]
-            fresh = [event for event in fresh if event.event_id not in found]
+            fresh = [event for event in _events(rows) if event.event_id not in found]
             found |= {event.event_id: event for event in fresh}
             wanted = wanted[CHUNK:] + [e.event_id for e in fresh if e.kind == "inspection"]
         return list(found.values())
@@ -284,4 +293,9 @@ def read_entries(
         rows = connection.execute(_BETWEEN, asked)
     else:
         rows = connection.execute(_SOME_BETWEEN, asked | {"most": limit})
-    return [Event(**row._mapping) for row in rows]
+    return _events(rows)
+
+
+def _events(rows: Iterable[Row[Any]]) -> list[Event]:
+    """Entries of rows of `COLUMNS`."""
+    return [Event(**dict(zip(NAMES, row, strict=True))) for row in rows]

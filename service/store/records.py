@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, RowMapping, bindparam, insert, select, update
+from sqlalchemy import Connection, Result, Row, RowMapping, bindparam, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from service import tracing
@@ -26,6 +26,7 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("applied_seq", "version", "dirty", "attempts", "blocked")),
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
+ROTOR_NAMES = [column.name for column in ROTOR]
 FEW = 8  # names that are looked up by themselves
 UNFINISHED = ("queued", "running")
 LISTED = ("verdict", "names")
@@ -33,6 +34,15 @@ BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
 BLADE_NAMES = [column.name for column in BLADE]
 # Nearly every request asks these: a statement is built and understood once.
 _ROTOR = select(*ROTOR).join(t.cursor).where(t.rotor.c.id == bindparam("rotor"))
+_STANDING = (
+    select(*ROTOR, t.state.c.digest)
+    .join(t.cursor)
+    .outerjoin(
+        t.state,
+        (t.state.c.rotor_id == t.cursor.c.rotor_id) & (t.state.c.version == t.cursor.c.version),
+    )
+    .where(t.rotor.c.id == bindparam("rotor"))
+)
 _MODEL = (
     select(t.model.c.card)
     .where(t.model.c.id == bindparam("model"))
@@ -41,6 +51,7 @@ _MODEL = (
 _VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
 _OF_ROTOR = t.blade.c.rotor_id == bindparam("rotor")
 _BLADES = Gathered(select(*BLADE).where(_OF_ROTOR))
+BLADES = {split: _BLADES.column(split) for split in (False, True)}
 _SOME_BLADES = select(t.blade.c.id).where(
     _OF_ROTOR, t.blade.c.id.in_(bindparam("ids", expanding=True))
 )
@@ -211,10 +222,11 @@ class SqlRecords:
         return True
 
     def rotor(self, rotor_id: str) -> RotorRecord:
-        row = self._connection.execute(_ROTOR, {"rotor": rotor_id}).one_or_none()
-        if row is None:
-            raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
-        return _rotor(row)
+        return rotor_of(found_of(rotor_id, self._connection.execute(_ROTOR, {"rotor": rotor_id})))
+
+    def standing(self, rotor_id: str) -> tuple[RotorRecord, str | None]:
+        row = found_of(rotor_id, self._connection.execute(_STANDING, {"rotor": rotor_id}))
+        return rotor_of(row[:-1]), row[-1]
 
     def rotors(
         self, after: str, limit: int, only: Sequence[str] | None = None
@@ -223,15 +235,18 @@ class SqlRecords:
         query = select(*ROTOR).join(t.cursor).where(t.rotor.c.id > after).order_by(t.rotor.c.id)
         if only is not None:
             query = query.where(t.rotor.c.id.in_(only))
-        return [_rotor(row) for row in self._connection.execute(query.limit(limit))]
+        return [rotor_of(row) for row in self._connection.execute(query.limit(limit))]
 
     def blades(self, rotor_id: str) -> list[BladeRecord]:
         """Blades by id in byte order: digests rest on it, and databases sort text differently."""
-        asked = {"rotor": rotor_id}
+        return self.blades_of(rotor_id, _BLADES.told(self._connection, {"rotor": rotor_id}))
+
+    def blades_of(self, rotor_id: str, told: Told) -> list[BladeRecord]:
+        """The same, of whom a text of them (`BLADES`) was read before."""
         try:
-            return list(_told_blades(rotor_id, _BLADES.told(self._connection, asked)))
+            return list(_told_blades(rotor_id, told))
         except InexactError:
-            return _sorted_blades(rotor_id, _BLADES.single(self._connection, asked))
+            return _sorted_blades(rotor_id, _BLADES.single(self._connection, {"rotor": rotor_id}))
 
     def blade_ids(self, rotor_id: str, among: Collection[str] | None = None) -> set[str]:
         """The rotor's blades by name; those `among` some, where these are given."""
@@ -298,13 +313,22 @@ def _listed(row: RowMapping) -> JobRecord:
     return replace(_job({**row, "result": None}), result=told)
 
 
-def _rotor(row: Row[Any]) -> RotorRecord:
+def found_of(rotor_id: str, result: Result[Any]) -> Row[Any]:
+    """The one row of a query for a rotor."""
+    row = result.one_or_none()
+    if row is None:
+        raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
+    return row
+
+
+def rotor_of(row: Sequence[Any]) -> RotorRecord:
+    """A rotor of the values of `ROTOR`."""
+    values = dict(zip(ROTOR_NAMES, row, strict=True))
     try:
-        network = _read(row.network)
+        return RotorRecord(**values | {"network": _read(values["network"])})
     except ValueError as error:
-        problem = f"rotor {row.id}: its row's network is no JSON: {error}"
-        raise DamagedRotorError(row.id, [problem]) from None
-    return RotorRecord(**dict(row._mapping) | {"network": network})
+        problem = f"rotor {values['id']}: its row's network is no JSON: {error}"
+        raise DamagedRotorError(values["id"], [problem]) from None
 
 
 @lru_cache(maxsize=256)

@@ -17,7 +17,6 @@ from typing import Any
 from sqlalchemy import (
     Column,
     Connection,
-    Row,
     Select,
     bindparam,
     func,
@@ -33,6 +32,7 @@ from service.store import intact
 from service.store import tables as t
 from service.store.cache import ArrayCache, Checked, Key
 from service.store.encoding import DamagedArrayError, Encoded, decode
+from service.store.intact import Stored
 from service.store.named import NEWEST_NAMES, digests, digests_since
 from service.store.settled import end_of
 
@@ -83,6 +83,14 @@ class SqlStates:
             near = self._nearest(rotor_id, t.state.c.version, version)
             raise GoneError(f"version {version} of rotor {rotor_id}", "version", version, near)
         raise NotFoundError("version", str(version), f"the newest one is {last}")
+
+    def given(self, rotor_id: str, row: Stored, version: int | None = None) -> StateRecord:
+        """As `get`, where the row with the greatest version was read before. Where that one is not
+        the answer it is asked for, which tells why."""
+        there = row.version is not None
+        fits = there and (row.version >= row.newest if version is None else row.version == version)
+        found = self._record(row) if fits else None
+        return self.get(rotor_id, version) if found is None else found
 
     def newest(self, rotor_id: str) -> tuple[int, str] | None:
         """Number and digest of the newest version; None: none yet, or its row is missing."""
@@ -156,7 +164,7 @@ class SqlStates:
         rows = [self._connection.execute(one).one_or_none() for one in (before, after)]
         return tuple((row.version, row.through_seq) for row in rows if row is not None)
 
-    def _record(self, row: Row[Any]) -> StateRecord | None:
+    def _record(self, row: Stored) -> StateRecord | None:
         """The version, compared with its digest; None: it was thinned out meanwhile."""
         told = intact.told(row)
         if self._checked.get(row.rotor_id, row.version, told) is None:
@@ -171,7 +179,7 @@ class SqlStates:
             self._checked.put(row.rotor_id, row.version, told, names)
         return record_of(row)
 
-    def _names(self, row: Row[Any]) -> Mapping[str, str]:
+    def _names(self, row: Stored) -> Mapping[str, str]:
         """SHA-256 of each array of a version: as after the last version that was compared, if that
         gives its digest, else of all of them."""
         last = self._checked.last(row.rotor_id)
@@ -266,7 +274,7 @@ def stored(rotor_id: str) -> Select[Any]:
     return _STORED.where(t.state.c.rotor_id == rotor_id)
 
 
-def record_of(row: Row[Any]) -> StateRecord:
+def record_of(row: Stored) -> StateRecord:
     """A row of `stored`, compared before."""
     values = {name: getattr(row, name) for name in t.state.c.keys()}  # noqa: SIM118
     return StateRecord(**values | {"meta": json.loads(row.meta)})

@@ -19,6 +19,7 @@ from service.ports import (
     ModelCard,
     Operations,
     RotorRecord,
+    Seen,
 )
 from service.store import creation
 from service.store.answers import SqlAnswers
@@ -32,6 +33,7 @@ from service.store.log import SqlLog
 from service.store.met import Met
 from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
+from service.store.seen import Looks
 from service.store.settled import settled
 from service.store.states import SqlStates
 from service.store.trail import SqlAudit
@@ -59,6 +61,7 @@ class SqlTransaction:
         self.records = SqlRecords(connection, met)
         self.log = SqlLog(connection, posted_by)
         self.states = SqlStates(connection, cache, checked, settled)
+        self._looks = Looks(connection, self.records, self.states, sound)
         self.outbox = SqlOutbox(connection)
         self.keys = SqlKeys(connection)
         self.audit = SqlAudit(connection)
@@ -75,11 +78,14 @@ class SqlTransaction:
     def check_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
         creation.check(self.connection, rotor, blades, self._sound)
 
+    def seen(self, rotor_id: str) -> Seen:
+        return self._looks.whole(rotor_id)
+
+    def seen_with(self, rotor_id: str, blade: str | None) -> Seen:
+        return self._looks.with_blade(rotor_id, blade)
+
     def sound_blades(self, rotor: RotorRecord) -> list[BladeRecord]:
         return creation.sound_blades(self.connection, rotor, self._compared)
-
-    def sound_blade(self, rotor: RotorRecord, name: str | None) -> BladeRecord | None:
-        return creation.sound_blade(self.connection, rotor, name, self._sound)
 
     def operations(self, limit: int) -> Operations:
         return read_operations(self.connection, limit)

@@ -22,7 +22,7 @@ from service.adopted import KINDS
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
-from service.store import log
+from service.store import log, seen
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
@@ -102,6 +102,21 @@ def test_changes_of_the_model_are_found_by_an_index(store: SqlStore, rotor: str)
     assert plan.count("ix_event_rotor_id_kind_seq") == len(KINDS)
     assert "pk_event" not in plan
     assert "autoindex" not in plan
+
+
+@pytest.mark.parametrize("kind", ["blade", "whole"])
+def test_what_a_read_begins_with_is_found_by_indices(
+    store: SqlStore, rotor: str, kind: str
+) -> None:
+    """It counts what moves blades and what changes the model, in two places of the log."""
+    _filled(store, rotor, 3000)
+    split = store.engine.dialect.name == "sqlite"
+    query = seen._BLADE if kind == "blade" else seen._WHOLE[split]
+    plan = _plan(store, query, {"rotor": rotor, "blade": "B1"})
+    assert plan.count("ix_event_rotor_id_kind_seq") >= 2
+    assert plan.count("pk_event") + plan.count("sqlite_autoindex_event_1") == (kind == "whole")
+    assert "Seq Scan on event" not in plan
+    assert "SCAN event" not in plan
 
 
 class Counted:
@@ -184,4 +199,4 @@ def test_a_question_that_goes_through_the_log_is_noticed(
     _is_lite(store)
     monkeypatch.setattr(log, "_CHANGES", _in_one_question())
     grown = {kind for kind, (few, many) in _steps(store, worker, api).items() if many > 2 * few}
-    assert {"update", "rotor", "prediction"} <= grown
+    assert {"update", "adoptions"} <= grown

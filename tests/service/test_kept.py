@@ -132,9 +132,9 @@ def views(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
     whole = rotors.view_in
 
-    def view_in(tx: Any, rotor_id: str) -> Any:
+    def view_in(tx: Any, rotor_id: str, **more: Any) -> Any:
         found.append(rotor_id)
-        return whole(tx, rotor_id)
+        return whole(tx, rotor_id, **more)
 
     monkeypatch.setattr(rotors, "view_in", view_in)
     return found

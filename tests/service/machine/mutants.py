@@ -45,7 +45,7 @@ def came_now(self: SqlLog, rotor_id: str, events: Sequence[Event]) -> None:
     restore(self, rotor_id, [replace(one, received_at=time.time()) for one in events])
 
 
-def effects_of_now(tx: Transaction, rotor: RotorRecord, through: int | None = None) -> Adopted:
+def effects_of_now(tx: Transaction, rotor: RotorRecord, *given: int | None) -> Adopted:
     return adopted_at(tx, rotor)
 
 
