@@ -39,8 +39,7 @@ from service.store.engine import now_s
 from service.store.parts import among, without_long
 
 
-
-def locked_head(rotor_id: ColumnElement[str] | str) -> Select[tuple[str, int]]:
+def locked_head(rotor_id: ColumnElement[str] | str) -> Select[str, int]:
     """The rotor's row, locked until the end of the transaction: its id and head_seq."""
     own = select(t.rotor.c.id, t.rotor.c.head_seq).where(t.rotor.c.id == rotor_id)
     return own.with_for_update()

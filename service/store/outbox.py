@@ -27,9 +27,7 @@ o = t.outbox.c
 _NOTE = (
     insert(t.outbox)
     .values(at=now_s())
-    .returning(
-        exists(select(t.webhook.c.id)), notified(literal("bladetwin_applied"), o.rotor_id)
-    )
+    .returning(exists(select(t.webhook.c.id)), notified(literal("bladetwin_applied"), o.rotor_id))
 )
 
 

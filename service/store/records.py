@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, RowMapping, bindparam, insert, select, update
+from sqlalchemy import Connection, RowMapping, bindparam, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from service import tracing
@@ -25,6 +25,7 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("applied_seq", "version", "dirty", "attempts", "blocked")),
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
+ROTOR_NAMES = [column.name for column in ROTOR]
 FEW = 8  # names that are looked up by themselves
 MOST_CARDS = 64
 UNFINISHED = ("queued", "running")
@@ -40,7 +41,7 @@ _MODEL = (
 )
 _VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
 _OF_ROTOR = t.blade.c.rotor_id == bindparam("rotor")
-_BLADES = Gathered(select(*BLADE).where(_OF_ROTOR))
+BLADES = Gathered(select(*BLADE).where(_OF_ROTOR))
 _SOME_BLADES = select(t.blade.c.id).where(
     _OF_ROTOR, t.blade.c.id.in_(bindparam("ids", expanding=True))
 )
@@ -210,7 +211,7 @@ class SqlRecords:
         row = self._connection.execute(_ROTOR, {"rotor": rotor_id}).one_or_none()
         if row is None:
             raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
-        return _rotor(row)
+        return rotor_of(row._mapping)
 
     def rotors(
         self, after: str, limit: int, only: Sequence[str] | None = None
@@ -219,15 +220,18 @@ class SqlRecords:
         query = select(*ROTOR).join(t.cursor).where(t.rotor.c.id > after).order_by(t.rotor.c.id)
         if only is not None:
             query = query.where(t.rotor.c.id.in_(only))
-        return [_rotor(row) for row in self._connection.execute(query.limit(limit))]
+        return [rotor_of(row._mapping) for row in self._connection.execute(query.limit(limit))]
 
     def blades(self, rotor_id: str) -> list[BladeRecord]:
         """Blades by id in byte order: digests rest on it, and databases sort text differently."""
-        asked = {"rotor": rotor_id}
+        return self.told_blades(rotor_id, BLADES.told(self._connection, {"rotor": rotor_id}))
+
+    def told_blades(self, rotor_id: str, told: Told) -> list[BladeRecord]:
+        """The same where the text of `BLADES` was read with something else."""
         try:
-            return list(_told_blades(rotor_id, _BLADES.told(self._connection, asked)))
+            return list(_told_blades(rotor_id, told))
         except InexactError:
-            return _sorted_blades(rotor_id, _BLADES.single(self._connection, asked))
+            return _sorted_blades(rotor_id, BLADES.single(self._connection, {"rotor": rotor_id}))
 
     def blade_ids(self, rotor_id: str, among: Collection[str] | None = None) -> set[str]:
         """The rotor's blades by name; those `among` some, where these are given."""
@@ -279,19 +283,20 @@ def _listed(row: RowMapping) -> JobRecord:
     return replace(_job({**row, "result": None}), result=told)
 
 
-def _rotor(row: Row[Any]) -> RotorRecord:
+def rotor_of(row: Mapping[Any, Any]) -> RotorRecord:
+    """The columns of `ROTOR`, whatever else is in the row."""
     try:
-        network = _read(row.network)
+        network = _read(row["network"])
     except ValueError as error:
-        problem = f"rotor {row.id}: its row's network is no JSON: {error}"
-        raise DamagedRotorError(row.id, [problem]) from None
-    return RotorRecord(**dict(row._mapping) | {"network": network})
+        problem = f"rotor {row['id']}: its row's network is no JSON: {error}"
+        raise DamagedRotorError(row["id"], [problem]) from None
+    return RotorRecord(**{name: row[name] for name in ROTOR_NAMES} | {"network": network})
 
 
 @lru_cache(maxsize=256)
 def _told_blades(rotor_id: str, told: Told) -> tuple[BladeRecord, ...]:
     """(Reads of a rotor look at all of its blades, and those seldom change.)"""
-    return tuple(_sorted_blades(rotor_id, _BLADES.read(told)))
+    return tuple(_sorted_blades(rotor_id, BLADES.read(told)))
 
 
 def _sorted_blades(rotor_id: str, rows: Iterable[tuple[Any, ...]]) -> list[BladeRecord]:
