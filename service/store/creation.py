@@ -59,8 +59,8 @@ _BLADE = (
     .where(t.rotor.c.id == bindparam("rotor"))
 )
 # What every update asks, in one question and as of one moment: the rotor and its blades, where its
-# log ends, how many entries moved a blade or changed the model; and two rows by their keys, of which
-# the worker remembers what they are called. By whether it is SQLite's.
+# log ends, how many entries moved a blade or changed the model; and two rows by their keys, whose
+# names the worker remembers. By whether it is SQLite's.
 _LAST = t.entry.alias("last")
 _WHOLE = {
     sqlite: select(
