@@ -22,9 +22,9 @@ from service.adopted import KINDS
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
-from service.store import log
+from service.store import creation, log
 from service.store import tables as t
-from service.store.engine import transaction
+from service.store.engine import is_sqlite, transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 
@@ -104,6 +104,15 @@ def test_changes_of_the_model_are_found_by_an_index(store: SqlStore, rotor: str)
     assert "autoindex" not in plan
 
 
+def test_what_an_update_rests_on_is_found_by_indexes(store: SqlStore, rotor: str) -> None:
+    _filled(store, rotor, 3000)
+    whole = creation._WHOLE[is_sqlite(store.engine)]
+    plan = _plan(store, whole, {"rotor": rotor, "seq": 7, "version": 1})
+    assert plan.count("ix_event_rotor_id_kind_seq") >= 2, "what moved a blade, what changes"
+    assert "Seq Scan on event" not in plan
+    assert "SCAN event" not in plan
+
+
 class Counted:
     """Instructions of SQLite's virtual machine, in steps of `STEP`."""
 
@@ -180,8 +189,9 @@ def test_no_question_of_a_read_or_an_update_grows_with_the_log(
 def test_a_question_that_goes_through_the_log_is_noticed(
     store: SqlStore, worker: Worker, api: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The control."""
+    """The control. (An update asks only where it found by their number that there are some.)"""
     _is_lite(store)
     monkeypatch.setattr(log, "_CHANGES", _in_one_question())
     grown = {kind for kind, (few, many) in _steps(store, worker, api).items() if many > 2 * few}
-    assert {"update", "rotor", "prediction"} <= grown
+    assert {"rotor", "prediction"} <= grown
+    assert "update" not in grown
