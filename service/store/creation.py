@@ -15,16 +15,13 @@ from typing import Literal, NamedTuple
 
 from sqlalchemy import Connection, Select, bindparam, func, literal, select, union_all
 
-from service.adopted import KINDS
 from service.digests import as_created, digest_of_blade, digest_of_rotor
 from service.entries import BLADES
-from service.errors import DamagedRotorError, NotFoundError
+from service.errors import DamagedRotorError
 from service.ports import BladeRecord, Event, RotorRecord
 from service.store import tables as t
 from service.store.cache import Compared, Sound
-from service.store.gathered import Told
-from service.store.records import BLADE, ROTOR, SqlRecords, blade_of, rotor_of
-from service.store.records import BLADES as ROWS
+from service.store.records import BLADE, SqlRecords, blade_of
 
 e = t.entry.c
 Part = Literal["rotor", "blade"]
@@ -40,49 +37,24 @@ _MOVES = union_all(
 )
 
 
-def _count(kinds: Sequence[str]) -> Select[int]:
+def count_of(kinds: Sequence[str]) -> Select[int]:
     """How many entries of these kinds the rotor's log has."""
     kind = e.kind.in_([literal(one) for one in kinds])
     return select(func.count()).where(e.rotor_id == bindparam("rotor"), kind)
 
 
-_MOVED = _count(BLADES)
-_END = select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery()
-_ENDS = select(t.rotor.c.head_seq, _END, _MOVED.scalar_subquery()).where(
+MOVED = count_of(BLADES)
+END = select(func.max(e.seq)).where(e.rotor_id == t.rotor.c.id).scalar_subquery()
+_ENDS = select(t.rotor.c.head_seq, END, MOVED.scalar_subquery()).where(
     t.rotor.c.id == bindparam("rotor")
 )
 # One blade, if it is there, and how many moved.
 _BLADE = (
-    select(_MOVED.scalar_subquery(), *BLADE)
+    select(MOVED.scalar_subquery(), *BLADE)
     .select_from(t.rotor)
     .outerjoin(t.blade, (t.blade.c.rotor_id == t.rotor.c.id) & (t.blade.c.id == bindparam("blade")))
     .where(t.rotor.c.id == bindparam("rotor"))
 )
-# What every update asks, in one question and as of one moment: the rotor and its blades, where its
-# log ends, how many entries moved a blade or changed the model; and two rows by their keys, whose
-# names the worker remembers. By whether it is SQLite's.
-_LAST = t.entry.alias("last")
-_WHOLE = {
-    sqlite: select(
-        *ROTOR,
-        ROWS.column(sqlite).label("blades"),
-        _END.label("end"),
-        _MOVED.scalar_subquery().label("moved"),
-        _count(KINDS).scalar_subquery().label("changes"),
-        _LAST.c.event_id,
-        _LAST.c.digest.label("entry_digest"),
-        _LAST.c.received_at,
-        t.state.c.digest.label("state_digest"),
-    )
-    .join(t.cursor)
-    .outerjoin(_LAST, (_LAST.c.rotor_id == t.rotor.c.id) & (_LAST.c.seq == bindparam("seq")))
-    .outerjoin(
-        t.state,
-        (t.state.c.rotor_id == t.rotor.c.id) & (t.state.c.version == bindparam("version")),
-    )
-    .where(t.rotor.c.id == bindparam("rotor"))
-    for sqlite in (False, True)
-}
 
 
 class Move(NamedTuple):
@@ -92,38 +64,6 @@ class Move(NamedTuple):
     blade: str
     seq: int
     digest: str
-
-
-class Whole(NamedTuple):
-    """A rotor as one statement found it.
-
-    changes   entries of its log that change its model
-    last      what one entry is called by: its id, digest and time; None each: it is not there
-    state     digest of one version; None: it is not there
-    """
-
-    rotor: RotorRecord
-    blades: list[BladeRecord]
-    changes: int
-    last: tuple[str | None, str | None, float | None]
-    state: str | None
-
-
-def sound_rotor(
-    connection: Connection, rotor_id: str, seq: int, version: int, compared: Compared | None = None
-) -> Whole:
-    """What an update rests on beside the entries that are new to it; DamagedRotorError as of
-    `sound_blades`. The entry and the version that are named need not be there."""
-    split = connection.dialect.name == "sqlite"
-    asked = {"rotor": rotor_id, "seq": seq, "version": version}
-    row = connection.execute(_WHOLE[split], asked).one_or_none()
-    if row is None:
-        raise NotFoundError("rotor", rotor_id, "POST /v1/rotors creates it")
-    rotor = rotor_of(row._mapping)
-    blades = SqlRecords(connection).told_blades(rotor_id, Told(row.blades, split))
-    _sound(connection, rotor, blades, (rotor.head_seq, row.end, row.moved), compared)
-    last = (row.event_id, row.entry_digest, row.received_at)
-    return Whole(rotor, blades, row.changes, last, row.state_digest)
 
 
 def sound_blades(
@@ -136,11 +76,11 @@ def sound_blades(
     """
     blades = SqlRecords(connection).blades(rotor.id)
     head, end, moved = connection.execute(_ENDS, {"rotor": rotor.id}).one()
-    _sound(connection, rotor, blades, (head, end, moved), compared)
+    sound(connection, rotor, blades, (head, end, moved), compared)
     return blades
 
 
-def _sound(
+def sound(
     connection: Connection,
     rotor: RotorRecord,
     blades: list[BladeRecord],

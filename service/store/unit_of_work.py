@@ -35,6 +35,7 @@ from service.store.settled import settled
 from service.store.states import SqlStates
 from service.store.trail import SqlAudit
 from service.store.webhooks import SqlWebhooks
+from service.store.whole import Whole, sound_rotor
 from service.telemetry import tell
 
 
@@ -74,8 +75,8 @@ class SqlTransaction:
     def check_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
         creation.check(self.connection, rotor, blades, self._sound)
 
-    def sound_rotor(self, rotor_id: str, seq: int, version: int) -> creation.Whole:
-        return creation.sound_rotor(self.connection, rotor_id, seq, version, self._compared)
+    def sound_rotor(self, rotor_id: str, seq: int, version: int) -> Whole:
+        return sound_rotor(self.connection, rotor_id, seq, version, self._compared)
 
     def sound_blades(self, rotor: RotorRecord) -> list[BladeRecord]:
         return creation.sound_blades(self.connection, rotor, self._compared)

@@ -21,10 +21,10 @@ from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError
 from service.ports import BladeRecord, ModelCard, RotorRecord, RotorSpec, Science
-from service.store.creation import Whole
 from service.store.log import read_entries
 from service.store.named import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction
+from service.store.whole import Whole
 from service.worker.lease import Lease
 from service.worker.memory import NO_VERSION, Mark, Memory, mark
 

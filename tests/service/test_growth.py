@@ -22,7 +22,7 @@ from service.adopted import KINDS
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
-from service.store import creation, log
+from service.store import log, whole
 from service.store import tables as t
 from service.store.engine import is_sqlite, transaction
 from service.store.unit_of_work import SqlStore
@@ -106,8 +106,8 @@ def test_changes_of_the_model_are_found_by_an_index(store: SqlStore, rotor: str)
 
 def test_what_an_update_rests_on_is_found_by_indexes(store: SqlStore, rotor: str) -> None:
     _filled(store, rotor, 3000)
-    whole = creation._WHOLE[is_sqlite(store.engine)]
-    plan = _plan(store, whole, {"rotor": rotor, "seq": 7, "version": 1})
+    query = whole._WHOLE[is_sqlite(store.engine)]
+    plan = _plan(store, query, {"rotor": rotor, "seq": 7, "version": 1})
     assert plan.count("ix_event_rotor_id_kind_seq") >= 2, "what moved a blade, what changes"
     assert "Seq Scan on event" not in plan
     assert "SCAN event" not in plan
