@@ -89,7 +89,8 @@ class Pulse:
             self._works.append(work)
             if not self._beating:
                 self._beating = True
-                threading.Thread(target=self._run, name="heartbeat", daemon=True).start()
+                name = f"heartbeat of {threading.current_thread().name}"
+                threading.Thread(target=self._run, name=name, daemon=True).start()
             elif work.due < self._wakes:
                 self._turn.notify()
 
