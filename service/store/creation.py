@@ -80,12 +80,24 @@ def sound_blades(
     """
     blades = SqlRecords(connection).blades(rotor.id)
     head, end, moved = connection.execute(_ENDS, {"rotor": rotor.id}).one()
+    sound(connection, rotor, blades, (head, end, moved), compared)
+    return blades
+
+
+def sound(
+    connection: Connection,
+    rotor: RotorRecord,
+    blades: list[BladeRecord],
+    ends: tuple[int, int | None, int],
+    compared: Compared | None,
+) -> None:
+    """DamagedRotorError as of `sound_blades`. ends   the head, the log's end, how many moved"""
+    head, end, moved = ends
     moves = _moves(connection, rotor, blades) if moved else ()
     known = compared is not None and compared.knows(rotor, moves, blades)
     _refuse(rotor, [] if known else _problems(rotor, blades, moves), head, end)
     if compared is not None:
         compared.put(rotor, moves, blades)
-    return blades
 
 
 def check(

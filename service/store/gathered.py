@@ -60,9 +60,11 @@ class Gathered:
         self._rows = query
         self._real = [isinstance(column.type, Double) for column in inner.c]
         rows = func.json_agg(func.json_build_array(*inner.c))
-        self._whole = select(func.coalesce(cast(rows, Text), "[]"))
         told = [part for column in inner.c for part in _told(column)]
-        self._split = select(func.json_group_array(func.json_array(*told)))
+        self._one = {
+            False: select(func.coalesce(cast(rows, Text), "[]")),
+            True: select(func.json_group_array(func.json_array(*told))),
+        }
 
     def rows(self, connection: Connection, asked: Mapping[str, object]) -> list[tuple[Any, ...]]:
         """The values of each row, as the query alone would give them."""
@@ -80,12 +82,11 @@ class Gathered:
     def told(self, connection: Connection, asked: Mapping[str, object]) -> Told:
         """All rows as one text: who made something of an equal one need not do so again."""
         split = connection.dialect.name == "sqlite"
-        one = self._split if split else self._whole
-        return Told(str(connection.execute(one, asked).scalar_one()), split)
+        return Told(str(connection.execute(self._one[split], asked).scalar_one()), split)
 
-    def column(self, split: bool) -> ScalarSelect[str]:
-        """The text of `told` as a column of another query."""
-        return (self._split if split else self._whole).scalar_subquery()
+    def column(self, split: bool) -> ScalarSelect[Any]:
+        """The text as a column of another query's row; `split` as in `Told`, for SQLite."""
+        return self._one[split].scalar_subquery()
 
     def read(self, told: Told) -> list[tuple[Any, ...]]:
         """The rows of a text; InexactError: it does not hold all of their numbers exactly."""

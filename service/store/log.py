@@ -25,11 +25,12 @@ from sqlalchemy import (
     literal,
     or_,
     select,
-    text,
     true,
     union_all,
     update,
 )
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.sql.functions import FunctionElement
 
 from service import tracing
 from service.adopted import KINDS
@@ -40,11 +41,18 @@ from service.store.engine import now_s
 from service.store.parts import among, without_long
 from service.store.single import append_one
 
+
+def locked_head(rotor_id: ColumnElement[str] | str) -> Select[str, int]:
+    """The rotor's row, locked until the end of the transaction: its id and head_seq."""
+    own = select(t.rotor.c.id, t.rotor.c.head_seq).where(t.rotor.c.id == rotor_id)
+    return own.with_for_update()
+
+
 COLUMNS = [c for c in t.entry.c if c.name not in ("rotor_id", "traceparent")]
 NAMES = [column.name for column in COLUMNS]
 CHUNK = 500
 # Statements of every post and read, built and understood once.
-_HEAD = select(t.rotor.c.head_seq).where(t.rotor.c.id == bindparam("rotor")).with_for_update()
+_HEAD = locked_head(bindparam("rotor")).with_only_columns(t.rotor.c.head_seq)
 _KNOWN = select(t.entry.c.event_id, t.entry.c.digest, t.entry.c.seq).where(
     t.entry.c.rotor_id == bindparam("rotor"),
     t.entry.c.event_id.in_(bindparam("ids", expanding=True)),
@@ -99,7 +107,26 @@ _BETWEEN = (
     .order_by(t.entry.c.seq)
 )
 _SOME_BETWEEN = _BETWEEN.limit(bindparam("most"))
-_NOTIFY = text("SELECT pg_notify(:channel, :payload)")
+
+
+class notified(FunctionElement[str]):
+    """Listeners of a channel are woken at the commit with a payload; SQLite's watch the file."""
+
+    type = Text()
+    inherit_cache = True
+
+
+@compiles(notified, "sqlite")
+def _not_notified(element: Any, compiler: Any, **kw: Any) -> str:
+    return "NULL"
+
+
+@compiles(notified, "postgresql")
+def _notified(element: Any, compiler: Any, **kw: Any) -> str:
+    return f"pg_notify({compiler.process(element.clauses, **kw)})"
+
+
+_NOTIFY = select(notified(bindparam("channel", type_=Text()), bindparam("payload", type_=Text())))
 
 
 @lru_cache(maxsize=64)

@@ -13,17 +13,22 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Connection, Engine, delete, func, insert, select, update
+from sqlalchemy import Connection, Engine, delete, exists, func, insert, literal, select, update
 
 from service.ports import Note
 from service.store import tables as t
 from service.store.engine import now_s, transaction
-from service.store.log import notify
+from service.store.log import notified
 from service.store.webhooks import tell
 
 o = t.outbox.c
-# Of every commit: built and understood once. Nobody asks for the number.
-_NOTE = insert(t.outbox).values(at=now_s()).inline()
+# Of every commit: built and understood once. A hint to who waits, and whether a webhook may ask for
+# it; nobody asks for the number.
+_NOTE = (
+    insert(t.outbox)
+    .values(at=now_s())
+    .returning(exists(select(t.webhook.c.id)), notified(literal("bladetwin_applied"), o.rotor_id))
+)
 
 
 class SqlOutbox:
@@ -53,9 +58,8 @@ def post(connection: Connection, rotor_id: str, kind: str, payload: dict[str, An
     The rotor's row has to be locked, so that its notes are numbered in the order of its commits.
     """
     row = {"rotor_id": rotor_id, "kind": kind, "payload": json.dumps(payload)}
-    connection.execute(_NOTE, row)
-    tell(connection, rotor_id, kind, payload)
-    notify(connection, "bladetwin_applied", rotor_id)
+    if connection.execute(_NOTE, row).scalar():
+        tell(connection, rotor_id, kind, payload)
 
 
 def trim(engine: Engine, rotor_id: str, keep: int) -> None:

@@ -38,6 +38,7 @@ from service.store.settled import settled
 from service.store.states import SqlStates
 from service.store.trail import SqlAudit
 from service.store.webhooks import SqlWebhooks
+from service.store.whole import Whole, sound_rotor
 from service.telemetry import tell
 
 
@@ -83,6 +84,9 @@ class SqlTransaction:
 
     def seen_with(self, rotor_id: str, blade: str | None) -> Seen:
         return self._looks.with_blade(rotor_id, blade)
+
+    def sound_rotor(self, rotor_id: str, seq: int, version: int) -> Whole:
+        return sound_rotor(self.connection, rotor_id, seq, version, self._compared)
 
     def sound_blades(self, rotor: RotorRecord) -> list[BladeRecord]:
         return creation.sound_blades(self.connection, rotor, self._compared)

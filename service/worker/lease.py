@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 from sqlalchemy import (
     BindParameter,
@@ -33,7 +33,7 @@ from sqlalchemy.sql.visitors import iterate
 from service.errors import LostLeaseError
 from service.store import tables as t
 from service.store.engine import now_s, transaction
-from service.store.log import lock_rotor, notify
+from service.store.log import lock_rotor, locked_head, notified, notify
 from service.store.outbox import post
 
 c = t.cursor.c
@@ -57,7 +57,7 @@ class Lease:
 
 
 Condition = Callable[[Lease], ColumnElement[bool]]
-OWN = ("own_rotor_id", "own_fence", "own_applied_seq", "own_owner")
+OWN = ("own_fence", "own_applied_seq", "own_owner")
 
 
 def holds(lease: Lease) -> ColumnElement[bool]:
@@ -127,35 +127,41 @@ def advance(
     its head moved on, or when a sealing pass has to follow; a blocked one (whose old versions are
     rebuilt) stays blocked, with its error. LostLeaseError: roll everything back.
     """
-    head = lock_rotor(connection, lease.rotor_id)
-    dirty = not sealed or (head or 0) > through
-    move, names = _move(sealed, dirty, (holds, moves_on))
-    given = {"to": through, "ess": ess_ratio}
+    move, names = _move(sealed, (holds, moves_on))
+    given = {"rotor": lease.rotor_id, "to": through, "ess": ess_ratio}
     given |= {name: getattr(lease, name.removeprefix("own_")) for name in names if name in OWN}
     version = connection.execute(move, given).scalar()
     if version is None:
         raise LostLeaseError(lease.rotor_id, lease.fence)
     told = {"version": version, "through_seq": through, "sealed": sealed}
     post(connection, lease.rotor_id, "applied", told)
-    if dirty:
-        notify(connection, "bladetwin_work")
     return int(version)
 
 
 @lru_cache(maxsize=64)
 def _move(
-    sealed: bool, dirty: bool, conditions: tuple[Condition, ...]
-) -> tuple[ReturningUpdate[int], frozenset[str]]:
-    """The cursor's move, built once, and the names of what it has to be given."""
+    sealed: bool, conditions: tuple[Condition, ...]
+) -> tuple[ReturningUpdate[Any], frozenset[str]]:
+    """The cursor's move, built once, and the names of what it has to be given.
+
+    The rotor's row is locked, the cursor moves and listeners are woken as one statement. A query
+    that locks is computed once and by itself (`service.worker.claiming`), and gives the newest
+    version of the row, whoever was waited for. The move needs what it gives, so it comes after it,
+    and is of the newest version of the cursor as well: what an ingest that was waited for wrote
+    there is overwritten by what its head says.
+    """
     own = cast("Lease", SimpleNamespace(**{n.removeprefix("own_"): bindparam(n) for n in OWN}))
+    head = locked_head(bindparam("rotor")).cte("head")
+    to = bindparam("to", type_=c.applied_seq.type)
+    dirty = head.c.head_seq > to if sealed else true()
     move = (
         update(t.cursor)
-        .where(c.rotor_id == own.rotor_id, *(condition(own) for condition in conditions))
+        .where(c.rotor_id == head.c.id, *(condition(own) for condition in conditions))
         .values(
-            applied_seq=bindparam("to"),
+            applied_seq=to,
             version=c.version + 1,
             dirty=dirty,
-            dirty_since=now_s() if dirty else None,
+            dirty_since=case((dirty, now_s())),
             provisional_since=None if sealed else func.coalesce(c.provisional_since, now_s()),
             seals=c.seals + int(sealed),
             ess_ratio=bindparam("ess"),
@@ -167,7 +173,7 @@ def _move(
             last_error=case((c.blocked == true(), c.last_error), else_=None),
             last_error_event=case((c.blocked == true(), c.last_error_event), else_=None),
         )
-        .returning(c.version)
+        .returning(c.version, case((c.dirty == true(), notified("bladetwin_work", ""))))
     )
     binds = (part for part in iterate(move) if isinstance(part, BindParameter))
     return move, frozenset(bind.key for bind in binds)

@@ -13,32 +13,22 @@ a blade's, is not what was written (`service.store.creation`): the log cannot ma
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
-
-from sqlalchemy import and_, bindparam, select
 
 from core.observation import Entry
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError
-from service.ports import ModelCard, RotorRecord, RotorSpec, Science
-from service.store import tables as t
+from service.ports import BladeRecord, ModelCard, RotorRecord, RotorSpec, Science
 from service.store.log import read_entries
 from service.store.named import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction
+from service.store.whole import Whole
 from service.worker.lease import Lease
 from service.worker.memory import NO_VERSION, Mark, Memory, mark
 
 log = logging.getLogger("bladetwin.worker")
-c, e, s = t.cursor.c, t.entry.c, t.state.c
-# What a memory ends with, as the database has it: three rows by their keys, in one question.
-_ENDS = (
-    select(e.event_id, e.digest, e.received_at, s.digest)
-    .select_from(t.cursor)
-    .outerjoin(t.entry, and_(e.rotor_id == c.rotor_id, e.seq == bindparam("seq")))
-    .outerjoin(t.state, and_(s.rotor_id == c.rotor_id, s.version == bindparam("version")))
-    .where(c.rotor_id == bindparam("rotor"))
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +47,11 @@ class Task:
 def spec_of(tx: SqlTransaction, rotor: RotorRecord, through: int) -> RotorSpec:
     """The rotor as an update through entry `through` sees it; DamagedRotorError: nothing is to be
     computed from it. It goes before the model is looked for, which the rotor's row names."""
-    blades = [b for b in tx.sound_blades(rotor) if b.added_seq <= through]
+    return _spec(rotor, tx.sound_blades(rotor), through)
+
+
+def _spec(rotor: RotorRecord, sound: Sequence[BladeRecord], through: int) -> RotorSpec:
+    blades = [b for b in sound if b.added_seq <= through]
     known = {b.id: b.known for b in blades if b.known is not None}
     name = rotor.origin or rotor.id
     return RotorSpec(name, tuple(b.id for b in blades), rotor.particles, rotor.seed, known)
@@ -66,11 +60,13 @@ def spec_of(tx: SqlTransaction, rotor: RotorRecord, through: int) -> RotorSpec:
 def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None) -> Task:
     """The rotor, its entries up to the head, and the state before them."""
     with store.read() as tx:
-        rotor = tx.records.rotor(lease.rotor_id)
+        ends = (0, 0) if memory is None else (memory.through, memory.version)
+        found = tx.sound_rotor(lease.rotor_id, *ends)
+        rotor = found.rotor
         through = lease.applied_seq if lease.sealing else rotor.head_seq
-        spec = spec_of(tx, rotor, through)
+        spec = _spec(rotor, found.blades, through)
         card = tx.records.model(rotor.model_id, rotor.model_version)
-        if memory is not None and not same_history(tx, lease, memory):
+        if memory is not None and not same_history(found, lease, memory):
             log.warning("rotor %s: the log went another way than this worker saw", rotor.id)
             memory = None
         if memory is None or (memory.version, memory.through) != (
@@ -79,7 +75,7 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
         ):
             memory = _restored(store, science, tx, lease, memory)
         fresh = read_entries(tx.connection, rotor.id, memory.through, through)
-        network = adopted_at(tx, rotor, through).network
+        network = adopted_at(tx, rotor, through).network if found.changes else rotor.network
     readings = entries_of(fresh)
     return Task(
         card=science.vary(card, network),
@@ -92,13 +88,11 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
     )
 
 
-def same_history(tx: SqlTransaction, lease: Lease, memory: Memory) -> bool:
+def same_history(found: Whole, lease: Lease, memory: Memory) -> bool:
     """The database has the entry with which the memory ends; the version, too, if it is used."""
-    asked = {"rotor": lease.rotor_id, "seq": memory.through, "version": memory.version}
-    *last, digest = tx.connection.execute(_ENDS, asked).one()
-    if memory.through and tuple(last) != memory.last:
+    if memory.through and found.last != memory.last:
         return False
-    return memory.version != lease.version or digest == memory.digest
+    return memory.version != lease.version or found.state == memory.digest
 
 
 def _restored(

@@ -22,9 +22,9 @@ from service.adopted import KINDS
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
-from service.store import log, seen
+from service.store import log, seen, whole
 from service.store import tables as t
-from service.store.engine import transaction
+from service.store.engine import is_sqlite, transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 
@@ -115,6 +115,13 @@ def test_what_a_read_begins_with_is_found_by_indices(
     plan = _plan(store, query, {"rotor": rotor, "blade": "B1"})
     assert plan.count("ix_event_rotor_id_kind_seq") >= 2
     assert plan.count("pk_event") + plan.count("sqlite_autoindex_event_1") == (kind == "whole")
+
+
+def test_what_an_update_rests_on_is_found_by_indexes(store: SqlStore, rotor: str) -> None:
+    _filled(store, rotor, 3000)
+    query = whole._WHOLE[is_sqlite(store.engine)]
+    plan = _plan(store, query, {"rotor": rotor, "seq": 7, "version": 1})
+    assert plan.count("ix_event_rotor_id_kind_seq") >= 2, "what moved a blade, what changes"
     assert "Seq Scan on event" not in plan
     assert "SCAN event" not in plan
 
@@ -195,8 +202,9 @@ def test_no_question_of_a_read_or_an_update_grows_with_the_log(
 def test_a_question_that_goes_through_the_log_is_noticed(
     store: SqlStore, worker: Worker, api: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The control."""
+    """The control. (An update asks only where it found by their number that there are some.)"""
     _is_lite(store)
     monkeypatch.setattr(log, "_CHANGES", _in_one_question())
     grown = {kind for kind, (few, many) in _steps(store, worker, api).items() if many > 2 * few}
-    assert {"update", "adoptions"} <= grown
+    assert "adoptions" in grown
+    assert not {"update", "rotor", "prediction"} & grown, "which do not ask where there are none"

@@ -287,7 +287,10 @@ def test_a_rotor_is_claimed_by_one_of_many(race: Race) -> None:
 def two_writers(
     store: SqlStore, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two writers meet between the reading of head_seq and the insert, if anything lets them."""
+    """Two writers meet between the reading of head_seq and the insert, if anything lets them.
+
+    Of two readings each: one alone is a single statement on PostgreSQL (`test_postgres_posts`).
+    """
     meet = threading.Barrier(2)
     real = SqlLog._known
     errors: list[BaseException] = []
@@ -301,7 +304,7 @@ def two_writers(
 
     def write(name: str) -> None:
         try:
-            post(rotor, reading(name))
+            post(rotor, reading(name), reading(f"{name}, too"))
         except BaseException as error:
             errors.append(error)
 
@@ -312,10 +315,10 @@ def two_writers(
         thread.join()
     assert not errors, f"a writer failed: {type(errors[0]).__name__}"
     with store.read() as tx:
-        assert [e.seq for e in tx.log.page(rotor, "inspection", 0, 10)] == [1, 2]
+        assert [e.seq for e in tx.log.page(rotor, "inspection", 0, 10)] == [1, 2, 3, 4]
 
 
-def test_two_writers_get_two_numbers(
+def test_two_writers_get_their_own_numbers(
     store: SqlStore, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     two_writers(store, rotor, reading, post, monkeypatch)

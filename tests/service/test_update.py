@@ -22,7 +22,7 @@ from service.handlers.inspections import retract
 from service.handlers.rotors import create_rotor, retry, view_rotor
 from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
-from service.store import creation, log, named, outbox, versions, webhooks
+from service.store import creation, log, named, outbox, versions, webhooks, whole
 from service.store import tables as t
 from service.store.unit_of_work import SqlStore
 from service.worker import claiming, lease, task, update
@@ -319,7 +319,7 @@ def test_an_update_builds_none_of_its_statements_anew(
     def built(*given: Any, **more: Any) -> Any:
         raise AssertionError("a statement is built")
 
-    for module in (lease, log, outbox, task, versions, webhooks, creation, named):
+    for module in (lease, log, outbox, task, versions, webhooks, creation, named, whole):
         for name in ("insert", "select", "text", "update"):
             monkeypatch.setattr(module, name, built, raising=False)
     assert worker.updater.run_once()
