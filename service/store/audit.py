@@ -26,7 +26,7 @@ from service.ports import Event, Json, ModelCard, Science
 from service.store import creation, intact
 from service.store import tables as t
 from service.store.encoding import DamagedArrayError, Encoded, decode
-from service.store.log import read_entries
+from service.store.entries import read_entries
 from service.store.named import digests
 from service.store.states import stored
 from service.store.versions import ENDED

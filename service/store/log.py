@@ -8,12 +8,10 @@ transaction the rotor's cursor becomes dirty; workers are notified when it flips
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sqlalchemy import (
-    ColumnElement,
     Connection,
     Row,
     Select,
@@ -29,30 +27,20 @@ from sqlalchemy import (
     union_all,
     update,
 )
-from sqlalchemy.ext.compiler import compiles
-from sqlalchemy.sql.functions import FunctionElement
 
 from service import tracing
 from service.adopted import KINDS
 from service.errors import ConflictError, NotFoundError
 from service.ports import Appended, Event, ModelCard, NewEvent
 from service.store import tables as t
+from service.store.commits import lock_rotor, notify
 from service.store.engine import now_s
-from service.store.parts import among, without_long
+from service.store.entries import COLUMNS, NAMES, events_of, page_query, read_entries
+from service.store.parts import among
 from service.store.single import append_one
 
-
-def locked_head(rotor_id: ColumnElement[str] | str) -> Select[str, int]:
-    """The rotor's row, locked until the end of the transaction: its id and head_seq."""
-    own = select(t.rotor.c.id, t.rotor.c.head_seq).where(t.rotor.c.id == rotor_id)
-    return own.with_for_update()
-
-
-COLUMNS = [c for c in t.entry.c if c.name not in ("rotor_id", "traceparent")]
-NAMES = [column.name for column in COLUMNS]
 CHUNK = 500
 # Statements of every post and read, built and understood once.
-_HEAD = locked_head(bindparam("rotor")).with_only_columns(t.rotor.c.head_seq)
 _KNOWN = select(t.entry.c.event_id, t.entry.c.digest, t.entry.c.seq).where(
     t.entry.c.rotor_id == bindparam("rotor"),
     t.entry.c.event_id.in_(bindparam("ids", expanding=True)),
@@ -97,64 +85,6 @@ _OVERRULING = select(
 _OVERRULES_EACH = _OVERRULING.where(t.entry.c.replaces.in_(bindparam("ids", expanding=True)))
 _OVERRULES = _OVERRULING.where(among(t.entry.c.replaces, bindparam("ids", type_=Text())))
 _APPEND = insert(t.entry).values(received_at=now_s())
-_BETWEEN = (
-    select(*COLUMNS)
-    .where(
-        t.entry.c.rotor_id == bindparam("rotor"),
-        t.entry.c.seq > bindparam("after"),
-        t.entry.c.seq <= bindparam("through"),
-    )
-    .order_by(t.entry.c.seq)
-)
-_SOME_BETWEEN = _BETWEEN.limit(bindparam("most"))
-
-
-class notified(FunctionElement[str]):
-    """Listeners of a channel are woken at the commit with a payload; SQLite's watch the file."""
-
-    type = Text()
-    inherit_cache = True
-
-
-@compiles(notified, "sqlite")
-def _not_notified(element: Any, compiler: Any, **kw: Any) -> str:
-    return "NULL"
-
-
-@compiles(notified, "postgresql")
-def _notified(element: Any, compiler: Any, **kw: Any) -> str:
-    return f"pg_notify({compiler.process(element.clauses, **kw)})"
-
-
-_NOTIFY = select(notified(bindparam("channel", type_=Text()), bindparam("payload", type_=Text())))
-
-
-@lru_cache(maxsize=64)
-def _page(after: bool, blade: bool, newest: bool, most_values: int | None) -> Select[Any]:
-    """The query of `SqlLog.page`: whether a number and a blade are given, and the rest of it."""
-    seq, columns = t.entry.c.seq, list[ColumnElement[Any]](COLUMNS)
-    if most_values is not None:
-        short = without_long(t.entry.c.body, most_values).label("body")
-        columns = [short if column.name == "body" else column for column in COLUMNS]
-    query = select(*columns).where(
-        t.entry.c.rotor_id == bindparam("rotor"), t.entry.c.kind == bindparam("kind")
-    )
-    if after:
-        query = query.where(seq < bindparam("after") if newest else seq > bindparam("after"))
-    if blade:
-        query = query.where(t.entry.c.blade == bindparam("blade"))
-    return query.order_by(seq.desc() if newest else seq).limit(bindparam("most"))
-
-
-def notify(connection: Connection, channel: str, payload: str = "") -> None:
-    """Wake listeners at the commit (PostgreSQL; SQLite's readers watch the file)."""
-    if connection.dialect.name == "postgresql":
-        connection.execute(_NOTIFY, {"channel": channel, "payload": payload})
-
-
-def lock_rotor(connection: Connection, rotor_id: str) -> int | None:
-    """Lock the rotor's row until the end of the transaction; its head_seq."""
-    return connection.execute(_HEAD, {"rotor": rotor_id}).scalar()
 
 
 class SqlLog:
@@ -276,13 +206,13 @@ class SqlLog:
 
         most_values   readings with more of them come without, and with their ``count``
         """
-        query = _page(after is not None, blade is not None, newest, most_values)
+        query = page_query(after is not None, blade is not None, newest, most_values)
         asked = {"rotor": rotor_id, "kind": kind, "after": after, "blade": blade, "most": limit}
-        return _events(self._connection.execute(query, asked).all())
+        return events_of(self._connection.execute(query, asked).all())
 
     def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
         asked = {"rotor": rotor_id, "after": after, "most": limit}
-        return _events(self._connection.execute(_CHANGES, asked).all())
+        return events_of(self._connection.execute(_CHANGES, asked).all())
 
     def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]:
         """Retractions and corrections of these inspections, and retractions of those; no bodies."""
@@ -290,7 +220,7 @@ class SqlLog:
         wanted = list(ids)
         while wanted:
             rows = self._overruling(rotor_id, wanted[:CHUNK])
-            fresh = [event for event in _events(rows) if event.event_id not in found]
+            fresh = [event for event in events_of(rows) if event.event_id not in found]
             found |= {event.event_id: event for event in fresh}
             wanted = wanted[CHUNK:] + [e.event_id for e in fresh if e.kind == "inspection"]
         return list(found.values())
@@ -309,20 +239,3 @@ class SqlLog:
         rows = [{name: getattr(e, name) for name in NAMES} | {"rotor_id": rotor_id} for e in events]
         if rows:
             self._connection.execute(insert(t.entry), rows)
-
-
-def read_entries(
-    connection: Connection, rotor_id: str, after: int, through: int, limit: int | None = None
-) -> list[Event]:
-    """The entries with after < seq <= through, in order; at most `limit` of them."""
-    asked: dict[str, object] = {"rotor": rotor_id, "after": after, "through": through}
-    if limit is None:
-        rows = connection.execute(_BETWEEN, asked)
-    else:
-        rows = connection.execute(_SOME_BETWEEN, asked | {"most": limit})
-    return _events(rows)
-
-
-def _events(rows: Iterable[Row[Any]]) -> list[Event]:
-    """Entries of rows of `COLUMNS`."""
-    return [Event(**dict(zip(NAMES, row, strict=True))) for row in rows]

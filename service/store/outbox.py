@@ -17,8 +17,8 @@ from sqlalchemy import Connection, Engine, delete, exists, func, insert, literal
 
 from service.ports import Note
 from service.store import tables as t
+from service.store.commits import notified
 from service.store.engine import now_s, transaction
-from service.store.log import notified
 from service.store.webhooks import tell
 
 o = t.outbox.c

@@ -18,7 +18,7 @@ from service.adopted import adopted_at
 from service.entries import entries_of
 from service.ports import BladeRecord, Json, Progress, RotorSpec, Science
 from service.store.creation import sound_blades
-from service.store.log import read_entries
+from service.store.entries import read_entries
 from service.store.unit_of_work import SqlStore
 
 MOST_PARTICLES = 2000  # a diagnosis calibrates about ten models

@@ -32,8 +32,8 @@ from sqlalchemy.sql.visitors import iterate
 
 from service.errors import LostLeaseError
 from service.store import tables as t
+from service.store.commits import lock_rotor, locked_head, notified, notify
 from service.store.engine import now_s, transaction
-from service.store.log import lock_rotor, locked_head, notified, notify
 from service.store.outbox import post
 
 c = t.cursor.c

@@ -31,7 +31,7 @@ from service.store import tables as t
 from service.store.audit import Finding, array_problem, array_row, audit_source
 from service.store.encoding import Encoded, decode, encode
 from service.store.engine import snapshot, transaction
-from service.store.log import read_entries
+from service.store.entries import read_entries
 from service.store.named import digests
 from service.store.states import stored
 from service.store.unit_of_work import SqlStore

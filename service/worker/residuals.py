@@ -24,9 +24,10 @@ from service.errors import LostLeaseError, StoreAwayError
 from service.ports import Json, RotorSpec, Science
 from service.settings import Settings
 from service.store import tables as t
+from service.store.commits import lock_rotor
 from service.store.creation import sound_blades
 from service.store.engine import now_s, transaction
-from service.store.log import lock_rotor, read_entries
+from service.store.entries import read_entries
 from service.store.outbox import post
 from service.store.unit_of_work import SqlStore
 from service.worker.claiming import LONGEST_S, counted, over, rested

@@ -21,7 +21,7 @@ from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError
 from service.ports import BladeRecord, ModelCard, RotorRecord, RotorSpec, Science
-from service.store.log import read_entries
+from service.store.entries import read_entries
 from service.store.named import digests
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.store.whole import Whole

@@ -17,7 +17,7 @@ from core.network import Network
 from service.handlers.models import TRAIN
 from service.ports import Json, ModelCard, Progress, Science
 from service.store import tables as t
-from service.store.records import UNFINISHED
+from service.store.jobs import UNFINISHED
 from service.store.unit_of_work import SqlStore, SqlTransaction
 
 

@@ -14,8 +14,8 @@ from service.bootstrap import make_worker
 from service.fake import FakeScience
 from service.settings import Settings
 from service.store import tables as t
+from service.store.commits import lock_rotor
 from service.store.engine import is_sqlite, transaction
-from service.store.log import lock_rotor
 from service.store.unit_of_work import SqlStore
 from service.worker import claiming
 from service.worker import lease as leases

@@ -29,7 +29,7 @@ from service.settings import Settings
 from service.store import migrate as migrations
 from service.store.encoding import encode
 from service.store.engine import open_engine, transaction
-from service.store.log import read_entries
+from service.store.entries import read_entries
 from service.store.unit_of_work import SqlStore
 from tests.service.conftest import RunningServer, served
 

@@ -249,7 +249,7 @@ def check_undisturbed(store: SqlStore, rotor: str) -> None:
     """The end is what one update of the same readings gives, and the way there has no gap."""
     from core.observation import effective
     from service.entries import entry_of
-    from service.store.log import read_entries
+    from service.store.entries import read_entries
 
     view = view_rotor(store, rotor)
     with store.read() as tx:

@@ -12,7 +12,8 @@ import pytest
 from service.errors import FaultsError
 from service.handlers import blades, rotors
 from service.ports import BladeRecord
-from service.store.log import SqlLog, lock_rotor
+from service.store.commits import lock_rotor
+from service.store.log import SqlLog
 from service.store.records import SqlRecords
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker

@@ -21,7 +21,7 @@ from service.entries import entries_of
 from service.ports import Event, Json, ModelCard, RotorSpec, Science
 from service.store import tables as t
 from service.store.engine import snapshot
-from service.store.log import read_entries
+from service.store.entries import read_entries
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.studies.chaos.twin import Descent
 from service.worker.task import spec_of

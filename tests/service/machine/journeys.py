@@ -11,7 +11,7 @@ from service.errors import ConflictError
 from service.handlers.rotors import view_rotor
 from service.handlers.transfer import Imported, export_rotor, import_rotor
 from service.ports import Event
-from service.store.log import read_entries
+from service.store.entries import read_entries
 from service.store.unit_of_work import SqlStore
 from tests.service.machine.log import Log
 from tests.service.machine.steps import act, rotors
