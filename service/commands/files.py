@@ -111,7 +111,7 @@ def pieces(
 ) -> Iterable[str] | Iterable[bytes]:
     """The content of the file as it comes."""
     from service.handlers import exports
-    from service.handlers.inspections import log_now
+    from service.handlers.listing import log_now
 
     if wanted.prediction:
         return _prediction(store, science, rotor, wanted)

@@ -18,7 +18,7 @@ from service.export.units import unit_of
 from service.export.vtu import vtu
 from service.handlers.blades import blades_at, blades_of
 from service.handlers.glance import MOST_DRAWS
-from service.handlers.inspections import Log, pages_of
+from service.handlers.listing import Log, pages_of
 from service.handlers.plans import counting
 from service.handlers.reads import Basis, health
 from service.moments import moment

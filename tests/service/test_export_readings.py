@@ -14,7 +14,7 @@ import pyarrow.parquet
 import pytest
 
 from core.observation import Inspection
-from service.handlers import inspections
+from service.handlers import listing
 from service.handlers.inspections import retract
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
@@ -112,9 +112,9 @@ def test_entries_that_come_while_a_file_is_written_are_left_out(
     rotor: str, store: SqlStore, post: Post, reading: Callable[..., Inspection],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(inspections, "PAGE", 2)
+    monkeypatch.setattr(listing, "PAGE", 2)
     post(rotor, *(reading(f"i{i}", time_h=100.0 * i) for i in range(5)))
-    log, pages = inspections.all_inspections(store, rotor, None)
+    log, pages = listing.all_inspections(store, rotor, None)
     first = next(pages)
     retract(store, rotor, "i3")
     post(rotor, reading("late", replaces="i4"))
@@ -122,7 +122,7 @@ def test_entries_that_come_while_a_file_is_written_are_left_out(
     assert log.head_seq == 5
     assert [one.body["id"] for one in first + rest] == ["i0", "i1", "i2", "i3", "i4"]
     assert {one.status for one in first + rest} == {"counts"}
-    now = [one for page in inspections.all_inspections(store, rotor, None)[1] for one in page]
+    now = [one for page in listing.all_inspections(store, rotor, None)[1] for one in page]
     assert [one.status for one in now] == ["counts"] * 3 + ["retracted", "replaced", "counts"]
 
 

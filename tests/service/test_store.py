@@ -30,7 +30,8 @@ from service.errors import (
     StoreAwayError,
 )
 from service.fake import FakeScience
-from service.handlers.inspections import list_inspections, retract
+from service.handlers.inspections import retract
+from service.handlers.listing import list_inspections
 from service.handlers.rotors import view_rotor
 from service.ports import StateRecord
 from service.settings import Settings

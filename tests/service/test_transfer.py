@@ -22,7 +22,8 @@ from service.cli import app as commands
 from service.errors import ConflictError, DamagedLogError, DamagedRotorError, GoneError
 from service.fake import FakeScience
 from service.handlers.blades import add_blade, retire_blade
-from service.handlers.inspections import Item, list_inspections, post_inspections, retract
+from service.handlers.inspections import Item, post_inspections, retract
+from service.handlers.listing import list_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor, view_rotor
 from service.handlers.transfer import export_rotor, import_rotor

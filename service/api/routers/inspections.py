@@ -29,7 +29,7 @@ from service.api.services import (
     unchanged,
 )
 from service.export.readings import COLUMNS
-from service.handlers import exports
+from service.handlers import exports, listing
 from service.handlers import inspections as use
 from service.names import ID_PATTERN
 
@@ -76,7 +76,7 @@ async def raw_body(request: Request) -> bytes:
     return await request.body()
 
 
-def listed_out(item: use.Listed) -> dict[str, Any]:
+def listed_out(item: listing.Listed) -> dict[str, Any]:
     body = dict(item.body)
     if "count" in body:
         body["values"] = body["nodes"] = None
@@ -137,13 +137,13 @@ def get_inspections(
         return _file(request, services, r, blade, format)
     size = page_size(services, limit)
     after = seq_of(cursor)
-    items = use.list_inspections(services.store, r, after, size + 1, blade, newest)
+    items = listing.list_inspections(services.store, r, after, size + 1, blade, newest)
     return JSONResponse(page([listed_out(item) for item in items], size, "seq"))
 
 
 def _file(request: Request, services: Services, r: str, blade: str | None, form: str) -> Response:
     """The readings of a rotor, or of one blade, as the log stands now."""
-    log = use.log_now(services.store, r, blade)
+    log = listing.log_now(services.store, r, blade)
     tag = tag_of(request, log.rotor, log.created_at, log.head_seq)
     if (same := unchanged(request, tag)) is not None:
         return same
@@ -160,7 +160,7 @@ def _file(request: Request, services: Services, r: str, blade: str | None, form:
 
 @router.get("/{i}", summary="One reading with all its values")
 def get_inspection(r: Name, i: Name, services: Wired) -> dict[str, Any]:
-    return listed_out(use.find_inspection(services.store, r, i))
+    return listed_out(listing.find_inspection(services.store, r, i))
 
 
 @router.post("/{i}/retraction", status_code=202, summary="As if the reading had never come")
