@@ -39,9 +39,10 @@ from service.store.log import SqlLog
 from service.store.unit_of_work import SqlStore
 from service.worker.claiming import claim
 from service.worker.lease import advance
+from service.worker.wake import open_wake
 from tests.postgres import Databases
 
-WAITING = text("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'")
+WAITING = text("SELECT count(*) FROM pg_locks WHERE NOT granted")
 
 
 @pytest.fixture
@@ -186,6 +187,18 @@ def test_the_cursor_looked_at_in_the_same_statement_would_lose_it(
     monkeypatch.setattr(single, "ONE", single.statement(checked=False).add_cte(flip.cte("flip")))
     monkeypatch.setattr(log, "_FLIP_AND_TELL", select(1))
     assert not work_is_left(engine)
+
+
+def test_a_reading_wakes_workers_where_none_was_pending(engine: Engine) -> None:
+    with transaction(engine, write=True) as connection:
+        applied(engine, connection)
+    wake = open_wake(engine, "bladetwin_work", 5.0)
+    told = []
+    for name in ("a", "b"):
+        posted(engine, reading(name))
+        told.append(wake.wait(1.0))
+    wake.close()
+    assert told == [True, False]
 
 
 def item(name: str, value: float = 0.1, blade: str = "B1") -> list[Item]:
