@@ -35,7 +35,7 @@ from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.store.webhooks import delivery_of, prune, webhook_of
 from service.worker.claiming import LONGEST_S, over, rested
-from service.worker.heartbeat import heartbeats
+from service.worker.heartbeat import heartbeats, rest
 from service.worker.wake import open_wake
 
 log = logging.getLogger("bladetwin.deliver")
@@ -262,6 +262,7 @@ class Deliverer:
             with self._news:
                 if not self._stop.is_set():
                     self._news.wait(IDLE_S)
+        rest()
 
 
 def _post(

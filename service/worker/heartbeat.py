@@ -83,6 +83,7 @@ class Pulse:
         self._works: list[_Work] = []
         self._wakes = math.inf  # when the thread does
         self._beating = False
+        self._thread: threading.Thread | None = None
 
     def add(self, work: _Work) -> None:
         with self._turn:
@@ -90,7 +91,8 @@ class Pulse:
             if not self._beating:
                 self._beating = True
                 name = f"heartbeat of {threading.current_thread().name}"
-                threading.Thread(target=self._run, name=name, daemon=True).start()
+                self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+                self._thread.start()
             elif work.due < self._wakes:
                 self._turn.notify()
 
@@ -98,6 +100,14 @@ class Pulse:
         with self._turn:
             if work in self._works:
                 self._works.remove(work)
+
+    def end(self) -> None:
+        """No work is under way: end the thread, if there is one."""
+        with self._turn:
+            self._turn.notify()
+            thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.join()
 
     def _run(self) -> None:
         with self._turn:
@@ -116,6 +126,11 @@ class Pulse:
 
 
 _HEART = _Heart()
+
+
+def rest() -> None:
+    """Who calls this works no more: the thread that beat for it ends."""
+    _HEART.own.end()
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from service.ports import Science
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.worker.claiming import Role
+from service.worker.heartbeat import rest
 from service.worker.jobs import Jobs
 from service.worker.overdue import ends_process
 from service.worker.residuals import Residuals
@@ -126,6 +127,7 @@ class Worker:
                 wake.wait(IDLE_S if jobs else max(0.0, looked + JOBS_S - monotonic()))
         finally:
             wake.close()
+            rest()
 
 
 def end_with_parent(stream: int = 0) -> None:

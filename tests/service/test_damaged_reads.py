@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import text
 
 from core.observation import Inspection
-from service.handlers.inspections import FEW
+from service.handlers.listing import FEW
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker

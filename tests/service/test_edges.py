@@ -20,7 +20,8 @@ from service.api.repeats import Repeats
 from service.errors import ConflictError, FaultsError, GoneError, StoreAwayError
 from service.fake import FakeScience
 from service.handlers import rows
-from service.handlers.inspections import FEW, Item, post_inspections
+from service.handlers.inspections import Item, post_inspections
+from service.handlers.listing import FEW
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.log import CHUNK

@@ -1,8 +1,9 @@
 """Points of a process at which it kills or stops itself.
 
 They are named by what the process says to the database, through SQLAlchemy's own events, so that
-nothing of it is in the service: a point is a statement, and whether it was just executed, its
-transaction is about to be committed, or was just committed. ``computed`` is the science's return.
+nothing of it is in the service: a point is a statement, which may be a part of another one, and
+whether it was just executed, its transaction is about to be committed, or was just committed.
+``computed`` is the science's return.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ class Trap:
         moment = self._point.moment
 
         def executed(connection: Any, _c: Any, statement: str, *_rest: Any) -> None:
-            if pattern.match(statement):
+            if pattern.search(statement):
                 if moment == "executed":
                     self.spring()
                 connection.info[NOTED] = True
