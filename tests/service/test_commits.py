@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -17,8 +18,10 @@ from service.store import tables as t
 from service.store.commits import lock_rotor
 from service.store.engine import is_sqlite, transaction
 from service.store.unit_of_work import SqlStore
+from service.studies.chaos import traps
 from service.worker import claiming
 from service.worker import lease as leases
+from service.worker.loop import Worker
 from service.worker.wake import open_wake
 
 Make = Callable[..., Inspection]
@@ -106,3 +109,23 @@ def test_workers_are_woken_where_something_is_left_to_be_done(
     assert [wake.wait(1.0) for wake in wakes] == [True, woken]
     for wake in wakes:
         wake.close()
+
+
+def test_the_study_of_faults_finds_its_points(
+    store: SqlStore, rotor: str, reading: Make, post: Post, worker: Worker
+) -> None:
+    """Each is a statement, or a part of one, that a post or an update says on this database."""
+    said: list[str] = []
+
+    def note(_c: object, _cursor: object, statement: str, *_: object) -> None:
+        said.append(statement)
+
+    event.listen(store.engine, "after_cursor_execute", note)
+    post(rotor, reading("a"))
+    worker.drain()
+    event.remove(store.engine, "after_cursor_execute", note)
+    points = {name: point.statement for name, point in (traps.WORKER | traps.API).items()}
+    patterns = {name: one for name, one in points.items() if one is not None}
+    assert len(patterns) >= 10
+    for name, pattern in patterns.items():
+        assert any(re.search(pattern, one, re.DOTALL) for one in said), name
