@@ -18,7 +18,6 @@ from sqlalchemy import (
     Text,
     bindparam,
     false,
-    func,
     insert,
     literal,
     or_,
@@ -33,7 +32,7 @@ from service.adopted import KINDS
 from service.errors import ConflictError, NotFoundError
 from service.ports import Appended, Event, ModelCard, NewEvent
 from service.store import tables as t
-from service.store.commits import lock_rotor, notify
+from service.store.commits import lock_rotor, notified, notify
 from service.store.engine import now_s
 from service.store.entries import COLUMNS, NAMES, events_of, page_query, read_entries
 from service.store.parts import among
@@ -59,9 +58,8 @@ _FLIP = (
         or_(t.cursor.c.dirty == false(), t.cursor.c.applied_seq == bindparam("head")),
     )
     .values(dirty=True, dirty_since=now_s())
+    .returning(notified("bladetwin_work", ""))
 )
-_FLIPPED = _FLIP.returning(t.cursor.c.rotor_id).cte("flipped")
-_FLIP_AND_TELL = select(func.pg_notify("bladetwin_work", "")).select_from(_FLIPPED)
 # Of each kind by itself: asked for several kinds in the order of their numbers, SQLite goes through
 # the rotor's whole log.
 _CHANGES = (
@@ -172,8 +170,7 @@ class SqlLog:
     def _appended(self, rotor_id: str, head: int, last: int) -> None:
         """Entries after `head` came: there is work; workers are woken when none was pending."""
         self.appended = (head + 1 if self.appended is None else self.appended[0], last)
-        flip = _FLIP_AND_TELL if self._postgres else _FLIP
-        self._connection.execute(flip, {"rotor": rotor_id, "head": head})
+        self._connection.execute(_FLIP, {"rotor": rotor_id, "head": head})
 
     def free(self, rotor_id: str) -> None:
         """Let a blocked or pausing rotor be tried again at once."""

@@ -185,7 +185,7 @@ def test_the_cursor_looked_at_in_the_same_statement_would_lose_it(
     c = t.cursor.c
     flip = update(t.cursor).where(or_(c.dirty == false(), c.applied_seq == 1)).values(dirty=True)
     monkeypatch.setattr(single, "ONE", single.statement(checked=False).add_cte(flip.cte("flip")))
-    monkeypatch.setattr(log, "_FLIP_AND_TELL", select(1))
+    monkeypatch.setattr(log, "_FLIP", select(1))
     assert not work_is_left(engine)
 
 
