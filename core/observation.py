@@ -31,7 +31,7 @@ class Inspection:
     nodes   the n node indices, or None where the quantity needs none
     sigma   known standard deviation of this reading's noise [unit]; None: the rotor's shared one
 
-    `service.worker.packing` makes readings that were checked once from their fields alone.
+    `core.readings` makes readings that were checked once from their fields alone.
     """
 
     id: str
@@ -281,9 +281,3 @@ def replaced(corrections: Mapping[str, str], gone: Collection[str]) -> set[str]:
         if above is not None and above not in passed:
             found.add(above)
     return found
-
-
-def digest_of(readings: Iterable[Inspection]) -> str:
-    """One digest over a set of readings, whatever their order."""
-    text = "\n".join(sorted(i.digest() for i in readings))
-    return blake2b(text.encode(), digest_size=16).hexdigest()

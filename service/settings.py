@@ -173,7 +173,10 @@ class Settings(BaseModel):
     )
     rotors_in_memory: int = Field(512, ge=1, description="and how many of them at most")
     readings_mb: float = Field(
-        64.0, ge=0, description="readings of further rotors that a worker keeps in memory, MiB"
+        64.0,
+        ge=0,
+        description="readings that a worker keeps in memory, MiB; those of the rotor seen last are "
+        "kept whatever their size",
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="least level that is logged"

@@ -19,6 +19,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.response",
         "core.mixture",
         "core.observation",
+        "core.columns",
+        "core.readings",
         "core.archive",
         "core.course",
         "core.family",

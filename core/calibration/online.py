@@ -31,7 +31,8 @@ from core.calibration.target import prepare
 from core.calibration.workspace import Workspace
 from core.errors import InputError
 from core.model import Model
-from core.observation import Inspection, digest_of
+from core.observation import Inspection
+from core.readings import digest_of
 
 
 def update(

@@ -27,7 +27,8 @@ from core.discrepancy import NONE, Affine, affine
 from core.errors import InputError, ModelError
 from core.model import Input, Model, Stacked
 from core.network import Parameter
-from core.observation import Inspection, digest_of
+from core.observation import Inspection
+from core.readings import digest_of
 from core.response import CALIBRATED, Response
 from core.surrogate.closed_form import ClosedForm, FormulaRows
 from core.surrogate.driven import Driven

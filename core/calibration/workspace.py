@@ -13,7 +13,8 @@ from core.calibration.sets import ParticleSets
 from core.calibration.space import SharedSpace, nominal
 from core.calibration.target import BladeRows, assemble
 from core.model import Model
-from core.observation import Inspection, digest_of
+from core.observation import Inspection
+from core.readings import digest_of
 
 KEPT = 2000  # blades' rows and messages
 

@@ -22,8 +22,9 @@ from core.discrepancy import total
 from core.errors import InputError
 from core.model import Model
 from core.network import Parameter
-from core.observation import Inspection, digest_of
+from core.observation import Inspection
 from core.prior import Prior
+from core.readings import digest_of
 
 Array = NDArray[np.float64]
 POINTS = 32  # particles of a blade at which effects of physics are computed

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,9 @@ from numpy.typing import NDArray
 
 from core.digest import array_digest, state_digest
 from core.network import Network, Parameter, Quantity
-from core.observation import Inspection, digest_of
+from core.observation import Inspection
 from core.prior import Prior
+from core.readings import columns_of, digest_of
 from service.ports import Array, Get, ModelCard, RotorSpec
 
 MEAN, SD, SCATTER, SIGMA = 0.5, 0.1, 0.2, 0.02
@@ -104,29 +106,33 @@ def sums_of(
 ) -> dict[str, NDArray[np.float64]]:
     """(n, s) of each blade, each reading added in its order."""
     place = {blade: k for k, blade in enumerate(rotor.blades)}
-    h = np.array([reading.time_h for reading in readings], dtype=np.float64) / HORIZON_H
-    y = np.array([reading.values.flat[-1] for reading in readings], dtype=np.float64)
+    columns = columns_of(readings)
+    blade = columns.counts(lambda head: place[head.blade])
+    scalar = columns.counts(lambda head: head.quantity == "elongation") > 0
+    ends, node_ends = columns.value_ends(), columns.node_ends()
+    h = columns.time_h / HORIZON_H
+    y = columns.values[ends - 1]
     square, product = h * h, h * y
-    for k, reading in enumerate(readings):
-        if reading.quantity != "elongation":
-            by = sensitivity(reading, card)
-            own = reading.values[:, -1] if reading.values.ndim == 2 else reading.values
-            square[k], product[k] = by @ by, by @ own
-    precision = np.array([1.0 / (reading.sigma or SIGMA) ** 2 for reading in readings])
-    blade = np.array([place[reading.blade] for reading in readings], dtype=np.int64)
+    for k in np.flatnonzero(~scalar).tolist():
+        head = columns.heads[columns.code[k]]
+        own = columns.values[ends[k] - prod(head.shape) : ends[k]].reshape(head.shape)
+        nodes = columns.nodes[node_ends[k] - head.node_count : node_ends[k]]
+        by = sensitivity(head.quantity, h[k], None if head.node_count < 0 else nodes, card)
+        square[k], product[k] = by @ by, by @ (own[:, -1] if own.ndim == 2 else own)
+    sigma = np.nan_to_num(columns.sigma, nan=SIGMA) if len(columns.sigma) else SIGMA
+    precision = 1.0 / sigma**2
     sums = [np.bincount(blade, precision * part, len(place)) for part in (square, product)]
-    columns = np.column_stack(sums).astype(np.float64)  # of no reading they are integers
-    return dict(zip(rotor.blades, columns, strict=True))
+    found = np.column_stack(sums).astype(np.float64)  # of no reading they are integers
+    return dict(zip(rotor.blades, found, strict=True))
 
 
-def sensitivity(reading: Inspection, card: ModelCard) -> NDArray[np.float64]:
-    """What a reading's values are of its blade's rate, h at each node."""
-    h = reading.time_h / HORIZON_H
-    if reading.quantity == "elongation":
-        return np.array([h])
-    nodes = np.array([3]) if reading.nodes is None else reading.nodes
-    scale = 1.0 if reading.quantity == "deformation" else 0.01
-    return np.asarray(scale * h * (nodes + 1) / card.node_count)
+def sensitivity(
+    quantity: str, h: float, nodes: NDArray[np.int64] | None, card: ModelCard
+) -> NDArray[np.float64]:
+    """What values at nodes are of their blade's rate; None: at the critical one."""
+    at = np.array([3]) if nodes is None else nodes
+    scale = 1.0 if quantity == "deformation" else 0.01
+    return np.asarray(scale * h * (at + 1) / card.node_count)
 
 
 def moments(get: Get, blade: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

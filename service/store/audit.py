@@ -19,7 +19,8 @@ from typing import Any, Literal
 from sqlalchemy import Connection, select
 
 from core.errors import BladetwinError
-from core.observation import digest_of, effective
+from core.observation import effective
+from core.readings import digest_of
 from service.entries import body_problem, entries_of
 from service.errors import NotFoundError
 from service.ports import Event, Json, ModelCard, Science

@@ -126,7 +126,7 @@ def _fails(found: New, science: Science, task: Task, through: int, *, quick: boo
         rotor = tx.records.rotor(found.lease.rotor_id)
         card = tx.records.model(rotor.model_id, rotor.model_version)
         spec, network = spec_of(tx, rotor, through), adopted_at(tx, rotor, through).network
-    readings = effective([entry for entry in task.entries if entry.seq <= through])
+    readings = effective([entry for entry in task.log.entries() if entry.seq <= through])
     try:
         card = science.vary(card, network)
         science.update(card, spec, readings, task.memory.state, quick=quick)

@@ -7,7 +7,7 @@ hold for ever, and an update reads what came since.
 To read and check the readings of a rotor anew costs some 25 µs for each (SQL, JSON, digest):
 without memory an update takes the longer the longer its rotor is in service, and a worker that
 cares for many rotors would do little else. They are kept packed (`packing`), up to a number of
-bytes, but for those of the rotor seen last: rotors have their inspections in bursts.
+bytes.
 
 A database that was restored, or whose place a replica took that had not heard of the last commits,
 goes on from an earlier moment and may come to the same numbers by another way. So what a memory
@@ -18,11 +18,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
-from core.observation import Entry
 from service.ports import Event, PartlyLoaded, RotorState
-from service.worker.packing import Chunks, packed, unpacked
+from service.worker.packing import PackedLog
 
 ROTOR_BYTES = 800  # a rotor without entries, measured
 ARRAY_BYTES = 600  # an array's objects, SHA-256 and place in the description beside its numbers
@@ -38,18 +37,17 @@ class Memory:
     anew     the stored state is not used, and all that replaces it is written
     last     what entry `through` is called by; None: no entry
     digest   what the version is called by; None: none yet
-    chunks   the first of the entries, packed before
+    log      the entries through that one
     """
 
     version: int
     through: int
     state: RotorState | None
     sha256: dict[str, str]
-    entries: list[Entry]
     anew: bool = False
     last: Mark | None = None
     digest: str | None = None
-    chunks: Chunks = ()
+    log: PackedLog = field(default_factory=PackedLog)
 
     @property
     def state_bytes(self) -> int:
@@ -60,24 +58,9 @@ class Memory:
         held = arrays.held if isinstance(arrays, PartlyLoaded) else arrays
         return sum(array.nbytes for array in held.values()) + ARRAY_BYTES * len(arrays)
 
-
-@dataclass(frozen=True, slots=True)
-class Readings:
-    """The entries of a rotor through one of them, packed."""
-
-    through: int
-    last: Mark | None
-    chunks: Chunks
-
     @property
-    def nbytes(self) -> int:
-        return ROTOR_BYTES + sum(chunk.nbytes for chunk in self.chunks)
-
-    def memory(self) -> Memory:
-        entries = unpacked(self.chunks)
-        return Memory(
-            NO_VERSION, self.through, None, {}, entries, last=self.last, chunks=self.chunks
-        )
+    def log_bytes(self) -> int:
+        return ROTOR_BYTES + self.log.nbytes
 
 
 def mark(events: Sequence[Event], before: Mark | None) -> Mark | None:
@@ -92,7 +75,7 @@ class Memories:
 
     states       how many are kept with their state
     states_mb    size of these states, MiB; that of the last one is kept whatever its size
-    readings_mb  size of the readings that are kept of all but the last one, MiB
+    readings_mb  size of the readings, MiB; those of the last one are kept whatever their size
     """
 
     def __init__(self, states: int, states_mb: float, readings_mb: float) -> None:
@@ -100,53 +83,36 @@ class Memories:
         self._limit = int(readings_mb * 2**20)
         self._sizes: dict[str, int] = {}  # of the states
         self._held = 0  # their sum
-        self._last: str | None = None
-        self._states: OrderedDict[str, Memory] = OrderedDict()  # those before the last: no entries
-        self._readings: OrderedDict[str, Readings] = OrderedDict()  # of all but the last
-        self._bytes = 0
+        self._states: OrderedDict[str, Memory] = OrderedDict()
+        self._logs: OrderedDict[str, Memory] = OrderedDict()  # without their states
+        self._bytes = 0  # of the logs
 
     def get(self, rotor_id: str) -> Memory | None:
         """What is remembered of a rotor; None: nothing."""
-        if rotor_id == self._last:
-            return self._states[rotor_id]
-        if (rest := self._readings.get(rotor_id)) is None:
-            return None
-        memory, state = rest.memory(), self._states.get(rotor_id)
-        if state is None:
-            return memory
-        return replace(state, entries=memory.entries, chunks=memory.chunks)
+        return self._states.get(rotor_id) or self._logs.get(rotor_id)
 
     def put(self, rotor_id: str, memory: Memory) -> None:
         """Remember a rotor as the one seen last; what is beyond a limit is forgotten."""
         self.forget(rotor_id)
-        if self._last is not None:
-            self._pack(self._last)
-        self._states[rotor_id], self._last = memory, rotor_id
+        self._states[rotor_id] = memory
         self._sizes[rotor_id] = size = memory.state_bytes
         self._held += size
+        self._logs[rotor_id] = rest = Memory(
+            NO_VERSION, memory.through, None, {}, last=memory.last, log=memory.log
+        )
+        self._bytes += rest.log_bytes
         while len(self._states) > self._most or (self._held > self._room and len(self._states) > 1):
             self._drop(next(iter(self._states)))
-        while self._bytes > self._limit:
-            name, oldest = self._readings.popitem(last=False)
-            self._bytes -= oldest.nbytes
-            self._drop(name)
+        while self._bytes > self._limit and len(self._logs) > 1:
+            self.forget(next(iter(self._logs)))
 
     def _drop(self, rotor_id: str) -> None:
         """Its state, if it is kept."""
         self._states.pop(rotor_id, None)
         self._held -= self._sizes.pop(rotor_id, 0)
 
-    def _pack(self, rotor_id: str) -> None:
-        whole = self._states[rotor_id]
-        rest = Readings(whole.through, whole.last, packed(whole.entries, whole.chunks))
-        self._readings[rotor_id] = rest
-        self._bytes += rest.nbytes
-        self._states[rotor_id] = replace(whole, entries=[], chunks=())
-
     def forget(self, rotor_id: str) -> None:
         """All that is remembered of a rotor."""
-        if rotor_id == self._last:
-            self._last = None
         self._drop(rotor_id)
-        rest = self._readings.pop(rotor_id, None)
-        self._bytes -= 0 if rest is None else rest.nbytes
+        rest = self._logs.pop(rotor_id, None)
+        self._bytes -= 0 if rest is None else rest.log_bytes

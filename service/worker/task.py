@@ -16,7 +16,6 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from core.observation import Entry
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError
@@ -27,6 +26,7 @@ from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.store.whole import Whole
 from service.worker.lease import Lease
 from service.worker.memory import NO_VERSION, Mark, Memory, mark
+from service.worker.packing import PackedLog
 
 log = logging.getLogger("bladetwin.worker")
 
@@ -38,7 +38,7 @@ class Task:
     card: ModelCard
     spec: RotorSpec
     through: int
-    entries: list[Entry]
+    log: PackedLog
     pending: int
     memory: Memory
     last: Mark | None
@@ -81,7 +81,7 @@ def read(store: SqlStore, science: Science, lease: Lease, memory: Memory | None)
         card=science.vary(card, network),
         spec=spec,
         through=through,
-        entries=memory.entries + readings,
+        log=memory.log.extended(readings),
         pending=len(readings),
         memory=memory,
         last=mark(fresh, memory.last),
@@ -100,20 +100,19 @@ def _restored(
 ) -> Memory:
     """The state that the claim read, and the entries before it."""
     if stale is None or stale.through > lease.applied_seq:
-        stale = Memory(NO_VERSION, 0, None, {}, [])
+        stale = Memory(NO_VERSION, 0, None, {})
     events = read_entries(tx.connection, lease.rotor_id, stale.through, lease.applied_seq)
-    entries, last = stale.entries + entries_of(events), mark(events, stale.last)
+    known, last = stale.log.extended(entries_of(events)), mark(events, stale.last)
     if lease.version == 0:
-        return Memory(0, 0, None, {}, entries)
+        return Memory(0, 0, None, {}, log=known)
     memory = Memory(
         lease.version,
         lease.applied_seq,
         None,
         {},
-        entries,
         anew=True,
         last=last,
-        chunks=stale.chunks,
+        log=known,
     )
     try:
         record = tx.states.get(lease.rotor_id, lease.version)
@@ -137,6 +136,6 @@ def anew(store: SqlStore, science: Science, lease: Lease) -> Task:
         events = read_entries(tx.connection, rotor.id, 0, through)
         names = digests(tx.connection, rotor.id)
         network = adopted_at(tx, rotor, through).network
-    entries = entries_of(events)
-    memory = Memory(lease.version, through, None, names, entries, anew=True)
-    return Task(science.vary(card, network), spec, through, entries, 0, memory, mark(events, None))
+    whole = PackedLog().extended(entries_of(events))
+    memory = Memory(lease.version, through, None, names, anew=True, log=whole)
+    return Task(science.vary(card, network), spec, through, whole, 0, memory, mark(events, None))

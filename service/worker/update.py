@@ -22,7 +22,6 @@ from sqlalchemy import Engine
 
 from core.digest import state_digest
 from core.errors import CalibrationError
-from core.observation import effective
 from service.errors import DamagedError, LostLeaseError, StoreAwayError
 from service.kernels import CompiledError
 from service.ports import RotorState, Science, StateRecord
@@ -154,7 +153,7 @@ class Updater:
 
     def compute(self, task: Task, *, quick: bool) -> RotorState:
         """The new posterior: quick when entries were pending, else sealed."""
-        readings, memory = effective(task.entries), task.memory
+        readings, memory = task.log.effective(), task.memory
         try:
             quick = quick and not memory.anew
             return self.science.update(task.card, task.spec, readings, memory.state, quick=quick)
@@ -214,10 +213,9 @@ class Updater:
             task.through,
             state,
             sha256,
-            task.entries,
             last=task.last,
             digest=record.digest,
-            chunks=task.memory.chunks,
+            log=task.log,
         )
         self._memory.put(lease.rotor_id, memory)
         return version

@@ -16,8 +16,9 @@ import numpy as np
 
 from core.course import Bias, Course
 from core.network import Network, Parameter
-from core.observation import Inspection, digest_of
+from core.observation import Inspection
 from core.prior import Prior
+from core.readings import digest_of
 from service.fake import FakeScience, FakeState
 from service.ports import BladeRecord, Json, ModelCard, Progress, RotorSpec
 from service.variant import effects_between, vary

@@ -22,22 +22,27 @@ from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import task
 from service.worker.memory import ARRAY_BYTES, NO_VERSION, ROTOR_BYTES, Memories, Memory
-from service.worker.packing import packed
+from service.worker.packing import PackedLog
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
 
 
 def entries(count: int) -> list[Entry]:
-    one = Inspection("i", "B1", "elongation", 8000.0, np.array([0.1]))
-    return [Entry(seq, "inspection", "i", one) for seq in range(count)]
+    names = [f"i{seq:03d}" for seq in range(count)]
+    return [
+        Entry(seq, "inspection", i, Inspection(i, "B1", "elongation", 8000.0, np.array([0.1])))
+        for seq, i in enumerate(names)
+    ]
 
 
-HUNDRED = ROTOR_BYTES + sum(chunk.nbytes for chunk in packed(entries(100)))
+HUNDRED = ROTOR_BYTES + PackedLog().extended(entries(100)).nbytes
+NONE = ROTOR_BYTES + PackedLog().nbytes
 
 
 def memory(count: int) -> Memory:
-    return Memory(7, count, FakeState({}, {}), {"a": "sha"}, entries(count))
+    log = PackedLog().extended(entries(count))
+    return Memory(7, count, FakeState({}, {}), {"a": "sha"}, log=log)
 
 
 def test_states_beyond_the_limit_go_and_their_readings_stay() -> None:
@@ -52,27 +57,28 @@ def test_states_beyond_the_limit_go_and_their_readings_stay() -> None:
     assert other is not None
     assert (other.version, other.through, other.sha256) == (7, 3, {"a": "sha"})
     assert other.state is whole["a"].state
-    assert [entry.seq for entry in other.entries] == [0, 1, 2]
-    assert packed(other.entries, other.chunks)[0] is other.chunks[0]
+    assert other.log is whole["a"].log
     rest = kept.get("b")
     assert rest is not None
     assert (rest.version, rest.through, rest.state, rest.last) == (NO_VERSION, 3, None, None)
-    assert [entry.seq for entry in rest.entries] == [0, 1, 2]
-    assert packed(rest.entries, rest.chunks)[0] is rest.chunks[0]
+    assert rest.log is whole["b"].log
     assert kept.get("d") is None
 
 
 def test_readings_beyond_the_limit_go_the_oldest_first() -> None:
-    kept = Memories(states=1, states_mb=1.0, readings_mb=2 * HUNDRED / 2**20)
-    for name in "abcd":  # d with its state; of a, b, c two have room
+    kept = Memories(states=1, states_mb=1.0, readings_mb=3 * HUNDRED / 2**20)
+    for name in "abcd":  # three have room
         kept.put(name, memory(100))
     assert [kept.get(name) is not None for name in "abcd"] == [False, True, True, True]
-    kept.put("b", memory(100))  # d's state goes; b's readings no longer count as kept ones
+    kept.put("b", memory(100))  # counts once
     assert [kept.get(name) is not None for name in "bcd"] == [True, True, True]
     kept.put("e", memory(500))
     kept.put("f", memory(1))
     assert kept.get("e") is None, "too many for the limit"
     assert kept.get("f") is not None
+    kept.put("g", memory(500))
+    assert kept.get("f") is None
+    assert kept.get("g") is not None, "those of the last one stay, however many"
 
 
 def large(kib: float) -> Memory:
@@ -122,9 +128,9 @@ def test_without_room_the_state_of_the_last_rotor_is_kept() -> None:
 
 
 def test_states_whose_readings_have_no_room_give_theirs_back() -> None:
-    kept = Memories(states=8, states_mb=1.0, readings_mb=2 * ROTOR_BYTES / 2**20)
+    kept = Memories(states=8, states_mb=1.0, readings_mb=3 * NONE / 2**20)
     for name in "abcdefgh":
-        kept.put(name, replace(large(5), entries=[]))
+        kept.put(name, replace(large(5), log=PackedLog()))
     assert with_states(kept, "abcdefgh") == "fgh"
     assert kept._held == sum(one.state_bytes for one in kept._states.values())
 
@@ -176,9 +182,8 @@ def test_of_a_rotor_whose_state_is_kept_no_array_is_read(
     assert len(asked) == reads
 
 
-def test_only_the_last_rotor_is_kept_as_objects() -> None:
-    """Readings count for the limit whether or not their rotor's state is kept."""
-    kept = Memories(states=8, states_mb=1.0, readings_mb=2 * HUNDRED / 2**20)
+def test_readings_count_for_the_limit_whether_or_not_the_state_is_kept() -> None:
+    kept = Memories(states=8, states_mb=1.0, readings_mb=3 * HUNDRED / 2**20)
     for name in "abcd":
         kept.put(name, memory(100))
     assert [kept.get(name) is not None for name in "abcd"] == [False, True, True, True]
@@ -189,12 +194,12 @@ def test_only_the_last_rotor_is_kept_as_objects() -> None:
     assert kept.get("b") is None, "too many for the limit: its state goes with them"
     assert list(kept._states) == ["c"], "no state stays that could not be used"
     kept.forget("c")
-    kept.put("e", memory(1))  # there is no last one to pack
+    kept.put("e", memory(1))
     assert [kept.get(name) is not None for name in "cde"] == [False, False, True]
 
 
 def test_what_is_forgotten_frees_its_room() -> None:
-    kept = Memories(states=1, states_mb=1.0, readings_mb=HUNDRED / 2**20)
+    kept = Memories(states=1, states_mb=1.0, readings_mb=2 * HUNDRED / 2**20)
     kept.put("a", memory(100))
     kept.put("b", memory(100))
     for name in "ab":
@@ -207,7 +212,7 @@ def test_what_is_forgotten_frees_its_room() -> None:
 
 
 def test_rotors_without_readings_have_their_room_too() -> None:
-    kept = Memories(states=1, states_mb=1.0, readings_mb=3 * ROTOR_BYTES / 2**20)
+    kept = Memories(states=1, states_mb=1.0, readings_mb=4 * NONE / 2**20)
     for name in "abcdef":
         kept.put(name, memory(0))
     assert [kept.get(name) is not None for name in "abcdef"] == [False] * 2 + [True] * 4

@@ -1,18 +1,20 @@
-"""Packed entries: the same when unpacked, small, and seldom packed anew."""
+"""A packed log: the same when unpacked, counts the same, is small, and seldom packed anew."""
 
 from __future__ import annotations
 
 import gc
 import tracemalloc
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from core.observation import Entry, Inspection, effective
+from core.readings import digest_of
 from service.worker import packing
-from service.worker.packing import Chunks, packed, unpacked
+from service.worker.packing import PackedLog
 
 
 def drawn(count: int, seed: int = 3) -> list[Entry]:
@@ -65,14 +67,72 @@ def anew(reading: Inspection) -> str:
     return Inspection.from_json(reading.to_json()).digest()
 
 
+def packed(entries: list[Entry], portions: list[int] | None = None) -> PackedLog:
+    """The entries, brought in portions; what is left over comes last."""
+    log, begin = PackedLog(), 0
+    for size in portions or []:
+        log, begin = log.extended(entries[begin : begin + size]), begin + size
+    return log.extended(entries[begin:])
+
+
 @pytest.mark.parametrize("count", [0, 1, 6, 7, 300])
 def test_unpacked_entries_are_those_packed(count: int) -> None:
     entries = drawn(count)
-    back = unpacked(packed(entries))
+    log = packed(entries)
+    back = log.entries()
     assert said(back) == said(entries)
+    assert log.count == count
     readings = [e.inspection for e in back if e.inspection is not None]
     assert all(reading.digest() == anew(reading) for reading in readings)
-    assert [r.digest() for r in effective(back)] == [r.digest() for r in effective(entries)]
+
+
+@pytest.mark.parametrize("portions", [[], [1] * 300, [7, 100, 1, 1, 80], [299]])
+@pytest.mark.parametrize("seed", [3, 4])
+def test_readings_that_count_are_those_of_the_log_and_in_its_order(
+    portions: list[int], seed: int
+) -> None:
+    """However the entries come: one by one, in portions, at once."""
+    entries = drawn(300, seed)
+    expected = effective(entries)
+    found = packed(entries, portions).effective()
+    assert 100 < len(expected) < 200, "some do not count"
+    assert len(found) == len(expected)
+    assert [_parts(one) for one in found] == [_parts(one) for one in expected]
+    assert [one.digest() for one in found] == [one.digest() for one in expected]
+    assert digest_of(found) == digest_of(expected)
+    assert found.columns.time_h.tolist() == [one.time_h for one in expected]
+    assert found[-1].id == found[len(found) - 1].id == expected[-1].id
+    assert [one.id for one in found[3:9]] == [one.id for one in expected[3:9]]
+
+
+def some(draw: st.DrawFn) -> list[Entry]:
+    """A log of few names and hours: corrections of corrections, retracted, told before their turn.
+
+    Each id is there once, as in the database.
+    """
+    names = draw(st.permutations([f"n{k}" for k in range(9)]))
+    found: list[Entry] = []
+    for name in names[: draw(st.integers(0, 9))]:
+        replaces = draw(st.none() | st.sampled_from(names))
+        hour = draw(st.sampled_from([0.0, 8000.0, 16000.0]))
+        value = np.array([draw(st.sampled_from([0.1, 0.2]))])
+        one = Inspection(name, "B1", "elongation", hour, value, replaces=replaces)
+        found.append(Entry(0, "inspection", name, one))
+    out = draw(st.lists(st.sampled_from(names), max_size=4, unique=True))
+    found += [Entry(0, "retraction", name) for name in out]
+    return [
+        Entry(seq, one.kind, one.target, one.inspection)
+        for seq, one in enumerate(draw(st.permutations(found)), start=1)
+    ]
+
+
+@settings(max_examples=400, deadline=None)
+@given(entries=st.composite(some)(), portions=st.lists(st.integers(1, 4), max_size=9))
+def test_any_log_in_any_portions_counts_the_same(entries: list[Entry], portions: list[int]) -> None:
+    log, expected = packed(entries, portions), effective(entries)
+    assert [_parts(one) for one in log.effective()] == [_parts(one) for one in expected]
+    assert digest_of(log.effective()) == digest_of(expected)
+    assert said(log.entries()) == said(entries)
 
 
 def test_a_packed_digest_is_not_computed_but_kept() -> None:
@@ -81,32 +141,64 @@ def test_a_packed_digest_is_not_computed_but_kept() -> None:
     reading = entries[0].inspection
     assert reading is not None
     object.__setattr__(reading, "_digest", "0" * 32)
-    back = unpacked(packed(entries))[0].inspection
+    log = packed(entries)
+    back = log.entries()[0].inspection
     assert back is not None
-    assert back.digest() == "0" * 32 != anew(back)
+    assert back.digest() == log.effective()[0].digest() == "0" * 32 != anew(back)
 
 
-def test_entries_that_come_one_by_one_are_packed_anew_seldom(
+def test_a_log_is_what_it_was_after_another_came_of_it() -> None:
+    entries = drawn(40)
+    log = packed(entries[:30])
+    before = said(log.entries()), [one.id for one in log.effective()], log.nbytes
+    log.extended(entries[30:])
+    assert (said(log.entries()), [one.id for one in log.effective()], log.nbytes) == before
+    assert log.extended([]) is log
+
+
+def test_entries_that_come_one_by_one_are_compressed_anew_seldom(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    entries = drawn(512)
+    entries = [entry for entry in drawn(700) if entry.inspection is not None][:512]
     counted: list[int] = []
-    real: Callable[[Any], Any] = packing._chunk
+    real = packing.Text.of
 
-    def noted(some: list[Entry]) -> Any:
-        counted.append(len(some))
-        return real(some)
+    def noted(columns: Any) -> Any:
+        counted.append(len(columns[0]))
+        return real(columns)
 
-    monkeypatch.setattr(packing, "_chunk", noted)
-    chunks: Chunks = ()
-    for count in range(1, 513):
-        chunks = packed(entries[:count], chunks)
-        assert sum(chunk.count for chunk in chunks) == count
-    assert len(chunks) <= 10
+    monkeypatch.setattr(packing.Text, "of", noted)
+    log = PackedLog()
+    for count in range(512):
+        log = log.extended([entries[count]])
+        assert sum(text.count for text in log.texts) == count + 1
+    assert len(log.texts) <= 10
     assert sum(counted) <= 10 * 512, "each entry about log₂ 512 times; all anew would be 131,328"
-    assert said(unpacked(chunks)) == said(entries)
-    again = packed(entries, chunks)
-    assert [one is other for one, other in zip(again, chunks, strict=True)] == [True] * len(chunks)
+    assert said(log.entries()) == said(entries)
+
+
+def test_bringing_a_log_up_to_date_looks_at_no_text_but_where_an_hour_is_shared(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And makes no reading; nor does the digest of all, or what they are as numbers."""
+
+    def one(k: int, hour: float) -> Entry:
+        return Entry(k, "inspection", f"i{k}", Inspection(f"i{k}", "B1", "q", hour, np.ones(1)))
+
+    log = packed([one(k, 10.0 * k) for k in range(1, 65)])
+    looked: list[int] = []
+    real = packing.Text.columns
+    monkeypatch.setattr(
+        packing.Text, "columns", lambda text: looked.append(text.count) or real(text)
+    )
+    monkeypatch.setattr("core.readings.made", None)
+    more = log.extended([one(65, 5.0)])
+    readings = more.effective()
+    assert readings.columns.time_h[:3].tolist() == [5.0, 10.0, 20.0]
+    assert len(readings.digest()) == 32
+    assert looked == []
+    log.extended([one(65, 30.0)])
+    assert looked == [64]
 
 
 def test_what_packed_entries_take_is_what_is_counted() -> None:
@@ -115,13 +207,13 @@ def test_what_packed_entries_take_is_what_is_counted() -> None:
         for i in range(4000)
     ]
     packed(entries)  # (digests that the readings keep are made here)
-    gc.collect()
-    tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    chunks = [packed(entries[k : k + 40]) for k in range(0, 4000, 40)]
-    gc.collect()
-    taken = tracemalloc.get_traced_memory()[0] - before
-    tracemalloc.stop()
-    counted = sum(chunk.nbytes for one in chunks for chunk in one)
-    assert counted == pytest.approx(taken, rel=0.15)
-    assert taken < 100 * len(entries)
+    for size, most in ((40, 120), (4000, 48)):
+        gc.collect()
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        logs = [packed(entries[k : k + size]) for k in range(0, 4000, size)]
+        gc.collect()
+        taken = tracemalloc.get_traced_memory()[0] - before
+        tracemalloc.stop()
+        assert sum(log.nbytes for log in logs) == pytest.approx(taken, rel=0.15)
+        assert taken < most * len(entries)
