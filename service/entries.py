@@ -10,7 +10,8 @@ from sys import intern
 from typing import Any
 
 from core.errors import CalibrationError
-from core.observation import Entry, Inspection
+from core.log import Entry
+from core.observation import Inspection
 from service.adopted import KINDS
 from service.ports import Event
 

@@ -19,6 +19,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.response",
         "core.mixture",
         "core.observation",
+        "core.log",
         "core.columns",
         "core.readings",
         "core.archive",

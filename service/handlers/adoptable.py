@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from core.errors import BladetwinError
-from core.observation import Entry, effective
+from core.log import Entry, effective
 from service.adopted import Adopted, concerns
 from service.entries import entries_of
 from service.errors import AdoptionError

@@ -12,7 +12,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from core.observation import Entry
+from core.log import Entry
 from service.adopted import ADOPTION, BACK_OUT, JOINING, adopted_at, entries
 from service.digests import digest_of_json
 from service.errors import AdoptionError, NotFoundError

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from core.observation import replaced
+from core.log import replaced
 from service.entries import body_problem
 from service.errors import DamagedLogError, NotFoundError
 from service.ports import Event, Json, Store, Transaction

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from core.errors import InputError, RangeError
-from core.observation import Inspection, effective
+from core.log import effective
+from core.observation import Inspection
 from service.entries import entries_of
 from service.handlers.blades import blades_of
 from service.handlers.reads import Basis, health, question

@@ -19,7 +19,7 @@ from typing import Any, Literal
 from sqlalchemy import Connection, select
 
 from core.errors import BladetwinError
-from core.observation import effective
+from core.log import effective
 from core.readings import digest_of
 from service.entries import body_problem, entries_of
 from service.errors import NotFoundError

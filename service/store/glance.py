@@ -28,7 +28,7 @@ def _gone(rotor_id: str, through: int) -> Select[Any]:
 
 
 def _replaced(rotor_id: str, through: int) -> Select[Any]:
-    """Ids of what is replaced, `core.observation.replaced` in SQL: up the chain of each correction
+    """Ids of what is replaced, `core.log.replaced` in SQL: up the chain of each correction
     that stands, through those that are retracted."""
     own = (
         e.rotor_id == rotor_id,

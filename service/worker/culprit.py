@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import func, select, true
 
-from core.observation import effective
+from core.log import effective
 from service.adopted import adopted_at
 from service.errors import StoreAwayError
 from service.kernels import CompiledError

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from core.errors import InputError
-from core.observation import effective
+from core.log import effective
 from core.readings import digest_of
 from service.adopted import adopted_at
 from service.entries import entries_of

@@ -17,7 +17,7 @@ from json import dumps
 from time import monotonic
 
 from core.errors import BladetwinError, FaultsError, InputError, ModelError
-from core.observation import Entry
+from core.log import Entry
 from service import tracing
 from service.errors import AdoptionError, LostLeaseError, NotFoundError, StoreAwayError
 from service.handlers.adoptable import read_ahead

@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.columns import Columns
-from core.observation import Entry, Inspection, replaced
+from core.log import Entry, replaced
+from core.observation import Inspection
 from core.readings import Readings, Words, inspections, made
 
 LOG_BYTES, HEAD_BYTES, RARE_BYTES, TEXT_BYTES = 1400, 200, 500, 130  # of objects, measured
@@ -121,7 +122,7 @@ class PackedLog:
         )
 
     def effective(self) -> Readings:
-        """The readings that count, as `core.observation.effective` finds and orders them."""
+        """The readings that count, as `core.log.effective` finds and orders them."""
         rows = self.order
         if self.hidden:
             out = np.zeros(len(self.columns), dtype=bool)

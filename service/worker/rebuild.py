@@ -22,7 +22,7 @@ from sqlalchemy import Connection, Row, delete, insert, select, update
 
 from core.digest import state_digest
 from core.errors import ModelError
-from core.observation import effective
+from core.log import effective
 from service.adopted import adopted_at
 from service.entries import entries_of
 from service.errors import DamagedError, DamagedRotorError, GoneError, HeldError, NotFoundError

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from sqlalchemy import ColumnElement, Engine, insert, or_, select, update
 
 from core.errors import InputError
-from core.observation import effective
+from core.log import effective
 from core.readings import digest_of
 from service.adopted import adopted_at
 from service.entries import entries_of

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from core.errors import InputError
+from core.log import Entry, effective
 from core.network import Network, Parameter, Quantity
-from core.observation import Entry, Inspection, effective, faults
+from core.observation import Inspection, faults
 from core.prior import Prior
 
 

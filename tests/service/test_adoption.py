@@ -16,7 +16,8 @@ from sqlalchemy import text, update
 from typer.testing import CliRunner
 
 from core.diagnosis.verdict import Held
-from core.observation import Entry, Inspection
+from core.log import Entry
+from core.observation import Inspection
 from service import bundle
 from service.adopted import adopted_at, concerns
 from service.bootstrap import make_worker

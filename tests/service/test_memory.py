@@ -11,7 +11,8 @@ import pytest
 from sqlalchemy import delete, event, update
 
 from core.calibration.state import Array, Arrays, RotorState
-from core.observation import Entry, Inspection
+from core.log import Entry
+from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.fake import FakeScience, FakeState
 from service.handlers.rotors import create_rotor, view_rotor

@@ -18,7 +18,8 @@ from sqlalchemy import text
 from typer.testing import CliRunner
 
 from core.digest import state_digest
-from core.observation import Inspection, effective
+from core.log import effective
+from core.observation import Inspection
 from service.bootstrap import make_worker, prepare
 from service.cli import app
 from service.entries import entries_of

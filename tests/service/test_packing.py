@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.observation import Entry, Inspection, effective
+from core.log import Entry, effective
+from core.observation import Inspection
 from core.readings import digest_of
 from service.worker import packing
 from service.worker.packing import PackedLog

@@ -247,7 +247,7 @@ def test_the_attempt_of_a_worker_that_was_killed_for_not_ending_is_not_counted(
 
 def check_undisturbed(store: SqlStore, rotor: str) -> None:
     """The end is what one update of the same readings gives, and the way there has no gap."""
-    from core.observation import effective
+    from core.log import effective
     from service.entries import entry_of
     from service.store.entries import read_entries
 

@@ -16,7 +16,8 @@ from typing import Any
 from sqlalchemy import Row, select
 
 from core.digest import array_digest, state_digest
-from core.observation import Inspection, effective
+from core.log import effective
+from core.observation import Inspection
 from service.entries import entries_of
 from service.ports import Event, Json, ModelCard, RotorSpec, Science
 from service.store import tables as t
