@@ -29,7 +29,7 @@ from core.log import Entry, replaced
 from core.observation import Inspection
 from core.readings import Readings, Words, inspections, made
 
-LOG_BYTES, HEAD_BYTES, RARE_BYTES, TEXT_BYTES = 1400, 200, 500, 130  # of objects, measured
+LOG_BYTES, HEAD_BYTES, RARE_BYTES, TEXT_BYTES = 1400, 180, 280, 130  # of objects, measured
 Rows = NDArray[np.unsignedinteger[Any]]
 
 
