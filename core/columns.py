@@ -45,7 +45,7 @@ class Columns:
     """
 
     heads: tuple[Head, ...]
-    code: NDArray[np.unsignedinteger[Any]]
+    code: NDArray[np.uint32]
     time_h: Array
     sigma: Array
     digests: NDArray[np.bytes_]
@@ -62,7 +62,7 @@ class Columns:
         nodes = [reading.nodes for reading in readings if reading.nodes is not None]
         return cls(
             tuple(place),
-            np.array(code, dtype=np.min_scalar_type(max(len(place) - 1, 0))),
+            np.array(code, dtype=np.uint32),
             np.array([reading.time_h for reading in readings], dtype=np.float64),
             np.array(given if some else [], dtype=np.float64),
             np.array([bytes.fromhex(reading.digest()) for reading in readings], dtype="S16"),
@@ -92,22 +92,23 @@ class Columns:
         """Where each reading's nodes end: (n,)."""
         return np.cumsum(self.counts(_nodes))
 
-    def joined(self, more: Columns) -> Columns:
-        """These and more of them, whose heads begin with these."""
+    @classmethod
+    def joined(cls, parts: Sequence[Columns], heads: tuple[Head, ...]) -> Columns:
+        """Those of all parts, one after the other; the parts' codes are places among `heads`."""
+        parts = [cls.of([]), *parts]
         sigma = np.empty(0)
-        if len(self.sigma) or len(more.sigma):
-            none = [np.full(len(one), np.nan) for one in (self, more)]
+        if any(len(part.sigma) for part in parts):
             sigma = np.concatenate(
-                [s if len(s) else n for s, n in zip((self.sigma, more.sigma), none, strict=True)]
+                [p.sigma if len(p.sigma) else np.full(len(p), np.nan) for p in parts]
             )
-        return Columns(
-            more.heads,
-            np.concatenate([self.code, more.code], dtype=more.code.dtype),
-            np.concatenate([self.time_h, more.time_h]),
+        return cls(
+            heads,
+            np.concatenate([part.code for part in parts]),
+            np.concatenate([part.time_h for part in parts]),
             sigma,
-            np.concatenate([self.digests, more.digests]),
-            np.concatenate([self.values, more.values]),
-            np.concatenate([self.nodes, more.nodes]),
+            np.concatenate([part.digests for part in parts]),
+            np.concatenate([part.values for part in parts]),
+            np.concatenate([part.nodes for part in parts]),
         )
 
     def taken(self, rows: NDArray[np.integer[Any]]) -> Columns:

@@ -215,7 +215,7 @@ class Updater:
             sha256,
             last=task.last,
             digest=record.digest,
-            log=task.log,
+            log=task.log.closed(),
         )
         self._memory.put(lease.rotor_id, memory)
         return version

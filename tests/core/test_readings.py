@@ -56,7 +56,8 @@ def test_rows_that_are_taken_are_those_readings(rows: Any, sigma: bool, plain: b
 def test_columns_join_whichever_of_them_give_a_sigma(first: bool, then: bool) -> None:
     some, more = drawn(9, sigma=first), drawn(23, sigma=then)[9:]
     before = Columns.of(some)
-    joined = before.joined(Columns.of(more, before.heads))
+    after = Columns.of(more, before.heads)
+    joined = Columns.joined([before, after], after.heads)
     assert told(as_readings(some + more, joined)) == told(some + more)
     assert len(joined.sigma) == (23 if first or then else 0)
     assert len(before) == 9
@@ -65,13 +66,11 @@ def test_columns_join_whichever_of_them_give_a_sigma(first: bool, then: bool) ->
 
 
 def test_of_many_heads_each_keeps_its_place() -> None:
-    """More than a byte tells apart."""
     some = [Inspection(f"i{k}", f"B{k}", "q", 1.0, np.ones(1)) for k in range(700)]
     columns = Columns.of(some[:100])
-    assert columns.code.dtype == np.uint8
     for k in range(100, 700, 60):
-        columns = columns.joined(Columns.of(some[k : k + 60], columns.heads))
-    assert columns.code.dtype == np.uint16
+        more = Columns.of(some[k : k + 60], columns.heads)
+        columns = Columns.joined([columns, more], more.heads)
     assert columns.each(lambda head: head.blade) == [one.blade for one in some]
 
 

@@ -181,6 +181,8 @@ def test_of_a_rotor_whose_state_is_kept_no_array_is_read(
             worker.drain()
     event.remove(store.engine, "before_cursor_execute", note)
     assert len(asked) == reads
+    kept = [worker.updater._memory.get(name) for name in ("r1", "r2", "r3")]
+    assert [one is not None and (one.log.count, one.log.whole) for one in kept] == [(4, None)] * 3
 
 
 def test_readings_count_for_the_limit_whether_or_not_the_state_is_kept() -> None:

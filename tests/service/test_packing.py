@@ -74,6 +74,7 @@ def packed(entries: list[Entry], portions: list[int] | None = None) -> PackedLog
     log, begin = PackedLog(), 0
     for size in portions or []:
         log, begin = log.extended(entries[begin : begin + size]), begin + size
+        log = log.closed() if size % 2 else log
     return log.extended(entries[begin:])
 
 
@@ -100,6 +101,8 @@ def test_readings_that_count_are_those_of_the_log_and_in_its_order(
     assert 100 < len(expected) < 200, "some do not count"
     assert len(found) == len(expected)
     assert [_parts(one) for one in found] == [_parts(one) for one in expected]
+    kept = packed(entries, portions).closed().effective()
+    assert [_parts(one) for one in kept] == [_parts(one) for one in expected]
     assert [one.digest() for one in found] == [one.digest() for one in expected]
     assert digest_of(found) == digest_of(expected)
     assert found.columns.time_h.tolist() == [one.time_h for one in expected]
@@ -163,19 +166,19 @@ def test_entries_that_come_one_by_one_are_compressed_anew_seldom(
 ) -> None:
     entries = [entry for entry in drawn(700) if entry.inspection is not None][:512]
     counted: list[int] = []
-    real = packing.Text.of
+    real = packing.Chunk.of
 
-    def noted(columns: Any) -> Any:
-        counted.append(len(columns[0]))
-        return real(columns)
+    def noted(columns: Any, words: Any) -> Any:
+        counted.append(len(columns))
+        return real(columns, words)
 
-    monkeypatch.setattr(packing.Text, "of", noted)
+    monkeypatch.setattr(packing.Chunk, "of", noted)
     log = PackedLog()
     for count in range(512):
         log = log.extended([entries[count]])
-        assert sum(text.count for text in log.texts) == count + 1
-    assert len(log.texts) <= 10
-    assert sum(counted) <= 10 * 512, "each entry about log₂ 512 times; all anew would be 131,328"
+        assert sum(chunk.count for chunk in log.chunks) == count + 1
+    assert len(log.chunks) <= 10
+    assert sum(counted) <= 11 * 512, "each entry about log₂ 512 times; all anew would be 131,328"
     assert said(log.entries()) == said(entries)
 
 
@@ -189,9 +192,9 @@ def test_bringing_a_log_up_to_date_looks_at_no_text_but_where_an_hour_is_shared(
 
     log = packed([one(k, 10.0 * k) for k in range(1, 65)])
     looked: list[int] = []
-    real = packing.Text.columns
+    real = packing.Chunk.words
     monkeypatch.setattr(
-        packing.Text, "columns", lambda text: looked.append(text.count) or real(text)
+        packing.Chunk, "words", lambda chunk: looked.append(chunk.count) or real(chunk)
     )
     monkeypatch.setattr("core.readings.made", None)
     more = log.extended([one(65, 5.0)])
@@ -223,10 +226,10 @@ def test_what_packed_entries_take_is_what_is_counted(size: int, kind: str) -> No
     gc.collect()
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
-    logs = [packed(come(begin)) for begin in range(0, 4000, size)]
+    logs = [packed(come(begin)).closed() for begin in range(0, 4000, size)]
     gc.collect()
     taken = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert sum(log.nbytes for log in logs) == pytest.approx(taken, rel=0.25)
     if kind == "plain":
-        assert taken < (48 if size == 4000 else 120) * 4000
+        assert taken < (40 if size == 4000 else 90) * 4000
