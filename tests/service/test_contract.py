@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from functools import cache
 from typing import Any
 
 import httpx
@@ -105,27 +106,39 @@ def fitted(label: str, body: Any) -> Any:
     return body
 
 
+@cache
+def requests_of(document: str) -> list[tuple[Any, GenerationMode, Any]]:
+    """Each operation of a document with what makes its requests, such as fit it and such as do not.
+
+    To make that takes longer than to send some: it is the same for everybody who asks.
+    """
+    made = []
+    for found in schemathesis.openapi.from_dict(json.loads(document)).get_all_operations():
+        operation = found.ok()
+        if operation.label in ("GET /v1/rotors/{r}/events", "GET /metrics"):
+            continue  # a stream does not end, and neither is JSON: see test_events, test_metrics
+        takes = any(operation.iter_parameters()) or operation.body
+        for mode in [GenerationMode.POSITIVE] + [GenerationMode.NEGATIVE] * bool(takes):
+            made.append((operation, mode, operation.as_strategy(generation_mode=mode)))
+    return made
+
+
 def answered(
     client: httpx.Client, document: Json, headers: dict[str, str], examples: int
 ) -> dict[str, dict[int, int]]:
     """How often each operation was answered with each status; a breach of the document raises."""
-    schema = schemathesis.openapi.from_dict(document)
     seen: dict[str, dict[int, int]] = {}
-    for found in schema.get_all_operations():
-        operation = found.ok()
-        if operation.label in ("GET /v1/rotors/{r}/events", "GET /metrics"):
-            continue  # a stream does not end, and neither is JSON: see test_events, test_metrics
+    for operation, mode, strategy in requests_of(json.dumps(document)):
         told = seen.setdefault(operation.label, {})
-        takes = any(operation.iter_parameters()) or operation.body
-        for mode in [GenerationMode.POSITIVE] + [GenerationMode.NEGATIVE] * bool(takes):
-            for known in (False, True):
-                send(operation, mode, known, told, client, headers, examples)
+        for known in (False, True):
+            send(operation, mode, strategy, known, told, client, headers, examples)
     return seen
 
 
 def send(
     operation: Any,
     mode: GenerationMode,
+    strategy: Any,
     known: bool,
     told: dict[int, int],
     client: httpx.Client,
@@ -142,7 +155,7 @@ def send(
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
-    @given(case=operation.as_strategy(generation_mode=mode))
+    @given(case=strategy)
     def one(case: Any) -> None:
         if known:
             names = NAMES | DOOMED.get(operation.label, {})
