@@ -133,41 +133,46 @@ def sealed_by_a_worker(url: str, cache: Path) -> str:
         store.close()
 
 
-KEPT_IN = "from core.calibration import kernel; print(kernel.volume_messages._cache.cache_path)"
+def kept_in() -> Path:
+    """Where machine code of core.calibration is kept."""
+    from numba.core.caching import FunctionCache
+
+    from core.calibration import kernel
+
+    return Path(FunctionCache(kernel.volume_messages.py_func).cache_path)
 
 
-def kept_in(**environ: str) -> Path:
-    """Where a process with this environment keeps the machine code of core.calibration."""
-    given = same_code(os.environ | environ)
-    done = subprocess.run(
-        [sys.executable, "-c", KEPT_IN], env=given, capture_output=True, text=True, check=True
-    )
-    return Path(done.stdout.strip())
-
-
-def most_kept(cache: Path) -> None:
+def most_kept(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A folder for machine code that has all but the outermost kernels', as after a cut start.
 
-    To compile those takes seconds; to compile all of them, a minute.
+    To compile those takes seconds; to compile all of them, a minute. Where the others are not kept
+    here they are compiled first.
     """
-    subprocess.run([sys.executable, "-P", "-m", "service.cli", "compile"], check=True, timeout=900)
-    target = kept_in(NUMBA_CACHE_DIR=str(cache))
+    from numba.core import config
+
+    here = kept_in()
+    if not (any(here.glob("kernel.*.nbc")) and any(here.glob("volumes.*.nbc"))):
+        command = [sys.executable, "-P", "-m", "service.cli", "compile"]
+        subprocess.run(command, check=True, timeout=900)
+    with monkeypatch.context() as patch:
+        patch.setattr(config, "CACHE_DIR", str(cache))
+        target = kept_in()
     target.mkdir(parents=True, exist_ok=True)
-    for file in kept_in().glob("*.nb[ic]"):
+    for file in here.glob("*.nb[ic]"):
         if not file.name.startswith("kernel."):
             shutil.copy2(file, target)
     assert list(target.glob("volumes.*.nbc"))
 
 
 def test_the_first_worker_of_a_machine_seals_the_same_bits_as_every_later_one(
-    url: str, tmp_path: Path
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Found by `bladetwin study chaos --science core`: its first workers compiled."""
     from service.store.engine import transaction
     from service.store.tables import cursor, outbox, state, state_array
 
     cache = tmp_path / "kept"
-    most_kept(cache)
+    most_kept(cache, monkeypatch)
     first = sealed_by_a_worker(url, cache)
     store = make_store(Settings.load({}, database_url=url))
     with transaction(store.engine, write=True) as connection:
