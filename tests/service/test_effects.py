@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,14 +55,27 @@ def database_url(sqlite_url: str) -> str:
     return sqlite_url
 
 
-@pytest.fixture
-def fleet(settings: Settings) -> Iterator[SqlStore]:
-    opened = SqlStore(open_engine(settings.database_url))
+def made(database_url: str) -> SqlStore:
+    """Six blades of two lots, on a migrated database."""
+    opened = SqlStore(open_engine(database_url))
     register_builtins(opened, formula_science())
     blades = [BladeRecord(f"B{b}", lot=f"L{b % 2}") for b in range(BLADES)]
     create_rotor(opened, "r1", "rotor-blade", blades, 400, 7)
+    return opened
+
+
+@pytest.fixture
+def fleet(settings: Settings) -> Iterator[SqlStore]:
+    opened = made(settings.database_url)
     yield opened
     opened.close()
+
+
+def in_file(file: Path) -> Settings:
+    """The settings of the tests, of a database in a file."""
+    url = f"sqlite:///{file}"
+    given = {"lease_s": 30.0, "retry_base_s": 0.0, "seal_after_s": 0.0}
+    return Settings(database_url=url, science="fake", **given)
 
 
 def visits(off: float) -> list[Item]:
@@ -95,11 +110,21 @@ def diagnosed(fleet: SqlStore, settings: Settings, off: float) -> Json:
     return {"rotor": "r1", "result": ended.result}
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, sqlite_template: Path) -> Json:
+    """The diagnosis of a visit that read five noises too long, made once."""
+    file = tmp_path_factory.mktemp("whole") / "bladetwin.db"
+    settings = in_file(shutil.copy(sqlite_template, file))
+    opened = made(settings.database_url)
+    told = diagnosed(opened, settings, 5.0)
+    opened.close()
+    return told
+
+
 def test_a_campaign_that_read_five_noises_too_long_is_named_with_its_amplitude(
-    fleet: SqlStore, settings: Settings
+    whole: Json,
 ) -> None:
-    told = diagnosed(fleet, settings, 5.0)
-    found = told["result"]
+    told, found = whole, whole["result"]
     assert (found["verdict"], found["names"]) == ("effect", ["campaign offset (campaign visit 1)"])
     size = found["effects"][0]["amplitude"]
     assert abs(size["mean"] - 5 * NOISE) < 3 * size["sd"] < 3 * NOISE
@@ -128,10 +153,10 @@ def test_the_same_blades_without_the_offset_are_adequate(
 
 
 def test_a_diagnosis_that_another_worker_goes_on_with_says_the_same(
-    fleet: SqlStore, settings: Settings
+    fleet: SqlStore, settings: Settings, whole: Json
 ) -> None:
     """Its first worker dies in the fifth step; what it had found is not searched again."""
-    whole = diagnosed(fleet, settings, 5.0)["result"]
+    post_inspections(fleet, "r1", visits(5.0))
     job, _ = request_diagnosis(fleet, formula_science(), "r1", (), compare=True, horizon_h=None)
     first = make_worker(fleet, formula_science(), settings, "first", "diagnose")
     tell, steps = first.jobs.progress, list[str]()
@@ -154,7 +179,7 @@ def test_a_diagnosis_that_another_worker_goes_on_with_says_the_same(
     make_worker(fleet, formula_science(), settings, "second", "diagnose").drain()
     ended = find_diagnosis(fleet, "r1", job.id)
     assert (ended.status, ended.attempts) == ("done", 2)
-    assert ended.result == whole
+    assert ended.result == whole["result"]
 
 
 def test_adopted_by_the_real_science_the_worker_s_model_is_the_diagnosed_one_and_backs_out(
@@ -203,26 +228,45 @@ def growing() -> list[Item]:
     return found
 
 
-@pytest.fixture
-def nameless(
-    fleet: SqlStore, settings: Settings, monkeypatch: pytest.MonkeyPatch
-) -> tuple[SqlStore, str, Json]:
-    """A diagnosis of growing blades whose verdict is that no name will do."""
+@pytest.fixture(scope="module")
+def without_name(
+    tmp_path_factory: pytest.TempPathFactory, sqlite_template: Path
+) -> tuple[Path, str, Json]:
+    """A diagnosis of growing blades whose verdict is that no name will do, made once: a database,
+    the job in it and its result.
+    """
 
     def no_name(model: Model, state: RotorState, case: Case, *_: Any) -> Diagnosis:
         first = judge(case.scan(model, state), case.spec.seed, dealt=case.dealt)
         nothing = replace(first, word="unattributed", names=(), reasons=("no name will do",))
         return Diagnosis(nothing, first, (model, state), (model, state), (), 0.0, ())
 
-    monkeypatch.setattr(effects, "diagnose", no_name)
-    post_inspections(fleet, "r1", growing())
-    make_worker(fleet, formula_science(), settings).drain()
-    job, _ = request_diagnosis(fleet, formula_science(), "r1", (), compare=True, horizon_h=None)
-    make_worker(fleet, formula_science(), settings, "d", "diagnose").drain()
+    file = tmp_path_factory.mktemp("nameless") / "bladetwin.db"
+    settings = in_file(shutil.copy(sqlite_template, file))
+    fleet = made(settings.database_url)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(effects, "diagnose", no_name)
+        post_inspections(fleet, "r1", growing())
+        make_worker(fleet, formula_science(), settings).drain()
+        job, _ = request_diagnosis(fleet, formula_science(), "r1", (), compare=True, horizon_h=None)
+        make_worker(fleet, formula_science(), settings, "d", "diagnose").drain()
     ended = find_diagnosis(fleet, "r1", job.id)
+    fleet.close()
     assert ended.status == "done", ended.error
     assert ended.result is not None
-    return fleet, job.id, ended.result
+    return file, job.id, ended.result
+
+
+@pytest.fixture
+def nameless(
+    without_name: tuple[Path, str, Json], settings: Settings
+) -> Iterator[tuple[SqlStore, str, Json]]:
+    """The same, in a database of the test's own."""
+    file, job, found = without_name
+    shutil.copy(file, settings.database_url.removeprefix("sqlite:///"))
+    opened = SqlStore(open_engine(settings.database_url))
+    yield opened, job, found
+    opened.close()
 
 
 def test_a_lack_without_a_name_widens_the_bands_by_a_discrepancy_that_is_adopted_and_backs_out(
