@@ -70,6 +70,14 @@ def http(
         yield client
 
 
+@pytest.fixture(scope="module")
+def artefact(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The exchanger's model, trained once for those who ask for no training."""
+    file = exchanger.stored(exchanger.dataset(), tmp_path_factory.mktemp("runs") / "runs.nc")
+    given = (exchanger.network(), file.read_bytes(), (), {"archive": {"bytes": 1}})
+    return CoreScience().train("exchanger", *given, lambda *told: None)[1]
+
+
 def send(http: httpx.Client, file: Path, network: str = exchanger.NETWORK, **more: str) -> Any:
     files = {"runs": ("runs.nc", file.read_bytes()), "network": ("network.yaml", network)}
     return http.post("/v1/models", data={"id": "exchanger", **more}, files=files)
@@ -193,10 +201,9 @@ def test_a_diagnosis_of_other_physics_asks_for_families_and_looks_for_those_it_g
     own_store: SqlStore,
     real: CoreScience,
     settings: Settings,
-    tmp_path: Path,
+    artefact: bytes,
 ) -> None:
-    send(http, exchanger.stored(exchanger.dataset(), tmp_path / "runs.nc"))
-    trained(http, own_store, real, settings)
+    register_trained(own_store, real, "exchanger", artefact)
     twin = Client(http=http)
     twin.create_rotor("station", model="exchanger", blades=[*ROUGH], particles=512)
     twin.post_inspections("station", exchanger.readings(TRUTH, HOURS, 0.3, seed=5))
@@ -347,20 +354,13 @@ def test_a_new_upload_is_a_new_version_and_rotors_keep_theirs(
 
 
 def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
-    http: httpx.Client,
-    own_store: SqlStore,
-    real: CoreScience,
-    settings: Settings,
-    tmp_path: Path,
+    own_store: SqlStore, real: CoreScience, settings: Settings, artefact: bytes
 ) -> None:
     from service.commands.replay import _models
 
-    send(http, exchanger.stored(exchanger.dataset(), tmp_path / "runs.nc"))
-    trained(http, own_store, real, settings)
+    card = register_trained(own_store, real, "exchanger", artefact)
     assert _models(own_store, real) == []
-    with own_store.read() as tx:
-        card = tx.records.model("exchanger")
-    artefact = own_store.blob(card.summary["artefact"])
+    assert own_store.blob(card.summary["artefact"]) == artefact
     with pytest.raises(ModelError, match="stored model cannot be read"):
         register_trained(own_store, real, "copy", artefact.replace(b'"digest": "', b'"digest": "0'))
     with transaction(own_store.engine, write=True) as connection:
@@ -375,14 +375,16 @@ def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
 
 
 def test_a_training_outlives_its_killed_worker_and_holds_nothing_up(
-    store: SqlStore, settings: Settings, reading: Make, post: Post, rotor: str
+    store: SqlStore, settings: Settings, reading: Make, post: Post, rotor: str, tmp_path: Path
 ) -> None:
     twin = FakeScience()
     job = request_training(store, twin, "mine", exchanger.network(), HDF5 + b"runs")
 
+    go_on = tmp_path / "go on"
+
     def command(owner: str, role: Role) -> list[str]:
-        delay = "1.0" if role == "diagnose" else "0.0"
-        return [sys.executable, "-m", "tests.service.slow_worker", owner, role, delay]
+        words = ["-m", "tests.service.slow_worker", owner, role, "0.0", str(go_on)]
+        return [sys.executable, *words]
 
     environ = {**settings.environ(), "PYTHONPATH": str(ROOT)}
     trainer = Supervisor(store.engine, ["diagnose"], command, environ)
@@ -395,6 +397,8 @@ def test_a_training_outlives_its_killed_worker_and_holds_nothing_up(
         until("a second worker", lambda: find_job(store, job.id).attempts == 2)
         seq = post("r1", reading("i1"))
         until("applying beside it", lambda: view_rotor(store, "r1").rotor.applied_seq == seq)
+        assert find_job(store, job.id).status == "running"
+        go_on.touch()
         until("its end", lambda: find_job(store, job.id).status == "done")
     finally:
         trainer.stop()

@@ -277,15 +277,17 @@ def check_undisturbed(store: SqlStore, rotor: str) -> None:
 
 
 def test_a_diagnosis_outlives_its_killed_worker_and_holds_nothing_up(
-    store: SqlStore, settings: Settings, reading: Make, post: Post
+    store: SqlStore, settings: Settings, reading: Make, post: Post, tmp_path: Path
 ) -> None:
     create_rotor(store, "r1", "rotor-blade", [BladeRecord(f"B{i}") for i in range(4)], 64, 7)
     seq = post("r1", *(reading(f"i{i}", blade=f"B{i}") for i in range(4)))
     job, _ = request_diagnosis(store, FakeScience(), "r1", (), compare=True, horizon_h=None)
 
+    go_on = tmp_path / "go on"
+
     def command(owner: str, role: Role) -> list[str]:
-        delay = "1.5" if role == "diagnose" else "0.0"
-        return [sys.executable, "-m", "tests.service.slow_worker", owner, role, delay]
+        words = ["-m", "tests.service.slow_worker", owner, role, "0.0", str(go_on)]
+        return [sys.executable, *words]
 
     environ = {**settings.environ(), "PYTHONPATH": str(ROOT)}
     diagnoser = Supervisor(store.engine, ["diagnose"], command, environ)
@@ -303,6 +305,7 @@ def test_a_diagnosis_outlives_its_killed_worker_and_holds_nothing_up(
         seq = post("r1", reading("later", blade="B1", time_h=16e3, value=0.2))
         until("applying beside it", lambda: view_rotor(store, "r1").rotor.applied_seq == seq)
         assert find_diagnosis(store, "r1", job.id).status == "running"
+        go_on.touch()
         until("its end", lambda: find_diagnosis(store, "r1", job.id).status == "done")
     finally:
         diagnoser.stop()
