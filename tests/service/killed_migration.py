@@ -25,12 +25,13 @@ def schema(url: str) -> Any:
     engine = open_engine(url)
     with transaction(engine, write=False) as connection:
         seen = inspect(connection)
+        columns, indexes = seen.get_multi_columns(), seen.get_multi_indexes()
         tables = {
-            name: [
-                sorted(column["name"] for column in seen.get_columns(name)),
-                sorted(str(index["name"]) for index in seen.get_indexes(name)),
+            str(table): [
+                sorted(column["name"] for column in own),
+                sorted(str(index["name"]) for index in indexes.get(table, [])),
             ]
-            for name in seen.get_table_names()
+            for table, own in columns.items()
         }
     found = [current(engine), tables]
     engine.dispose()
