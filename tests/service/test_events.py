@@ -394,7 +394,8 @@ def test_a_stop_signal_that_comes_inside_a_lock_does_not_wait_for_it(
 
 
 def test_streams_end_when_the_server_stops(tmp_path: Path) -> None:
-    settings = Settings(database_url=f"sqlite:///{tmp_path / 'x.db'}", science="fake")
+    url = f"sqlite:///{tmp_path / 'x.db'}"
+    settings = Settings(database_url=url, science="fake", sealers=0, diagnosers=0)
     with serving(settings) as (process, client):
         client.create_rotor("r1", blades=["B1"])
         client.wait_for("r1", 0)

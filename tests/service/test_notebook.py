@@ -38,7 +38,8 @@ def test_the_notebook_of_the_readme_runs_as_it_stands(
     matplotlib.use("Agg")
     arviz()
     monkeypatch.chdir(tmp_path)
-    settings = Settings(database_url=f"sqlite:///{tmp_path / 'x.db'}", science="fake")
+    database = f"sqlite:///{tmp_path / 'x.db'}"
+    settings = Settings(database_url=database, science="fake", sealers=0, diagnosers=0)
     with serving(settings) as (_, client):
         url = str(client._http.base_url)
         # `Client()` leads to port 8000, which may be somebody else's here
