@@ -21,11 +21,16 @@ def shown(done: int) -> None:
     """No progress in a test."""
 
 
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The digests of the plan undisturbed: the same for every database."""
+    return chaos.undisturbed(PLAN, f"sqlite:///{tmp_path_factory.mktemp('calm') / 'calm.db'}")
+
+
 def test_nothing_is_lost_or_applied_twice_while_everything_is_killed(
-    database_url: str, tmp_path: Path
+    database_url: str, calm: dict[str, str]
 ) -> None:
     found, ledger, facts = chaos.disturbed(PLAN, database_url, shown)
-    calm = chaos.undisturbed(PLAN, f"sqlite:///{tmp_path / 'calm.db'}")
     assert facts["kills_in_all"] == 8
     assert ledger.breaches == []
     assert found.faults == {}

@@ -109,16 +109,16 @@ def test_percentiles_are_of_what_was_answered_well_and_the_rest_is_named() -> No
 
 def plan(**given: Any) -> run.Plan:
     facts: dict[str, Any] = {
-        "minutes": 0.2,
-        "rate": 6.0,
-        "reads": 12.0,
+        "minutes": 0.1,
+        "rate": 12.0,
+        "reads": 24.0,
         "rotors": 4,
         "blades": 5,
         "workers": 1,
         "api_processes": 1,
         "science": "fake",
         "particles": 64,
-        "window_s": 3.0,
+        "window_s": 1.5,
         "seed": SEED,
     }
     return run.Plan(**facts | given)
@@ -152,7 +152,7 @@ def test_what_is_answered_after_the_last_sample_counts(
 ) -> None:
     monkeypatch.setattr(run, "Crowd", Late)
     url = f"sqlite:///{tmp_path / 'late.db'}"
-    told = run.loaded(plan(minutes=0.04), url, tmp_path, tmp_path / "log", lambda done: None)
+    told = run.loaded(plan(minutes=0.02), url, tmp_path, tmp_path / "log", lambda done: None)
     assert told["posted"] == told["applied"] > 5
 
 
