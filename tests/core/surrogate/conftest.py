@@ -8,6 +8,7 @@ by integrating the strain along the span. The constants are those of no real bla
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from core.archive import Archive, Input, Mesh, Run
 from core.design import maximin_lhs
 from core.surrogate import Surrogate, train
+from tests.once import once
 
 Array = NDArray[np.float64]
 INPUTS = (
@@ -83,11 +85,10 @@ def stand_in() -> Callable[..., Run]:
     return simulate
 
 
-@pytest.fixture(scope="session")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> Archive:
+def runs(folder: Path) -> Archive:
     """66 training and 34 test runs of the stand-in."""
     made = Archive.create(
-        tmp_path_factory.mktemp("stand-in") / "archive",
+        folder / "archive",
         inputs=INPUTS,
         time_h=TIME_H,
         mesh=mesh(),
@@ -101,6 +102,12 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Archive:
 
 
 @pytest.fixture(scope="session")
-def model(archive: Archive) -> Surrogate:
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Archive:
+    """66 training and 34 test runs of the stand-in."""
+    return once(tmp_path_factory, "stand-in", runs)
+
+
+@pytest.fixture(scope="session")
+def model(archive: Archive, tmp_path_factory: pytest.TempPathFactory) -> Surrogate:
     """The surrogate of the 66 training runs."""
-    return train(archive, range(TRAIN), seed=1)
+    return once(tmp_path_factory, "stand-in-model", lambda _: train(archive, range(TRAIN), seed=1))
