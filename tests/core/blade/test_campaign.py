@@ -4,15 +4,16 @@ import subprocess
 import sys
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from core.blade import BladeRun, Properties, run_campaign, simulate
+from core.blade.integrate import Tolerance
 from core.errors import InputError, ModelError, RangeError
 
 INSTANTS = np.array([0.0, 5.0, 50.0])
+LOOSE = Tolerance(relative=1e-2, absolute=5e-6)  # runs are compared with the same runs
 
 
 @pytest.fixture(scope="module")
@@ -20,11 +21,18 @@ def points(base: dict[str, float]) -> list[dict[str, float]]:
     return [{**base, "t1t_rate": rate} for rate in (0.82, 0.87, 0.92, 0.97)]
 
 
+@pytest.fixture(scope="module")
+def alone(points: list[dict[str, float]]) -> list[BladeRun]:
+    """Each of them without a campaign."""
+    return [simulate(one, "coarse", time_h=INSTANTS, tolerance=LOOSE) for one in points]
+
+
 def test_a_cut_campaign_resumes_with_the_runs_that_are_missing(
-    points: list[dict[str, float]],
+    points: list[dict[str, float]], alone: list[BladeRun]
 ) -> None:
     got: dict[int, BladeRun] = {}
     told: list[tuple[int, int]] = []
+    options = {"mesh": "coarse", "time_h": INSTANTS, "tolerance": LOOSE}
 
     def cut(index: int, run: BladeRun) -> None:
         if got:
@@ -32,39 +40,41 @@ def test_a_cut_campaign_resumes_with_the_runs_that_are_missing(
         got[index] = run
 
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(points, cut, mesh="coarse", processes=1, time_h=INSTANTS)
+        run_campaign(points, cut, processes=1, **options)
     assert len(got) == 1
     first = set(got)
 
     result = run_campaign(
         points,
         got.__setitem__,
-        mesh="coarse",
         done=first,
         processes=2,
         progress=lambda done, total, left: told.append((done, total)) if left >= 0 else None,
-        time_h=INSTANTS,
+        **options,
     )
     assert sorted([*first, *result.completed]) == [0, 1, 2, 3]
     assert told == [(2, 4), (3, 4), (4, 4)]
     for index, point in enumerate(points):
-        alone = simulate(point, "coarse", time_h=INSTANTS)
-        assert np.array_equal(got[index].displacement, alone.displacement)
+        assert np.array_equal(got[index].displacement, alone[index].displacement)
         assert got[index].inputs == point
 
 
-def test_truth_runs_arrive_on_the_nodes_of_the_other_mesh(points: list[dict[str, float]]) -> None:
+def test_truth_runs_arrive_on_the_nodes_of_the_other_mesh(
+    points: list[dict[str, float]], alone: list[BladeRun]
+) -> None:
     got: dict[int, BladeRun] = {}
     run_campaign(
         points[:1],
         got.__setitem__,
-        mesh="default",
-        onto="coarse",
+        mesh="coarse",
+        onto="default",
         processes=1,
-        time_h=INSTANTS[:2],
+        time_h=INSTANTS,
+        tolerance=LOOSE,
     )
-    assert got[0].mesh == "coarse"
-    assert got[0].ceeq.shape == (2, 1536)
+    assert got[0].mesh == "default"
+    assert got[0].ceeq.shape == (3, 5600)
+    assert np.array_equal(got[0].elongation, alone[0].elongation), "computed on its own mesh"
 
 
 def test_a_run_that_fails_is_reported_and_the_others_go_on(points: list[dict[str, float]]) -> None:
@@ -151,6 +161,7 @@ def test_a_shared_campaign_computes_what_it_is_given_and_waits_for_the_others(
         processes=1,
         progress=lambda done, total, left: told.append((done, total)),
         time_h=INSTANTS[:2],
+        tolerance=LOOSE,
     )
     assert result.completed == (1, 3)
     assert {k: run.inputs for k, run in got.items()} == {k: points[k] for k in (1, 3)}
@@ -158,23 +169,23 @@ def test_a_shared_campaign_computes_what_it_is_given_and_waits_for_the_others(
 
 
 DASK = """
-import sys
-import numpy as np
-from core.blade import run_campaign
-from core.builtin.rotor_blade import blade_digest
-from core.errors import BladetwinError
-
 def main():
+    from core.blade import run_campaign
+    from core.blade.integrate import Tolerance
+    from core.builtin.rotor_blade import blade_digest
+    from core.errors import BladetwinError
+
     points = [{"tbc_thickness": 1.0, "t1t_rate": r, "creep_transient": 0.0, "creep_steady": 0.0}
               for r in (0.82, 0.97)]
-    code = blade_digest if sys.argv[2] == "same" else Other()
-    try:
-        done = run_campaign(points, lambda k, run: print(k, run.elongation[-1].hex()),
-                            mesh="coarse", dask=sys.argv[1], code=code, time_h=[0.0, 5.0, 50.0])
-    except BladetwinError as error:
-        print(error)
-    else:
-        print(len(done.completed))
+    options = {"time_h": [0.0, 5.0, 50.0], "tolerance": Tolerance(relative=1e-2, absolute=5e-6)}
+    for address, code in (("local:2", blade_digest), ("local:1", Other())):
+        try:
+            done = run_campaign(points, lambda k, run: print(k, run.elongation[-1].hex()),
+                                mesh="coarse", dask=address, code=code, **options)
+        except BladetwinError as error:
+            print(error)
+        else:
+            print(len(done.completed))
 
 class Other:
     def __init__(self):
@@ -189,10 +200,12 @@ if __name__ == "__main__":
 """
 
 
-def through_dask(tmp_path: Path, address: str, code: str = "same") -> list[str]:
-    script = tmp_path / "campaign.py"
+@pytest.fixture(scope="module")
+def through_dask(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """What a campaign says, and then one whose worker has other code."""
+    script = tmp_path_factory.mktemp("dask") / "campaign.py"
     script.write_text(DASK)
-    words = [sys.executable, script, address, code]
+    words = [sys.executable, script]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
@@ -200,20 +213,17 @@ def through_dask(tmp_path: Path, address: str, code: str = "same") -> list[str]:
 
 @pytest.mark.skipif(find_spec("distributed") is None, reason="Dask (extra dask) is not installed")
 def test_a_dask_cluster_computes_the_same_runs(
-    tmp_path: Path, points: list[dict[str, float]]
+    through_dask: list[str], alone: list[BladeRun]
 ) -> None:
-    *runs, count = through_dask(tmp_path, "local:2")
-    alone = [
-        simulate({**points[0], "t1t_rate": rate}, "coarse", time_h=INSTANTS).elongation[-1].hex()
-        for rate in (0.82, 0.97)
-    ]
-    assert sorted(runs) == [f"{k} {value}" for k, value in enumerate(alone)]
+    *runs, count, _ = through_dask
+    known = [alone[0].elongation[-1].hex(), alone[3].elongation[-1].hex()]
+    assert sorted(runs) == [f"{k} {value}" for k, value in enumerate(known)]
     assert count == "2"
 
 
 @pytest.mark.skipif(find_spec("distributed") is None, reason="Dask (extra dask) is not installed")
-def test_a_dask_worker_with_other_code_is_refused(tmp_path: Path) -> None:
-    (said,) = through_dask(tmp_path, "local:1", "other")
+def test_a_dask_worker_with_other_code_is_refused(through_dask: list[str]) -> None:
+    said = through_dask[-1]
     assert "has other finite-element code: bbbbbbbbbbbb there, aaaaaaaaaaaa here" in said
 
 
