@@ -250,11 +250,11 @@ def peak_mb(archive: Archive, runs: int, whole: bool) -> float:
     try:
         if whole:
             matrix = np.vstack(list(RunRows.of(archive, range(runs), each=2).blocks()))
-            Basis.of(matrix, 4, seed=1)
+            Basis.of(matrix, 2, seed=1)
         else:
             rows = RunRows.of(archive, range(runs), each=2)
-            basis = streamed_svd(rows, 4, seed=1, oversample=4)[1]
-            sweep(rows, basis, [4])
+            basis = streamed_svd(rows, 2, seed=1, oversample=2)[1]
+            sweep(rows, basis, [2])
         return tracemalloc.get_traced_memory()[1] / 2**20
     finally:
         tracemalloc.stop()
@@ -262,13 +262,13 @@ def peak_mb(archive: Archive, runs: int, whole: bool) -> float:
 
 def test_memory_does_not_grow_with_the_runs(tmp_path: Path) -> None:
     """The negative control, which loads all of them, grows by half and more."""
-    archive = made(tmp_path / "a", 32, nodes=800)
+    archive = made(tmp_path / "a", 16, nodes=1600)
     for _ in range(3):  # threads that other tests left in this process allocate as well
-        few, many = (peak_mb(archive, runs, whole=False) for runs in (8, 32))
+        few, many = (peak_mb(archive, runs, whole=False) for runs in (4, 16))
         if many < 1.1 * few:
             break
     assert many < 1.1 * few
-    few, many = (peak_mb(archive, runs, whole=True) for runs in (8, 32))
+    few, many = (peak_mb(archive, runs, whole=True) for runs in (4, 16))
     assert many > 1.5 * few
 
 
