@@ -219,7 +219,7 @@ def test_dormant_parameters_of_single_specimens_can_be_freed_too(levels: dict[st
         low, high = prior.box
         u = (float(prior.to_u(np.array(truth[name]))) - low) / (high - low)
         unit[:, j] = np.clip(u + 0.02 * rng.normal(size=4), 0.01, 0.99)
-    column, points = own.column(unit), {2: 1500, 3: 160}[1 + len(levels)]
+    column, points = own.column(unit), {2: 600, 3: 100}[1 + len(levels)]
     for k in range(4):
         assert column[k] == pytest.approx(
             dense(own, unit, k, *window_of(own, unit, k), points), abs=5e-3
