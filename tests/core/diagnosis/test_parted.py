@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from core.calibration.online import Workspace, update
+from core.calibration.online import RotorState, Workspace, update
 from core.diagnosis import Case, Facts
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.conclude import Rival
@@ -23,15 +24,23 @@ LARGE = 1.6  # more than WIDE times the expected 0.3
 assert WIDE * BEND.size < LARGE  # type: ignore[operator]
 BENT = with_effects(MODEL, [CELL], {}, {})
 GAUGE = Cell(OFFSET, "constant", "instrument", "gauge 1")
+FEW = replace(SPEC, blades=SPEC.blades[:8], particles=600)
+
+
+@cache
+def rotor_of(odd: float, even: float) -> tuple[Case, RotorState, Workspace]:
+    """Half of the blades, bent by `odd` and `even`, and their state without a bend."""
+    every = readings(lambda b, t: (odd if b % 2 else even) * t**2)
+    data, work = tuple(r for r in every if r.blade in FEW.blades), Workspace()
+    case = Case(FEW, data, {b: Facts() for b in FEW.blades})
+    return case, update(MODEL, FEW, data, workspace=work), work
 
 
 def held(odd: float, even: float, *others: Cell) -> tuple[Held, ...]:
     """Of blades that are bent by `odd` and `even`."""
-    data = readings(lambda b, t: (odd if b % 2 else even) * t**2)
-    facts, work = {b: Facts() for b in SPEC.blades}, Workspace()
-    case, sound = Case(SPEC, data, facts), update(MODEL, SPEC, data, workspace=work)
-    bent = with_effects(MODEL, [CELL, *others], facts, case.noise(MODEL, sound))
-    state = update(bent, SPEC, data, workspace=work)
+    case, sound, work = rotor_of(odd, even)
+    bent = with_effects(MODEL, [CELL, *others], case.facts, case.noise(MODEL, sound))
+    state = update(bent, FEW, case.readings, workspace=work)
     return case.halves(MODEL, sound, Rival((CELL, *others), bent, lambda: state, 0.0))
 
 
