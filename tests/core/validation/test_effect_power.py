@@ -10,6 +10,7 @@ from core.errors import InputError
 from core.validation import effect_oracle, effect_plans, effect_sets
 from core.validation import effect_power as study
 from service.studies.power import power_plot
+from tests.core.validation.fewer import of_blades
 
 
 def test_every_size_has_its_sets_and_as_many_clean_ones() -> None:
@@ -47,9 +48,11 @@ def test_what_cannot_be_studied_is_told(
 def test_a_large_offset_alarms_and_no_offset_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Control: the same readings without it. A study that was cut goes on."""
+    """Control: the same readings without it, of fifteen of the blades. A cut study goes on."""
+    few = of_blades(effect_plans.plan("fleet-100"), range(0, 100, 7))
+    monkeypatch.setitem(effect_plans.PLANS, "fleet-15", lambda: few)
     keys = [("campaign", 4.0, 0), ("clean", 0.0, 0)]
-    asked = {"seed": 3, "particles": 200, "folder": tmp_path}
+    asked = {"seed": 3, "particles": 200, "plan": "fleet-15", "folder": tmp_path}
     found = study.run(keys, **asked)
     assert [one["alarm"] for one in found] == [True, False]
     assert "error" not in found[0]
