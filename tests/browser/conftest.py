@@ -1,4 +1,4 @@
-"""A real service with a real rotor, made once for the module, and a headless Chromium on its pages.
+"""A real service with a real rotor, made once for a module, and a headless Chromium on its pages.
 
 Where no Chromium is found the tests are skipped and say so; `.ci/run` installs one.
 """
@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -113,9 +114,9 @@ def sealed(client: httpx.Client, seq: int, rotor: str = "r1") -> None:
     raise TimeoutError(f"the rotor is not sealed through {seq}: {now['status']}")
 
 
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    folder = tmp_path_factory.mktemp("service")
+@contextmanager
+def serving(folder: Path) -> Iterator[Running]:
+    """The service of the blade physics on an empty database in `folder`, with one worker."""
     port, database = free_port(), f"sqlite:///{folder / 'pages.db'}"
     given = {"DATABASE_URL": database, "PORT": str(port), "DIAGNOSERS": "0"}
     given |= {"SEALERS": "0", "HEARTBEAT_S": "1"}  # no process that all others go before
@@ -136,11 +137,17 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
                 assert time.monotonic() < end, (folder / "log").read_text()[-2000:]
                 assert server.poll() is None, (folder / "log").read_text()[-2000:]
                 time.sleep(0.1)
-            fill(client)
             yield Running(url, database, client)
     finally:
         server.terminate()
         server.wait(30)
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with serving(tmp_path_factory.mktemp("service")) as running:
+        fill(running.client)
+        yield running
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import httpx
 import pytest
 from playwright.sync_api import Browser, expect
@@ -9,9 +11,10 @@ from playwright.sync_api import Browser, expect
 from core.builtin import inspection_plan
 from service.bootstrap import make_science, make_store, make_worker
 from service.settings import Settings
-from tests.browser.conftest import Running, sealed, watching
+from tests.browser.conftest import Running, sealed, serving, watching
 from tests.browser.test_pages_in_browser import COLOURS, serious
 
+PARTICLES = 100  # of a blade: pages show as much of a hundred as of ten thousand
 SIZES = ((1280, "light"), (1920, "dark"))
 PAGES = (
     "/", "/rotors/demo?limit=0.9", "/rotors/demo/readings", "/rotors/demo/blades/B001?limit=0.9",
@@ -30,16 +33,22 @@ ON_ONE_ANOTHER = """() => [...document.querySelectorAll("svg")].flatMap((svg) =>
 
 
 @pytest.fixture(scope="module")
-def demo(service: Running) -> Running:
-    """The rotor of the inspection plan, every reading of it applied."""
-    client: httpx.Client = service.client
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """The rotor of the inspection plan, every reading of it applied, and another one."""
+    with serving(tmp_path_factory.mktemp("demo")) as running:
+        stream(running.client)
+        yield running
+
+
+def stream(client: httpx.Client) -> None:
     blades = [
         {"id": name, "slot": name[1:4], "coating_lot": f"C{int(name[1:4]) % 3 + 1}"}
         for name in inspection_plan.blades()
     ]
     first, later = ([b for b in blades if b["id"].endswith("-2") == new] for new in (False, True))
-    body = {"id": "demo", "model": "rotor-blade", "particles": 500, "blades": first}
-    client.post("/v1/rotors", json=body).raise_for_status()
+    body = {"id": "demo", "model": "rotor-blade", "particles": PARTICLES, "blades": first}
+    for rotor in (body, body | {"id": "other", "blades": first[:2]}):
+        client.post("/v1/rotors", json=rotor).raise_for_status()
     for blade in later:  # each in the slot of the one that it replaces
         leaves = f"/v1/rotors/demo/blades/{blade['id'].removesuffix('-2')}/retirement"
         client.post(leaves).raise_for_status()
@@ -49,7 +58,6 @@ def demo(service: Running) -> Running:
     told = client.post("/v1/rotors/demo/inspections", json={"inspections": list(plan)})
     told.raise_for_status()
     sealed(client, told.json()["head_seq"], "demo")
-    return service
 
 
 @pytest.fixture(scope="module")
