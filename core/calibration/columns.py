@@ -81,7 +81,7 @@ def smooth_columns(
 
 
 @dataclass
-class Columns:
+class KeptColumns:
     """Messages already computed, by what they rest on. Bounded, oldest out.
 
     How a column is asked for: ``exact``; ``near``, which may be off by `smooth.NEARLY`; ``rough``.

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.columns import Columns, How
+from core.calibration.columns import How, KeptColumns
 from core.calibration.lead import panel, quadratic, start_of
 from core.calibration.message import BladeMessage
 from core.calibration.space import SharedSpace
@@ -108,7 +108,7 @@ def node_count(dim: int, heavy: bool = False) -> int:
 def weigh(
     space: SharedSpace,
     messages: Mapping[str, BladeMessage],
-    known: Columns,
+    known: KeptColumns,
     seed: int,
     *,
     rounds: int = 12,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, MutableMapping, Sequence
 from typing import Any
 
 from core.calibration.collapsed import message_of
-from core.calibration.columns import Columns
+from core.calibration.columns import KeptColumns
 from core.calibration.message import BladeMessage
 from core.calibration.sets import ParticleSets
 from core.calibration.space import SharedSpace, nominal
@@ -28,7 +28,7 @@ class Workspace:
 
     def __init__(self, places: MutableMapping[str, Any] | None = None) -> None:
         self.places = places
-        self.columns = Columns()
+        self.columns = KeptColumns()
         self.rows: OrderedDict[tuple[str, str], BladeRows] = OrderedDict()
         self.messages: OrderedDict[tuple[Any, ...], BladeMessage] = OrderedDict()
         self.sets = ParticleSets()

@@ -18,7 +18,7 @@ from core.calibration.alike import (
     family_key,
     gathered,
 )
-from core.calibration.columns import Columns, columns
+from core.calibration.columns import KeptColumns, columns
 from core.calibration.layout import monomials_of
 from core.calibration.message import BladeMessage
 from core.calibration.online import RotorSpec, RotorState, Workspace, begun, update
@@ -228,7 +228,7 @@ def test_few_blades_and_other_readings_are_left_as_they_are() -> None:
 
 def test_columns_by_table_and_by_quadrature_are_kept_apart() -> None:
     unit = nodes([(0.55, 0.003), (0.5, 0.004), (0.45, 0.02), (0.5, 0.05)])
-    messages, known = blades(MANY_ALIKE), Columns()
+    messages, known = blades(MANY_ALIKE), KeptColumns()
     table = known.gathered(messages)
     assert known.gathered(messages)["b00"].name == table["b00"].name != messages["b00"].name
     first, second = (known.all(some, unit, "exact") for some in (messages, table))

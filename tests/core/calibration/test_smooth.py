@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.calibration.columns import Columns, columns, smooth_columns
+from core.calibration.columns import KeptColumns, columns, smooth_columns
 from core.calibration.message import BladeMessage
 from core.calibration.smooth import (
     NEARLY,
@@ -205,7 +205,7 @@ def test_a_near_column_does_not_depend_on_what_was_known_before() -> None:
     has to decide alike."""
     messages, unit = of_a_rotor(4.0)
     named = {str(i): m for i, m in enumerate(messages)}
-    cold, warm = Columns(), Columns()
+    cold, warm = KeptColumns(), KeptColumns()
     first = cold.all(named, unit, "near")
     exact = warm.all(named, unit, "exact")
     computed = warm.computed
