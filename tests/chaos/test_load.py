@@ -135,9 +135,12 @@ def test_under_load_everything_is_answered_and_applied(database_url: str, tmp_pa
         assert {"api", "apply 1", "seal 1"} <= set(sample["memory_mb"])
         assert all(mb > 20 for mb in sample["memory_mb"].values())
         assert 0.1 < sample["yardstick_ms"] < 1000
+        assert sum(sample["machine"].values()) == pytest.approx(1.0, abs=1e-3)
+        assert sample["machine"]["used"] > 0.0
     shown = table({"machine": {"processors": 2}, **asdict(plan())}, {"here": told | {"faults": []}})
     assert f"On here: {told['posted']} posted, {told['applied']} applied" in shown
     assert "A fixed piece of Python took " in shown
+    assert "of the processors' time was used, " in shown
 
 
 class Late(Crowd):

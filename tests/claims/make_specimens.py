@@ -1,11 +1,14 @@
 """Calibrate four networks on the measured creep curves, whole and with specimens held out.
 
-    python -m tests.claims.make_specimens [NETWORK … | table]
+    python -m tests.claims.make_specimens [NETWORK … | whole | table]
 
 writes tests/claims/results/specimens/<network>.json for norton, primary, tertiary and both: what
 the network makes of all twelve specimens, of eleven (each left out once) and of nine (each stress
 left out once); and table.md of those that are there, which `table` does alone. Two to ten minutes
 of processor time per network.
+
+`whole` writes whole.json, for norton and both: the fit where every reading is used in place of
+every fifth, and how each curve goes on where only its first half is known beside the others.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import json
 import sys
 import time
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +31,7 @@ from core.calibration.online import RotorSpec, update
 from core.calibration.state import RotorState, blade_posterior, shared_posterior
 from core.model import Model
 from core.network import Level
+from core.observation import Inspection
 from core.prediction import predict
 from tests.claims.specimen_data import EVERY, LARGEST, Specimen, specimens
 
@@ -49,8 +54,15 @@ def calibrated(
     of: Model, every: Sequence[Specimen], left_out: Collection[str] = (), particles: int = PARTICLES
 ) -> RotorState:
     """The state of all these specimens, of which those left out have no reading."""
-    known = {one.name: {"stress": one.stress} for one in every}
     readings = [r for one in every if one.name not in left_out for r in one.readings]
+    return calibrated_from(of, every, readings, particles)
+
+
+def calibrated_from(
+    of: Model, every: Sequence[Specimen], readings: Sequence[Inspection], particles: int = PARTICLES
+) -> RotorState:
+    """The state of all these specimens after some readings of theirs."""
+    known = {one.name: {"stress": one.stress} for one in every}
     return update(of, RotorSpec("set", tuple(known), particles, SEED, known), readings)
 
 
@@ -119,6 +131,43 @@ def made(network: str) -> dict[str, Any]:
     }
 
 
+def halved(one: Specimen) -> tuple[Specimen, Specimen]:
+    """The readings of the first half of a curve's hours, and those of the second."""
+    early = one.time_h <= 0.5 * one.time_h[-1]
+    first, second = (
+        replace(one, time_h=one.time_h[part], strain=one.strain[part]) for part in (early, ~early)
+    )
+    return first, second
+
+
+def continued(of: Model, every: Sequence[Specimen]) -> list[dict[str, Any]]:
+    """Errors on the second half of each curve, whose first half is known, and all other curves."""
+    out = []
+    for one in every:
+        first, second = halved(one)
+        readings = [r for other in every if other is not one for r in other.readings]
+        state = calibrated_from(of, every, [*readings, *first.readings])
+        out.append(errors(of, state, second) | {"health": state.meta["health"]["status"]})
+    return out
+
+
+def whole() -> dict[str, Any]:
+    """The fit by every reading, and how curves go on, of Norton's law alone and with both."""
+    every, out = specimens(), dict[str, Any]()
+    for network in ("norton", "both"):
+        of, began = model(network), time.process_time()
+        state = calibrated_from(of, every, [r for one in every for r in one.every(1)])
+        out[network] = {
+            "model": of.digest,
+            "used": sum(len(one.every(1)) for one in every),
+            **summary(of, state),
+            "fit": [errors(of, state, one) for one in every],
+            "continued": continued(of, every),
+            "processor_s": round(time.process_time() - began),
+        }
+    return {"command": "python -m tests.claims.make_specimens whole", **out}
+
+
 def kept(network: str) -> dict[str, Any]:
     """What is kept of a network."""
     found: dict[str, Any] = json.loads((OUT / f"{network}.json").read_text())
@@ -168,6 +217,9 @@ def table() -> str:
 
 def main(networks: Sequence[str]) -> None:
     OUT.mkdir(parents=True, exist_ok=True)
+    if networks == ["whole"]:
+        (OUT / "whole.json").write_text(json.dumps(whole(), indent=1) + "\n")
+        return
     for network in [] if networks == ["table"] else networks or [*FREED]:
         (OUT / f"{network}.json").write_text(json.dumps(made(network), indent=1) + "\n")
     (OUT / "table.md").write_text(table())

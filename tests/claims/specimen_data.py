@@ -44,10 +44,14 @@ class Specimen:
     @property
     def readings(self) -> list[Inspection]:
         """Every `EVERY`-th one."""
+        return self.every(EVERY)
+
+    def every(self, step: int) -> list[Inspection]:
+        """Every `step`-th one, the first included."""
         return [
             Inspection(f"{self.name}-{i}", self.name, QUANTITY, float(t), np.array([y]))
             for i, (t, y) in enumerate(zip(self.time_h, self.strain, strict=True))
-            if i % EVERY == 0
+            if i % step == 0
         ]
 
 

@@ -109,6 +109,7 @@ def loaded(
         samples: list[Json] = []
         everything: list[Answered] = []
         used: dict[int, float] = {}
+        ticks = watch.machine_ticks()
         try:
             while any(crowd.busy for crowd in crowds):
                 end = begun + (len(samples) + 1) * plan.window_s
@@ -118,7 +119,9 @@ def loaded(
                 taken = [one for crowd in crowds for one in crowd.taken()]
                 everything += taken
                 at = time.monotonic() - begun
-                samples.append(_sample(at, taken, process.pid, probe, files, used, plan.window_s))
+                sample = _sample(at, taken, process.pid, probe, files, used, plan.window_s)
+                before, ticks = ticks, watch.machine_ticks()
+                samples.append(sample | {"machine": watch.shares(before, ticks)})
         finally:
             for crowd in crowds:
                 crowd.stop()

@@ -37,6 +37,7 @@ def table(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> 
             f"{_shown(one['drained_after_s'])} s after the last post; database locked: "
             f"{'yes' if one['locked'] else 'never'}.",
             *_yardstick(one["samples"]),
+            *_machine(one["samples"]),
             "",
             "| course | median | slope per hour | 95 % interval | |",
             "|---|---|---|---|---|",
@@ -81,3 +82,19 @@ def _yardstick(samples: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _shown(value: float | None) -> str:
     return "–" if value is None else f"{value:g}"
+
+
+def _machine(samples: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How full the processors were, and what the host withheld (`watch.machine_ticks`)."""
+    told = [one["machine"] for one in samples if one.get("machine")]
+    if not told:
+        return []
+    of = {name: [one[name] for one in told] for name in told[0]}
+    middle = {name: f"{100 * median(shares):.0f} %" for name, shares in of.items()}
+    return [
+        "",
+        f"In the middle of the windows {middle['used']} of the processors' time was used, "
+        f"{middle['stolen']} withheld by the host (at most {100 * max(of['stolen']):.0f} %) and "
+        f"{middle['waiting_for_disk']} spent waiting for the disk (at most "
+        f"{100 * max(of['waiting_for_disk']):.0f} %).",
+    ]

@@ -30,6 +30,30 @@ def yardstick_ms() -> float:
     return round(1e3 * (time.thread_time() - begun), 3)
 
 
+def machine_ticks() -> dict[str, int]:
+    """What all processors did since the machine's start, in ticks; empty: it is not told.
+
+    `stolen` is what the host withheld: something here could run, and did not get a processor.
+    """
+    words = _text("/proc/stat").partition("\n")[0].split()
+    if len(words) < 9 or words[0] != "cpu":
+        return {}
+    user, nice, system, idle, waiting, irq, soft, stolen = map(int, words[1:9])
+    used = user + nice + system + irq + soft
+    return {"used": used, "stolen": stolen, "waiting_for_disk": waiting, "idle": idle}
+
+
+def shares(before: dict[str, int], after: dict[str, int]) -> dict[str, float]:
+    """Shares of the time of all processors between two `machine_ticks`.
+
+    >>> shares({"used": 10, "idle": 5}, {"used": 40, "idle": 15})
+    {'used': 0.75, 'idle': 0.25}
+    """
+    spent = {name: after[name] - before[name] for name in after if name in before}
+    total = sum(spent.values())
+    return {name: round(ticks / total, 4) for name, ticks in spent.items()} if total > 0 else {}
+
+
 def family(pid: int) -> dict[str, int]:
     """A server's processes by their names: ``api`` and further ones, ``apply 1`` … by role."""
     found, counts = {"api": pid}, dict[str, int]()
