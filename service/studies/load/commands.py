@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -18,6 +19,8 @@ from service.studies.chaos.commands import Databases, end_in_order, machine
 from service.studies.result import commit, write
 
 DURABLE = ("synchronous_commit=on", "max_connections=300")
+# what a database does by itself, with the moment: it may be what a slow spell is about
+TELLING = ("log_checkpoints=on", "log_autovacuum_min_duration=0", "log_line_prefix=%m ")
 
 
 @contextmanager
@@ -35,7 +38,7 @@ def places(which: str) -> Iterator[list[tuple[str, Any, Path]]]:
             )
             found.append(("sqlite", lambda name: f"sqlite:///{folder / name}.db", folder))
         if which != "sqlite":
-            server = stack.enter_context(Server(DURABLE))
+            server = stack.enter_context(Server((*DURABLE, *TELLING)))
 
             def made(name: str) -> str:
                 server.run(f"CREATE DATABASE {name}")
@@ -117,6 +120,9 @@ def load(
                         step(number + 1)
                 told |= {"scaling": rows, "gain": aims.gain(rows)}
             results[name] = told | {"seconds": round(time.monotonic() - begun, 1)}
+            if out is not None and (folder / "log").exists():
+                out.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(folder / "log", out / f"{name}.log")
     passed = all(one["passed"] for one in results.values())
     head = {"machine": began_on, **asdict(plan), "aims_ms": asked, "passed": passed}
     if out is not None:
