@@ -7,6 +7,8 @@ two middle stresses, to show that the kept ones come out of this code.
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,21 @@ def test_at_230_mpa_both_forecasts_worse_than_norton_alone() -> None:
     ln r at the end, and where exp(c x) is 1,000 that is a factor of three in strain."""
     for which in ("new_specimen", "new_stress"):
         assert rmse("both", which, 230.0) > 2 * rmse("norton", which, 230.0)
+
+
+def test_a_curve_whose_first_half_is_known_goes_on_nearer_by_both_at_every_stress() -> None:
+    """With every reading the fit misses the 0.10 % asked for all the same, and says contradicted."""
+    found = json.loads(make_specimens.WHOLE.read_text())
+    norton, both = found["norton"], found["both"]
+    for one in (norton, both):
+        assert one["used"] == 1359
+        assert one["model"] == model("both" if one is both else "norton").digest
+        assert [own["health"] for own in one["continued"]] == ["ok"] * 12
+    for stress in make_specimens.STRESSES:
+        nearer = make_specimens.rmse(both, "continued", stress)
+        assert nearer < 0.5 * make_specimens.rmse(norton, "continued", stress)
+    assert 0.10 < make_specimens.rmse(both, "fit") < 0.11
+    assert both["health"]["status"] == "contradicted"
 
 
 def test_the_kept_results_come_out_of_this_code_on_the_middle_stresses() -> None:
