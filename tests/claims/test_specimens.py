@@ -83,7 +83,7 @@ def test_at_230_mpa_both_forecasts_worse_than_norton_alone() -> None:
 
 
 def test_a_curve_whose_first_half_is_known_goes_on_nearer_by_both_at_every_stress() -> None:
-    """With every reading the fit misses the 0.10 % asked for all the same, and says contradicted."""
+    """With every reading the fit misses the 0.10 % asked for all the same: contradicted."""
     found = json.loads(make_specimens.WHOLE.read_text())
     norton, both = found["norton"], found["both"]
     for one in (norton, both):
