@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import service.one_thread  # noqa: F401  before numpy, as every command does
@@ -25,11 +24,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from core.builtin import creep_specimens as built
+from tests.claims.make_specimens import OUT, STRESSES
 from tests.claims.specimen_data import Specimen, specimens
 
 Array = NDArray[np.float64]
-OUT = Path(__file__).with_name("results") / "specimens"
-STRESSES = (140.0, 170.0, 200.0, 230.0)
 MOST = 60.0  # largest exponent
 
 
