@@ -108,8 +108,9 @@ def test_the_plan_s_scan_and_band_are_shown(browser: Browser, demo: Running) -> 
 def test_words_on_one_another_are_seen(browser: Browser, demo: Running) -> None:
     for seen in watching(browser, demo):
         page = seen.open("/rotors/demo")
-        page.evaluate(
-            "document.querySelector('svg.ring').insertAdjacentHTML('beforeend',"
-            '\'<text x="200" y="200">one</text><text x="202" y="202">two</text>\')'
+        seen_together = page.evaluate(  # in one turn: the page may draw its ring anew in the next
+            "() => { document.querySelector('svg.ring').insertAdjacentHTML('beforeend',"
+            '\'<text x="200" y="200">one</text><text x="202" y="202">two</text>\');'
+            f" return ({ON_ONE_ANOTHER})() }}"
         )
-        assert "one | two" in page.evaluate(ON_ONE_ANOTHER)
+        assert "one | two" in seen_together
