@@ -16,8 +16,8 @@ blade, phi comes from the other blades.
 What no cell names can still be there: `free` sets of columns, such as a misfit of its own for each
 visit, count by the log BF of the whole set. They raise the alarm, and never name a cause.
 
-The null distribution is made from the residuals themselves (`dealing`). The largest family's log BF
-over all cells is compared with that of the dealt sets: family-wise, over everything tried.
+The null distribution is made from the residuals themselves (`dealing`). The mean BF of all families
+is compared with that of the dealt sets: family-wise, over everything tried (`chance`).
 
 An effect with a known sign has a half-normal amplitude: its Bayes factor is that of a normal one,
 times 2 Φ(amplitude / its sd).
@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from core.calibration.message import POOL
+from core.diagnosis.chance import family_wise
 from core.diagnosis.dealing import FEW, dealt_sets
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scatter import LEAST_BLADES, Scatter
@@ -41,7 +42,6 @@ from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures
 
 Array = NDArray[np.float64]
-USUAL = 0.95  # of dealt sets
 
 
 @dataclass(frozen=True)
@@ -223,23 +223,19 @@ class Scan:
         return self.by_family(_gains(u, information, phi, self._signs), u, phi)
 
     def chance(self, count: int, seed: int) -> float:
-        """Family-wise probability of so large a gain, by `count` dealt sets.
+        """Family-wise probability of so large a gain, by `count` dealt sets (`chance`)."""
+        found, null = self._tried(self.c, self.u), np.atleast_2d(self.null(count, seed))
+        return family_wise(found, null, self.of_one_blade)
 
-        Families of one blade and all others are each counted from what is usual in the dealt sets:
-        a blade that is odd widens the null of the former. Beyond it lie 1 − `USUAL` of them, shared
-        by the number of families.
-        """
-        null = np.atleast_2d(self.null(count, seed))
-        found = self._tried(self.c, self.u)
-        alone = np.array([name.endswith(", blade") for name in self.found])
-        excess = np.full((2, count + 1), -np.inf)
-        for k, own in enumerate((alone, ~alone)):
-            if np.any(own):
-                largest = null[:, own].max(axis=1)
-                usual = np.quantile(largest, 1.0 - (1.0 - USUAL) * own.sum() / own.size)
-                excess[k] = np.append(largest, found[own].max()) - usual
-        *dealt, top = excess.max(axis=0)
-        return float((1 + np.sum(np.array(dealt) >= top)) / (1 + count))
+    @property
+    def of_one_blade(self) -> NDArray[np.bool_]:
+        """Which of `by_family` concern one blade."""
+        return np.array([name.endswith(", blade") for name in (*self.families, *self.free)])
+
+    def by_scores(self, u: Array) -> Array:
+        """`by_family` of scores (C,) whose blades scatter as the noise says."""
+        one = np.ones(len(u))
+        return self.by_family(_gains(u, np.diag(self.information), one, self._signs), u, one)
 
     def including(self, *which: int) -> Scan:
         """The scan of what is left once these cells' effects are in the model."""

@@ -8,11 +8,15 @@ the information I of `core.diagnosis.scores` between signatures,
     left      ½ (I_gg − I_gj² / (1 + I_jj)) of them once a rival j of another cause is in the model,
               at its best amplitude; the least over all rivals of the grammar
     alarm     chance of a one-sided test at 5 % that knows what it looks for, Φ(√I_gg − 1.645)
+    searched  chance of an alarm by all cells of the grammar at 5 % family-wise, their scores normal
+              about I_g with covariance I (`SETS` drawn, and as many without the effect): what the
+              price of searching leaves of `alarm`
     name      chance that the log odds against the nearest rival, normal with mean `left` and
               variance 2 `left`, pass those of `core.diagnosis.verdict.NAMED`
 
-No diagnosis can do better, and one that searches a whole grammar does worse. Where `name` is low,
-"not separable" is the right answer and a right name is luck; where `alarm` is low, so is an alarm.
+No diagnosis can do better, and one that searches a whole grammar does as `searched` says at best.
+Where `name` is low, "not separable" is the right answer and a right name is luck; where `alarm` is
+low, so is an alarm.
 Two rivals together may come nearer than one; priors may tell rivals apart by their sizes. Both are
 left out. What the oracle is asked about is what the study plants (`effect_sets`), never a cell of
 the grammar; the sensitivities come from a calibration of the same rotor without the effect.
@@ -28,7 +32,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from core.calibration.online import Workspace, update
+from core.diagnosis.chance import family_wise
 from core.diagnosis.grammar import Cell
+from core.diagnosis.scan import Scan
+from core.diagnosis.verdict import ALARM as FAMILY_WISE
 from core.diagnosis.verdict import NAMED
 from core.errors import InputError
 from core.model import Model, rotor_blade_wide
@@ -40,6 +47,7 @@ from core.validation.records import Record, records
 
 Array = NDArray[np.float64]
 ALARM = 1.645
+SETS = 400
 MOST_ROTORS = 4
 
 
@@ -50,6 +58,7 @@ class Possible:
     alone: float
     rival: str | None
     left: float
+    searched: float = 0.0
 
     @property
     def alarm(self) -> float:
@@ -92,15 +101,28 @@ def possible(
     g = np.zeros((*seen.place.shape, 1))
     for b, i in np.argwhere(seen.real):
         g[b, i, 0] = change[seen.reading(b, i).id]
-    named = len(scan.cells)
-    information = seen.cross(np.concatenate([g, scan.g[:, :, :named]], axis=2))
+    information = seen.cross(np.concatenate([g, scan.g], axis=2))
     alone = 0.5 * float(information[0, 0])
+    named, alarms = len(scan.cells), searched(scan, information[0, 1:], stream(seed, "searched"))
     rivals = [c for c in range(named) if not _right(scan.cells[c], given.truth)]
     left = {c: _left(information, c + 1, scan.cells[c]) for c in rivals}
     nearest = min(rivals, key=lambda c: left[c], default=None)
     if nearest is None:
-        return Possible(alone, None, alone)
-    return Possible(alone, scan.cells[nearest].name, left[nearest])
+        return Possible(alone, None, alone, alarms)
+    return Possible(alone, scan.cells[nearest].name, left[nearest], alarms)
+
+
+def searched(scan: Scan, across: Array, rng: np.random.Generator) -> float:
+    """Chance of an alarm by a whole scan: `SETS` normal scores about `across` and about nothing.
+
+    across  what the effect adds to the score of each column, (C,)
+    """
+    value, vector = np.linalg.eigh(scan.information)
+    root = vector * np.sqrt(np.maximum(value, 0.0))
+    null, there = rng.standard_normal((2, SETS, len(across))) @ root.T
+    dealt, found = (np.array([scan.by_scores(u) for u in sets]) for sets in (null, there + across))
+    alone = scan.of_one_blade
+    return float(np.mean([family_wise(own, dealt, alone) <= FAMILY_WISE for own in found]))
 
 
 def _right(cell: Cell, truth: frozenset[str]) -> bool:
@@ -160,7 +182,7 @@ def _bound(plan: str, condition: str, seed: int, particles: int, size: float) ->
     every = by_rotor(model, plan_of(plan), condition, seed, particles, size, work)
     means = {
         what: round(float(np.mean([getattr(one, what) for one in every])), 3)
-        for what in ("alone", "left", "alarm", "name")
+        for what in ("alone", "left", "alarm", "searched", "name")
     }
     rivals = sorted({one.rival.split(" (")[0] for one in every if one.rival})
     return {"condition": condition, **means, "rivals": rivals}

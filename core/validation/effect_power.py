@@ -3,8 +3,8 @@
 Only the first question of a diagnosis is asked, whether anything is missing at all, which takes a
 calibration and a scan; names are the business of `effects_study`. A size is what the effect adds to
 the concerned readings of the last visit, in noises (`effect_plans`); size 0 is the clean rotor, and
-its alarms are false ones. Beside it stands what an oracle would notice that knows what to look for
-and every parameter's place (`effect_oracle`): no search through a grammar can do better.
+its alarms are false ones. Beside it stands what oracles would notice that know every parameter's
+place (`effect_oracle`): one that knows what to look for, and one that searches the whole grammar.
 
 Sizes that would need the effect, as it was run, scaled by more than `effect_plans.STRONGEST` are
 left out.
@@ -166,7 +166,7 @@ def bounds(
     plan: str,
     progress: Callable[[int], None] | None = None,
 ) -> dict[str, list[dict[str, Any]]]:
-    """Of each of these points the chance of an alarm that an oracle has, on average over rotors.
+    """Of each of these points the chances of an alarm of both oracles, on average over rotors.
 
     A larger effect is scaled from fewer rotors (`effect_plans`), so that one rotor's chance would
     compare sizes of different rotors.
@@ -175,8 +175,9 @@ def bounds(
     out: dict[str, list[dict[str, Any]]] = {}
     for done, (condition, size) in enumerate(asked):
         every = by_rotor(model, chosen, condition, seed, particles, size, work)
-        alarm = float(np.mean([one.alarm for one in every]))
-        told = {"size": size, "rotors": len(every), "alarm": round(alarm, 3)}
+        told: dict[str, Any] = {"size": size, "rotors": len(every)}
+        for what in ("alarm", "searched"):
+            told[what] = round(float(np.mean([getattr(one, what) for one in every])), 3)
         out.setdefault(condition, []).append(told)
         if progress is not None:
             progress(done + 1)

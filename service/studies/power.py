@@ -13,7 +13,11 @@ from service.progress import bar
 from service.studies import app
 from service.studies.result import commit, write
 
-INK, ORACLE, CHANCE = "#1f3b63", "#b35806", "0.55"
+INK, ORACLE, SEARCH, CHANCE = "#1f3b63", "#b35806", "#2d7f5e", "0.55"
+BESIDE = (
+    ("alarm", ORACLE, "--", "an oracle that knows what to look for"),
+    ("searched", SEARCH, "-.", "an oracle that searches the whole grammar"),
+)
 COLUMNS = 4
 Curves = Mapping[str, Sequence[Mapping[str, float]]]
 
@@ -74,7 +78,7 @@ def power(
 
 
 def power_plot(curves: Curves, best: Curves, file: Path) -> None:
-    """One small picture for each effect: alarms with their errors, the oracle's, false alarms."""
+    """One small picture for each effect: alarms with their errors, the oracles', false alarms."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -98,14 +102,14 @@ def power_plot(curves: Curves, best: Curves, file: Path) -> None:
     for axis, name in zip(axes.ravel(), names, strict=False):
         own = [*sound, *(row for row in curves[name] if row["size"] > 0)]
         axis.axhline(5, color=CHANCE, lw=1, ls=":", label="nominal false alarms, 5 %")
-        if name in best:
+        for what, colour, dashes, label in BESIDE if name in best else ():
             axis.plot(
                 [row["size"] for row in best[name]],
-                [100 * row["alarm"] for row in best[name]],
-                color=ORACLE,
+                [100 * row[what] for row in best[name]],
+                color=colour,
                 lw=1.4,
-                ls="--",
-                label="an oracle that knows what to look for",
+                ls=dashes,
+                label=label,
             )
         axis.errorbar(
             [row["size"] for row in own],
@@ -126,7 +130,7 @@ def power_plot(curves: Curves, best: Curves, file: Path) -> None:
     for axis in axes.ravel()[max(len(names) - columns, 0) : len(names)]:
         axis.set_xlabel("size of the effect [noises]", fontsize=9)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    across = 3 if columns == COLUMNS else 1  # three words beside one another want the whole width
+    across = 2 if columns == COLUMNS else 1  # two words beside one another want the whole width
     figure.legend(
         handles, labels, loc="outside upper center", ncols=across, frameon=False, fontsize=9
     )

@@ -61,25 +61,29 @@ def test_a_large_offset_alarms_and_no_offset_does_not(
     rows = study.curves(found)
     assert rows["campaign"][0]["alarms"] == 1.0
     assert 0.2 < rows["campaign"][0]["error"] < 0.3, "one set tells little"
-    power_plot(rows, {"campaign": [{"size": 4.0, "alarm": 0.99}]}, tmp_path / "power.png")
+    power_plot(
+        rows, {"campaign": [{"size": 4.0, "alarm": 0.99, "searched": 0.9}]}, tmp_path / "power.png"
+    )
     assert (tmp_path / "power.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_an_oracle_would_notice_is_a_mean_over_the_rotors_of_a_size(
+def test_what_oracles_would_notice_is_a_mean_over_the_rotors_of_a_size(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked: list[int] = []
 
     def seen(model: object, given: effect_sets.Set, *_: object) -> effect_oracle.Possible:
         asked.append(int(given.case.spec.id.removeprefix("set")))
-        return effect_oracle.Possible(2.0 * asked[-1], None, 0.0)
+        return effect_oracle.Possible(2.0 * asked[-1], None, 0.0, 0.1 * asked[-1])
 
     monkeypatch.setattr(effect_oracle, "possible", seen)
     rotors = min(effect_plans.plan("fleet-100").rotors, effect_oracle.MOST_ROTORS)
     (told,) = study.bounds([("campaign", 1.0)], 3, 200, "fleet-100")["campaign"]
     assert asked == list(range(rotors))
     alarms = [effect_oracle.Possible(2.0 * n, None, 0.0).alarm for n in asked]
-    assert told == {"size": 1.0, "rotors": rotors, "alarm": round(sum(alarms) / rotors, 3)}
+    assert (told["size"], told["rotors"]) == (1.0, rotors)
+    assert told["alarm"] == pytest.approx(sum(alarms) / rotors, abs=1e-3)
+    assert told["searched"] == pytest.approx(0.05 * (rotors - 1))
 
 
 def test_a_set_that_cannot_be_calibrated_counts_as_silent(monkeypatch: pytest.MonkeyPatch) -> None:
