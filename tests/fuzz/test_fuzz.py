@@ -33,6 +33,7 @@ from service.api.csv_rows import CSV_EXAMPLE
 from service.fake import FakeScience
 from service.handlers.transfer import export_rotor, import_rotor
 from service.store.unit_of_work import SqlStore
+from service.studies.result import commit
 from service.worker.loop import Worker
 from tests.exchanger import network, points, write_table
 from tests.service.test_contract import READING, answered
@@ -54,6 +55,7 @@ def keep(name: str, url: str, told: dict[str, object]) -> None:
         kind = url.partition(":")[0].partition("+")[0]
         Path(out).mkdir(parents=True, exist_ok=True)
         head: dict[str, object] = {"seed": SEED, "examples": EXAMPLES, "database": kind}
+        head["commit"] = commit()
         (Path(out) / f"{name}-{kind}.json").write_text(json.dumps(head | told, indent=1) + "\n")
 
 
