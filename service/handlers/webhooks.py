@@ -13,6 +13,8 @@ from service.hooks import KINDS, STATUSES, DeliveryRecord, WebhookRecord
 from service.outbound import networks, target_of
 from service.ports import Store, Transaction
 
+PATIENCE_S = 5.0
+
 
 @dataclass(frozen=True, slots=True)
 class Counted:
@@ -37,6 +39,8 @@ def create_webhook(
     allowed    networks beside the public ones, as in BLADETWIN_WEBHOOK_NETWORKS
     events     None: all kinds
     rotors     the only ones, there already or not; None: all
+
+    What is committed after it has returned is told; whoever commits meanwhile is waited for.
 
     Raises FaultsError for what cannot be used, ConflictError where the id has another content.
     """
@@ -66,8 +70,11 @@ def create_webhook(
     made = WebhookRecord(webhook_id, url, kinds, only, salt, signing.fingerprint(secret))
     with store.write() as tx:
         there = tx.webhooks.put(made)
-        if there is None:
-            return _found(tx, webhook_id), secret
+        found = there or _found(tx, webhook_id)
+    if there is None:
+        # a transaction under way may have looked for webhooks before this one was there
+        store.others_ended(PATIENCE_S)
+        return found, secret
     if not there.same(made):
         raise ConflictError("webhook", webhook_id, "choose a new id, or delete it first")
     return there, None

@@ -213,6 +213,10 @@ class Store(Protocol):
         """
         ...
 
+    def others_ended(self, patience_s: float) -> bool:
+        """Wait until every transaction that writes now has ended; false: not in time."""
+        ...
+
     def met(self, rotor_id: str, blade: str) -> ModelCard | None:
         """The card of a rotor that is known to have this blade; None: it is to be asked for, or
         asking costs nothing. What is appended by it is held against the database (`append_new`)."""

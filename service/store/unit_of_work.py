@@ -34,7 +34,7 @@ from service.store.met import Met
 from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
 from service.store.seen import Looks
-from service.store.settled import settled
+from service.store.settled import ended, settled
 from service.store.states import SqlStates
 from service.store.trail import SqlAudit
 from service.store.webhooks import SqlWebhooks
@@ -146,6 +146,9 @@ class SqlStore:
             tell(entries="{}-{}".format(*tx.log.appended))
         if act is not None and row is not None:
             act.row = row
+
+    def others_ended(self, patience_s: float) -> bool:
+        return ended(self.engine, patience_s)
 
     def met(self, rotor_id: str, blade: str) -> ModelCard | None:
         """On PostgreSQL, where each question is a message (`service.ports.Store`)."""

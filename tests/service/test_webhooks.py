@@ -23,6 +23,7 @@ from sqlalchemy import delete, select, update
 from core.observation import Inspection
 from service.client import Client, ProblemError, SignatureError, read_webhook
 from service.errors import LostLeaseError
+from service.handlers import webhooks
 from service.handlers.rotors import create_rotor
 from service.handlers.webhooks import create_webhook, delete_webhook, find_webhook, list_deliveries
 from service.hooks import KINDS, DeliveryRecord
@@ -632,6 +633,30 @@ def test_delivered_and_dead_ones_are_pruned_and_others_stay(
     with transaction(store.engine, write=True) as connection:
         prune(connection, "ops", {"dead": 0})
     assert [one.status for one in listed(store)] == ["pending", "delivered", "delivered"]
+
+
+@pytest.mark.parametrize("patience_s", [60.0, 0.0])
+def test_what_is_committed_after_a_webhook_was_made_is_told_it(
+    store: SqlStore, rotor: str, hook: Callable[..., str], monkeypatch: pytest.MonkeyPatch,
+    patience_s: float,
+) -> None:  # fmt: skip
+    """A commit that was under way had looked for webhooks before: it is waited for.
+
+    The control has no patience; SQLite lets one write at a time.
+    """
+    monkeypatch.setattr(webhooks, "PATIENCE_S", patience_s)
+    made = threading.Thread(target=hook)
+    with transaction(store.engine, write=True) as connection:
+        note(connection, rotor, "blocked", {"error": "before", "event": None})
+        made.start()
+        made.join(1.0)
+        early = not made.is_alive()
+    made.join(PATIENCE_S)
+    assert early is (patience_s == 0.0 and store.engine.dialect.name == "postgresql")
+    assert listed(store) == []
+    with transaction(store.engine, write=True) as connection:
+        note(connection, rotor, "blocked", {"error": "after", "event": None})
+    assert [json.loads(one.body)["data"]["error"] for one in listed(store)] == ["after"]
 
 
 def test_a_webhook_deleted_while_it_is_served_is_told_nothing_more(
