@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from core.answers import Answers
 from core.calibration.space import nominal
 from core.errors import InputError, RangeError
-from core.model import Answers, Model
+from core.model import Model
 
 Array = NDArray[np.float64]
 

@@ -22,10 +22,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from core.answers import Input, Stacked
 from core.calibration.scans import Dense, scan_rows
 from core.discrepancy import NONE, Affine, affine
 from core.errors import InputError, ModelError
-from core.model import Input, Model, Stacked
+from core.model import Model
 from core.network import Parameter
 from core.observation import Inspection
 from core.readings import digest_of

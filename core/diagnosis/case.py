@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from core.answers import Answers, Stacked
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude, typical_noise, with_effects
 from core.diagnosis.clock import readers
@@ -22,7 +23,7 @@ from core.diagnosis.signature import signatures, unnamed
 from core.diagnosis.verdict import DEALT, Held
 from core.errors import InputError
 from core.family import Family
-from core.model import Answers, Model, Stacked
+from core.model import Model
 from core.observation import Inspection
 from core.rng import seed_of
 from core.surrogate.driven import Driven

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from core.answers import Answers
 from core.course import Course, Drift
 from core.diagnosis.grammar import Facts
 from core.diagnosis.scores import Scores
 from core.errors import InputError
-from core.model import Answers
 from core.network import Network
 from core.observation import Inspection
 from core.surrogate import Surrogate

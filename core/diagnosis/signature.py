@@ -15,13 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from core.answers import Stacked
 from core.calibration.message import POOL
 from core.diagnosis.following import Held, Moving, Physics, change
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.masks import masks
 from core.diagnosis.scores import Scores
 from core.errors import InputError
-from core.model import Model, Stacked
+from core.model import Model
 
 Array = NDArray[np.float64]
 NOISES = 3.0  # size of an offset, in noises

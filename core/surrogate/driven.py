@@ -46,7 +46,7 @@ TINY = 1e-12
 
 @dataclass(frozen=True)
 class Driven:
-    """A surrogate with inputs that run in time; itself a surrogate (`core.model.Answers`).
+    """A surrogate with inputs that run in time; itself a surrogate (`core.answers`).
 
     ranges   of each amplitude, and of inputs at the start (default: the surrogate's own), by name;
              what they become must stay inside the surrogate's box

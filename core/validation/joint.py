@@ -23,13 +23,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.answers import Stacked
 from core.calibration.scans import Dense
 from core.calibration.space import locals_of, shared_space
 from core.calibration.state import RotorSpec
 from core.calibration.target import DEGREE, BladeRows, assemble
 from core.discrepancy import Term
 from core.errors import InputError
-from core.model import Model, Stacked
+from core.model import Model
 from core.observation import Inspection
 from core.prior import cut_mass
 from core.response import multi_indices

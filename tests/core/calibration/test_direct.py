@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from core.answers import Stacked
 from core.builtin import creep_specimens as built
 from core.builtin.creep_specimens import QUANTITY, strain
 from core.calibration import boxes, windows
@@ -24,7 +25,7 @@ from core.calibration.state import RotorSpec, blade_posterior
 from core.calibration.target import assemble
 from core.calibration.windows import Readings, narrowed
 from core.errors import CalibrationError, InputError, ModelError
-from core.model import Model, Stacked
+from core.model import Model
 from core.network import Level, Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.answers import Stacked
 from core.calibration.levels import Levels, calibrate, paired
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, RotorState, blade_posterior, shared_posterior
 from core.calibration.stored import StoredPosterior
 from core.errors import InputError, ModelError, RangeError
-from core.model import Model, Stacked
+from core.model import Model
 from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prediction import predict
