@@ -22,10 +22,9 @@ The declaration is data: it is written to JSON, posted over HTTP and stored with
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from itertools import product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,9 @@ from numpy.typing import NDArray
 from core.course import Bias, Drift
 from core.errors import InputError
 from core.family import Family
-from core.prior import Population, Prior
+from core.gain import check_biases, check_discrepancy
+from core.parameter import Level, Parameter
+from core.prior import Prior
 from core.quantity import LEAST_GAIN, WIDTH, Discrepancy, Kind, Quantity
 
 __all__ = [
@@ -42,59 +43,8 @@ __all__ = [
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
-Level = Literal["local", "shared", "known", "dormant"]
 SCHEMA = 1
 RESERVED = ("sigma_obs.", "theta.", "theta1.", "theta2.")
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """An input of the model and its place in the network.
-
-    `nominal` is the value used while the parameter is dormant, or known and not given. With a
-    `population`, a local parameter's `prior` gives its bounds only.
-    """
-
-    name: str
-    level: Level
-    prior: Prior
-    unit: str = "1"
-    symbol: str = ""
-    nominal: float | None = None
-    population: Population | None = None
-
-    @property
-    def hyperparameters(self) -> dict[str, Prior]:
-        """Shared parameters of the population, by name."""
-        if self.population is None:
-            return {}
-        return {f"mean.{self.name}": self.population.mean, f"sd.{self.name}": self.population.sd}
-
-    def __post_init__(self) -> None:
-        if self.population is not None:
-            mean, own = self.population.mean, self.prior
-            if self.level != "local" or own.kind != "uniform":
-                raise InputError(
-                    f"population of {self.name}",
-                    (self.level, own.kind),
-                    "does not belong there",
-                    "give it to a local parameter with a uniform prior, its bounds",
-                )
-            if mean.low < own.low or mean.high > own.high:
-                raise InputError(
-                    f"population mean of {self.name}",
-                    (mean.low, mean.high),
-                    f"leaves the bounds {own.low:g} … {own.high:g}",
-                    "narrow it",
-                )
-        if self.level not in ("local", "shared", "known", "dormant"):
-            raise InputError(
-                f"level of {self.name}", self.level, "is not known", "local, shared, known, dormant"
-            )
-        if self.level == "dormant" and self.nominal is None:
-            raise InputError(
-                f"nominal of {self.name}", None, "is missing", "a dormant parameter needs a value"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +92,7 @@ class Network:
                 raise InputError("parameter", p.name, "is a name of ours", "choose another one")
         for q in self.quantities:
             if q.discrepancy.kind == "paper":
-                self._check_gain(q)
+                check_discrepancy(self, q)
         for f in self.families:
             (self.parameter if f.target == "input" else self.quantity)(f.of)
         for d in self.drifts:
@@ -155,25 +105,7 @@ class Network:
                     f"bias {one.name}", one.quantity, "is read at many nodes", "use a scalar one"
                 )
         for q in self.quantities:
-            self._check_biases(q)
-
-    def _check_biases(self, quantity: Quantity) -> None:
-        """Gains of the biases that may concern one reading, and a ``paper`` discrepancy's, add up
-        to no less than `LEAST_GAIN`. (What a ``gp`` adds is known once there is a model.)"""
-        own = [b for b in self.biases if b.how == "times" and b.quantity == quantity.name]
-        if not own:
-            return
-        paper = self._least_paper(quantity) if quantity.discrepancy.kind == "paper" else 0.0
-        total = 1 + paper + least_gain(own, self)
-        if total < LEAST_GAIN:
-            name = " + ".join(b.name for b in own)
-            with_it = ", with the discrepancy," if paper else ""
-            raise InputError(
-                f"bias {name}",
-                [(p.low, p.high) for p in (self.parameter(b.name).prior for b in own)],
-                f"lets the gain{with_it} fall to {total:.3g}, below {LEAST_GAIN}",
-                "narrow the amplitude",
-            )
+            check_biases(self, q)
 
     def _check_amplitude(self, name: str, moved: str) -> None:
         """An amplitude is a parameter of its own, shared or dormant, on a plain scale."""
@@ -193,23 +125,6 @@ class Network:
         if (drifts, biases) == (self.drifts, self.biases):
             return self
         return replace(self, drifts=drifts, biases=biases)
-
-    def _check_gain(self, quantity: Quantity) -> None:
-        """1 + theta1 − theta2 psi must stay above LEAST_GAIN everywhere in the priors."""
-        theta, least = quantity.discrepancy.theta, 1 + self._least_paper(quantity)
-        if least < LEAST_GAIN:
-            raise InputError(
-                f"discrepancy of {quantity.name}",
-                (theta.low, theta.high),
-                f"lets 1 + theta1 - theta2 psi fall to {least:.3g}, below {LEAST_GAIN}",
-                "give theta a smaller sd",
-            )
-
-    def _least_paper(self, quantity: Quantity) -> float:
-        """The least theta1 − theta2 psi in the priors."""
-        psi, theta = self.psi_of(quantity).prior, quantity.discrepancy.theta
-        corners = [theta.low - t * p for t in (theta.low, theta.high) for p in (psi.low, psi.high)]
-        return min(corners)
 
     def psi_of(self, quantity: Quantity) -> Parameter:
         """The shared parameter in a ``paper`` discrepancy."""
@@ -279,7 +194,7 @@ class Network:
         try:
             return Network(
                 name=body.pop("name"),
-                parameters=tuple(_parameter(p) for p in body.pop("parameters")),
+                parameters=tuple(Parameter.from_json(p) for p in body.pop("parameters")),
                 quantities=tuple(Quantity.from_json(q) for q in body.pop("quantities")),
                 drifts=tuple(Drift.from_json(d) for d in body.pop("drifts", ())),
                 biases=tuple(Bias.from_json(d) for d in body.pop("biases", ())),
@@ -290,39 +205,6 @@ class Network:
             raise InputError(
                 "network", str(error), "does not fit the schema", "see Network"
             ) from error
-
-
-def least_gain(biases: Sequence[Bias], network: Network) -> float:
-    """The least that biases ``times`` add to the gain of one reading, over their priors (≤ 0).
-
-    A reading has one instrument, one campaign and one blade: of biases that name different ones of
-    these only some add up.
-    """
-    least = 0.0
-    readers = product(
-        sorted({b.instrument for b in biases}, key=str),
-        sorted({b.campaign for b in biases}, key=str),
-        sorted({None, *(name for b in biases for name in b.blades or ())}, key=str),
-    )
-    for instrument, campaign, blade in readers:
-        added = 0.0
-        for b in biases:
-            names = ((b.instrument, instrument), (b.campaign, campaign))
-            if any(own not in (None, given) for own, given in names):
-                continue
-            if b.blades is not None and blade not in b.blades:
-                continue
-            prior = network.parameter(b.name).prior
-            added += min(float(a * v) for a in (prior.low, prior.high) for v in b.shape.values)
-        least = min(least, added)
-    return least
-
-
-def _parameter(told: Mapping[str, Any]) -> Parameter:
-    own = {**told, "prior": Prior(**told["prior"])}
-    if told.get("population") is not None:
-        own["population"] = Population(**{k: Prior(**v) for k, v in told["population"].items()})
-    return Parameter(**own)
 
 
 def rotor_blade_network() -> Network:

@@ -14,6 +14,9 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.errors", "core.rng", "core.compiled", "core.digest", "core.units", "core.pools"),
     (
         "core.network",
+        "core.parameter",
+        "core.gain",
+        "core.answers",
         "core.quantity",
         "core.prior",
         "core.response",
