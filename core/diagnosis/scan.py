@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from core.calibration.message import POOL
+from core.diagnosis.bayes import one_by_one, together
 from core.diagnosis.chance import family_wise
 from core.diagnosis.dealing import FEW, dealt_sets
 from core.diagnosis.grammar import Cell
@@ -142,7 +143,7 @@ class Scan:
     @cached_property
     def gains(self) -> Array:
         """log BF of every single cell, (C,)."""
-        return _gains(self.u, np.diag(self.information), self.phi, self._signs)
+        return one_by_one(self.u, np.diag(self.information), self.phi, self._signs)
 
     @cached_property
     def _signs(self) -> NDArray[np.int64]:
@@ -181,10 +182,7 @@ class Scan:
             total = np.add.reduceat(np.exp(own - np.repeat(top, size)), first)
             found = list(top + np.log(total / size))
         for s in map(list, self.free.values()):
-            root = np.sqrt(phi[s])
-            a = self.information[np.ix_(s, s)] / np.outer(root, root) + np.eye(len(s))
-            own = u[s] / phi[s]
-            found.append(0.5 * own @ np.linalg.solve(a, own) - 0.5 * np.linalg.slogdet(a)[1])
+            found.append(together(u[s], self.information[np.ix_(s, s)], phi[s]))
         return np.array(found)
 
     @property
@@ -220,7 +218,7 @@ class Scan:
         """`by_family` of contributions (B, C) and scores (C,)."""
         information = np.diag(self.information)
         phi = self._scatter.phi(c, u, information)
-        return self.by_family(_gains(u, information, phi, self._signs), u, phi)
+        return self.by_family(one_by_one(u, information, phi, self._signs), u, phi)
 
     def chance(self, count: int, seed: int) -> float:
         """Family-wise probability of so large a gain, by `count` dealt sets (`chance`)."""
@@ -235,7 +233,7 @@ class Scan:
     def by_scores(self, u: Array) -> Array:
         """`by_family` of scores (C,) whose blades scatter as the noise says."""
         one = np.ones(len(u))
-        return self.by_family(_gains(u, np.diag(self.information), one, self._signs), u, one)
+        return self.by_family(one_by_one(u, np.diag(self.information), one, self._signs), u, one)
 
     def including(self, *which: int) -> Scan:
         """The scan of what is left once these cells' effects are in the model."""
@@ -249,10 +247,3 @@ def _alone(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
     out = np.zeros(columns, bool)
     out[: len(cells)] = [cell.whom == "blade" for cell in cells]
     return out
-
-
-def _gains(u: Array, information: Array, phi: Array, signs: NDArray[np.int64]) -> Array:
-    scaled: Array = np.asarray(information / phi)
-    z = (u / phi) / np.sqrt(1 + scaled)
-    gains: Array = 0.5 * z**2 - 0.5 * np.log1p(scaled)
-    return np.asarray(np.where(signs > 0, gains + np.log(2.0) + log_ndtr(z), gains))
