@@ -6,7 +6,8 @@ families    what a model may lack: the built-in effects, by name
 grammar     the cells of such families that readings can tell of
 clock       the rotor's hours of a reading
 signature   how a cell would move the readings
-scan        every cell and pair against the residuals, with a null of their own; bayes: of one or several
+scan        every cell and pair against the residuals, with a null of their own
+bayes       what cells by themselves, or some together, gain
 chance      how often chance alone gains as much, over everything that was tried
 hypotheses  cells and pairs with their evidence
 verdict     adequate | effect | not separable | unattributed

@@ -176,11 +176,11 @@ class Scan:
     def by_family(self, gains: Array, u: Array, phi: Array) -> Array:
         """log of the mean Bayes factor of each family's cells, then log BF of each free set."""
         order, first, size = self._grouped
-        own, found = gains[order], list[Array]()
+        own, found = gains[order], list[float]()
         if len(size):
             top = np.maximum.reduceat(own, first)
             total = np.add.reduceat(np.exp(own - np.repeat(top, size)), first)
-            found = list(top + np.log(total / size))
+            found = (top + np.log(total / size)).tolist()
         for s in map(list, self.free.values()):
             found.append(together(u[s], self.information[np.ix_(s, s)], phi[s]))
         return np.array(found)
