@@ -109,6 +109,7 @@ def power_plot(curves: Curves, best: Curves, file: Path) -> None:
                 color=colour,
                 lw=1.4,
                 ls=dashes,
+                marker=".",
                 label=label,
             )
         axis.errorbar(

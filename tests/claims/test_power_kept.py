@@ -1,0 +1,39 @@
+"""The kept alarms at two noises are told as they are: every set counted, and what is missed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+HERE = Path(__file__).parent
+KEPT = json.loads((HERE / "results/effects-power/result.json").read_text())
+ASKED = 0.90
+
+
+def test_alarms_are_told_as_they_are_kept() -> None:
+    words = (HERE / "README.md").read_text()
+    alarms = {}
+    for condition in ("fouling", "worn lot", "clean"):
+        own = [one for one in KEPT["sets"] if one["condition"] == condition]
+        assert sorted(one["number"] for one in own) == list(range(24))
+        assert not any("error" in one for one in own)
+        assert all(one["alarm"] is (one["p"] <= 0.05) for one in own)
+        alarms[condition] = sum(one["alarm"] for one in own)
+    fouling, worn, clean = alarms.values()
+    said = f"fouling {fouling} of 24, a worn lot {worn} of 24, clean sets {clean} of 24"
+    assert said in words
+    assert max(fouling, worn) / 24 < ASKED
+    assert clean / 24 <= 0.075
+    assert str(KEPT["seed"]) in words
+    assert int(KEPT["commit"][:6], 16) == KEPT["seed"]
+
+
+def test_the_oracles_are_told() -> None:
+    words = (HERE / "README.md").read_text()
+    told = {name: rows[0] for name, rows in KEPT["possible"].items()}
+    searched, alone = (
+        [round(100 * told[name][what]) for name in ("fouling", "worn lot")]
+        for what in ("searched", "alarm")
+    )
+    assert f"would notice {searched[0]} and {searched[1]} %" in words
+    assert f"looks for nothing else {alone[0]} and {alone[1]}." in words
