@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +42,19 @@ def write(result: dict[str, Any], made_by: str | None, out: Path | None) -> None
 
 def keep(result: dict[str, Any], made_by: str | None, out: Path | None) -> str:
     """The same without the stdout; the text."""
-    command = " ".join(["bladetwin", *sys.argv[1:]])
-    head = {"command": command, "commit": made_by, "algorithm": ALGORITHM}
+    head = {"command": command_of(sys.argv[1:]), "commit": made_by, "algorithm": ALGORITHM}
     text = json.dumps(head | result, indent=1)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         (out / "result.json").write_text(text + "\n")
     return text
+
+
+def command_of(words: Sequence[str]) -> str:
+    """The command as a shell takes it; of a whole path the name alone, as where a folder lies is
+    the machine's business.
+
+    >>> command_of(["study", "power", "--only", "worn lot", "--work", "/data/of/mine/studies"])
+    "bladetwin study power --only 'worn lot' --work studies"
+    """
+    return shlex.join(["bladetwin", *(Path(w).name if w.startswith("/") else w for w in words)])
