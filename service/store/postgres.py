@@ -2,8 +2,8 @@
 
 A transaction whose process says nothing for `SILENT_S` is ended by the server: a frozen process
 does not hold its locks for ever. (Not so right after an `executemany`, which psycopg sends as a
-pipeline: its last message ends the server's timer. Who waits for such locks is told so after twice
-`SILENT_S`.) A server that vanishes without a word (`LIMITS`) is noticed within half a minute, and
+pipeline: its last message ends the server's timer. Who waits for such locks is told so after
+`LOCKED_S`.) A server that vanishes without a word (`LIMITS`) is noticed within half a minute, and
 no thread waits longer for it.
 
 A connection that rested for `RESTED_S` is asked whether it is alive before it is used, and where it
@@ -22,6 +22,7 @@ from sqlalchemy import URL, Dialect, Engine, create_engine, event
 from sqlalchemy.exc import InvalidatePoolError
 
 SILENT_S = 30.0
+LOCKED_S = 60.0
 RESTED_S = 1.0
 # Of a connection whose server vanishes without a word: libpq's names, which an URL may set itself.
 LIMITS = {
@@ -68,9 +69,11 @@ def open_postgres(url: URL) -> Engine:
 
 
 def _prepare(connection: Any, record: Any) -> None:
-    milliseconds = round(1e3 * SILENT_S)
-    connection.execute(f"SET idle_in_transaction_session_timeout = {milliseconds}").close()
-    connection.execute(f"SET lock_timeout = {2 * milliseconds}").close()
+    for name, seconds in (
+        ("idle_in_transaction_session_timeout", SILENT_S),
+        ("lock_timeout", LOCKED_S),
+    ):
+        connection.execute(f"SET {name} = {round(1e3 * seconds)}").close()
     connection.commit()
 
 

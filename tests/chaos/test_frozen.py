@@ -65,7 +65,7 @@ def test_who_waits_for_a_frozen_process_is_told_so(
     database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the server makes of the transaction: after an executemany it may not end it."""
-    monkeypatch.setattr(postgres, "SILENT_S", SILENT_S)
+    monkeypatch.setattr(postgres, "LOCKED_S", 2 * SILENT_S)
     engine, other = open_engine(database_url), open_engine(database_url)
     with transaction(engine, write=True) as connection:
         connection.execute(text("CREATE TABLE thing (id INTEGER)"))

@@ -366,7 +366,7 @@ def test_a_post_that_waits_too_long_for_a_migration_is_told_to_come_again(
     """And one that does not simply takes its time."""
     if is_sqlite(store.engine):
         pytest.skip("SQLite has one writer, who is waited for 30 s")
-    monkeypatch.setattr(postgres, "SILENT_S", 0.5)  # locks are waited for 1 s
+    monkeypatch.setattr(postgres, "LOCKED_S", 1.0)
     store.engine.dispose()
     upgrade = command.upgrade
 
