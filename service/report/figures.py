@@ -1,4 +1,4 @@
-"""The pictures of a report: residuals, fleet, amplitudes, evidence, p-values.
+"""The pictures of a report: residuals, amplitudes, evidence, p-values (`fleet`: forecasts).
 
 `before` and `after` are the model as it was and with the effect in it; each has one colour
 throughout, and in every picture another mark as well, for eyes and printers without colour.
@@ -40,43 +40,6 @@ STEEP = 2.5  # times the posterior's peak: of a prior that is higher no more is 
 def named(which: str, *, changed: bool) -> str:
     """What a model is called: `before` where there is an `after`, else the model itself."""
     return which if changed else "the model"
-
-
-def fleet(courses: Json, readings: Sequence[Json], *, changed: bool) -> Markup:
-    """The blades' mean and a blade's ± 1 sd over the hours, with the readings."""
-    hours, quantity, unit = courses["time_h"], courses["quantity"], courses["unit"]
-    shown = [r for r in readings if r["quantity"] == quantity]
-    told = {k: _mean_course(courses[k]) for k in (BOTH if changed else BOTH[:1])}
-    ends = [r["value"] for r in shown]
-    for mean, sd in told.values():
-        ends += [m + s for m, s in zip(mean, sd, strict=True)] + [mean[0]]
-    low, high = padded([0.0, *ends])
-    x = Scale(0.0, hours[-1], 64.0, WIDE - 28)
-    frame = Frame(x, Scale(low, high, 290.0, 34.0), "operating hours of the blade [h]",
-                  f"{label_of(quantity)} [{unit}]")  # fmt: skip
-    parts: list[Markup] = [frame.drawn()]
-    at = [x(h) for h in hours]
-    for which, (mean, sd) in told.items():
-        ups = [frame.y(m + s) for m, s in zip(mean, sd, strict=True)]
-        downs = [frame.y(max(low, m - s)) for m, s in zip(mean, sd, strict=True)]
-        parts.append(band(at, downs, ups, f"{which} area"))
-        line_ = list(zip(at, (frame.y(m) for m in mean), strict=True))
-        parts.append(path(line_, f"{which} course"))
-    for r in shown:
-        where = f"{r['id']}: {r['blade']}, {r['time_h']:,.0f} h, {r['value']:.4g} {unit}"
-        parts.append(dot(x(r["time_h"]), frame.y(r["value"]), "reading", 2.0, where))
-    entries = [
-        (f"{w} area", f"{named(w, changed=changed)}: mean of the blades ± 1 sd of a blade")
-        for w in told
-    ]
-    parts.append(legend(66, 20, [*entries, ("reading", "readings")]))
-    return picture(330, *parts, label=f"Fleet mean of {quantity} over hours with readings")
-
-
-def _mean_course(course: Json) -> tuple[list[float], list[float]]:
-    mean = [fmean(column) for column in zip(*course["mean"], strict=True)]
-    sd = [math.sqrt(fmean(v * v for v in column)) for column in zip(*course["sd"], strict=True)]
-    return mean, sd
 
 
 def amplitude(one: Json) -> Markup:
@@ -230,4 +193,4 @@ def label_of(quantity: str) -> str:
     return told.get(quantity, quantity.replace("_", " "))
 
 
-__all__ = ["amplitude", "bars", "fleet", "groups", "join", "label_of", "over_hours", "p_values"]
+__all__ = ["amplitude", "bars", "groups", "join", "label_of", "over_hours", "p_values"]

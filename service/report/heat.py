@@ -6,6 +6,7 @@ Classes of |z|, told by colour and, from three sds on, by the number in the cell
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from service.report.figures import BOTH, label_of, named
@@ -57,13 +58,11 @@ def rows_of(readings: Sequence[Json]) -> dict[str, list[int]]:
 
 
 def heat(readings: Sequence[Json], *, changed: bool) -> list[Markup]:
-    """One picture for every `MOST` blades."""
+    """As few pictures as hold `MOST` blades each, of as many blades as the others but one."""
     blades = sorted({r["blade"] for r in readings})
-    rows = rows_of(readings)
-    return [
-        _map(readings, rows, blades[k : k + MOST], changed=changed)
-        for k in range(0, len(blades), MOST)
-    ]
+    rows, pictures = rows_of(readings), -(-len(blades) // MOST)
+    ends = [len(blades) * k // pictures for k in range(pictures + 1)] if pictures else [0]
+    return [_map(readings, rows, blades[a:b], changed=changed) for a, b in pairwise(ends)]
 
 
 def _map(

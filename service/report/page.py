@@ -20,7 +20,7 @@ from service.report.tables import facts, pairs, section
 from service.report.words import do_next, number, verdict
 
 Json = Mapping[str, Any]
-LAYOUT = 1  # raised when the page changes, so that its tag does
+LAYOUT = 2  # raised when the page changes, so that its tag does
 
 
 @cache

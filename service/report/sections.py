@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from service.report import figures
+from service.report.fleet import fleet
 from service.report.life import Life, lives
 from service.report.markup import Child, Markup, el
 from service.report.tables import cell, figure, note, section, table
@@ -168,7 +169,9 @@ def forecast(found: Json) -> Markup:
     pictures, title = found.get("pictures"), "Forecast"
     if not pictures or not pictures["courses"]:
         return section(title, note(OLDER.format("the blades' courses")))
-    drawn = figures.fleet(pictures["courses"], pictures["readings"], changed=changes(found))
+    until = (found["before_after"] or {}).get("forecast", {}).get("time_h")
+    courses, read = pictures["courses"], pictures["readings"]
+    drawn = fleet(courses, read, changed=changes(found), until=until)
     count = len(pictures["courses"]["blades"])
     return section(
         title, figure(drawn, f"Mean over {count} blades and the band of a single one, ± 1 sd.")

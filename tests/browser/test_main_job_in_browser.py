@@ -22,7 +22,8 @@ PAGES = (
     "/rotors/demo/diagnoses", "/models", "/models/rotor-blade", "/operations",
 )  # fmt: skip
 # Pairs of words in pictures that lie on one another by more than two pixels either way.
-ON_ONE_ANOTHER = """() => [...document.querySelectorAll("svg")].flatMap((svg) => {
+ON_ONE_ANOTHER = """() => [document, ...[...document.querySelectorAll(".pictured")].map((one) => one.shadowRoot)]
+  .flatMap((root) => [...root.querySelectorAll("svg")]).flatMap((svg) => {
   const words = [...svg.querySelectorAll("text")].map((t) => [t.textContent, t.getBoundingClientRect()])
     .filter(([, box]) => box.width > 0);
   return words.flatMap(([a, one], i) => words.slice(i + 1)
@@ -90,6 +91,25 @@ def test_every_page_stands_with_the_main_job_s_data(
             assert page.evaluate(ON_ONE_ANOTHER) == [], path
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), path
             assert serious(page) == [], path
+        assert (seen.errors, seen.outside) == ([], [])
+
+
+def test_a_diagnosis_page_shows_the_report_s_pictures(
+    browser: Browser, demo: Running, diagnosed: str
+) -> None:
+    """Of 300 readings before and after; each picture as the report has it."""
+    report = demo.client.get(f"/v1{diagnosed}/report").raise_for_status().text
+    for seen in watching(browser, demo):
+        page = seen.open(diagnosed)
+        drawn = page.locator(".pictured figure svg")
+        expect(drawn.first).to_be_visible()
+        assert drawn.count() == report.count("<figure>") > 3
+        cells = page.locator(".pictured rect.cell")
+        assert cells.count() == report.count('class="cell ') > 300
+        colours = cells.evaluate_all(
+            "(all) => new Set(all.map((c) => getComputedStyle(c).fill)).size"
+        )
+        assert colours > 3, "the report's own sheet holds"
         assert (seen.errors, seen.outside) == ([], [])
 
 

@@ -17,6 +17,7 @@ from sqlalchemy import update
 from service.client import Client, ProblemError
 from service.handlers.diagnoses import request_diagnosis
 from service.report import markup
+from service.report.heat import heat
 from service.report.life import lives
 from service.report.page import policy, report, style
 from service.report.residuals import groups_of
@@ -74,6 +75,27 @@ class Read(HTMLParser):
 
 def page_of(found: Json, limit: float | None = None) -> str:
     return report(found, "r1", "d1", "2031-05-04T10:00:00.000Z", limit)
+
+
+def test_a_forecast_is_drawn_to_its_hour_and_no_further() -> None:
+    """Of courses to 50,000 h and readings to 32,000 h: to the hour asked for, else twice the last
+    reading's."""
+
+    def ticks(found: Json) -> list[str]:
+        drawn = re.search(r'<svg[^>]*aria-label="Fleet mean.*?</svg>', page_of(found), re.S)
+        assert drawn is not None
+        return re.findall(r'text-anchor="middle">([\d,]+)</text>', drawn.group())
+
+    found = told("effect")
+    assert ticks(found)[-1] == "50,000"
+    found["before_after"]["forecast"]["time_h"] = 34_000.0
+    assert ticks(found)[-1] == "35,000"
+    found["before_after"]["forecast"]["time_h"] = 100.0
+    assert ticks(found)[-1] == "30,000", "to 32,500 h: readings stay in"
+    for one in found["pictures"]["readings"]:
+        one["time_h"] /= 4.0
+    found["before_after"] = None
+    assert ticks(found)[-1] == "17,500", "twice 8,000 h, and up to the next hour that is known"
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
@@ -327,3 +349,14 @@ def test_a_condition_in_which_the_effect_fails_is_told() -> None:
     assert "Do not extrapolate" in page
     assert "<S3>" not in page
     assert "never read" not in page_of(told("effect"))
+
+
+@pytest.mark.parametrize(
+    ("blades", "each"), [(1, [1]), (100, [100]), (103, [51, 52]), (250, [83, 83, 84])]
+)
+def test_blades_share_out_over_the_heat_maps(blades: int, each: list[int]) -> None:
+    first = told("effect")["pictures"]["readings"][0]
+    readings = [first | {"blade": f"B{i:03d}", "id": str(i)} for i in range(blades)]
+    drawn = heat(readings, changed=True)
+    key = 11  # cells that say what the colours mean
+    assert [(one.count('class="cell ') - key) // 2 for one in drawn] == each

@@ -4,6 +4,7 @@ import { Problem, ask, get, offers, pages, path, post, remove } from "./api.js";
 import { $, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
 import { axis, fixed, moment, number, plain, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
+import { pictures } from "./pictures.js";
 import { progress } from "./progress.js";
 import { badge, notices } from "./states.js";
 import { stateOf, verdictOf } from "./verdict.js";
@@ -133,6 +134,17 @@ function standing(history, now) {
   ];
 }
 
+/** The report's pictures, or why there are none. */
+async function drawings(can) {
+  if (!can) return null;
+  try {
+    return await pictures(url);
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    return panel("Pictures", h("p", { class: "soft" }, error.message));
+  }
+}
+
 let next = 0;
 
 async function draw() {
@@ -160,7 +172,7 @@ async function draw() {
       claimed && canAdopt && !inForce ? button("Adopt into the model", () => confirm("Put the effect into this rotor's model?") && act("Adopt", () => post(`${url}/adoption`))) : null,
       claimed && canBackOut && inForce ? button("Back out", () => confirm("Take the effect out of this rotor's model again?") && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
     claimed || history.length ? panel("In the model", standing(history, now)) : null,
-    done ? h("div", { class: "columns halves" }, result(d.result, unitName)) : null);
+    done ? h("div", { class: "columns halves" }, result(d.result, unitName), await drawings(canReport)) : null);
   clearTimeout(next);
   if (going) next = setTimeout(redraw, 1000);
 }
