@@ -18,6 +18,7 @@ import typer
 
 from core.errors import BladetwinError, InputError
 from service.commands.reach import reached
+from service.report.alternatives import names
 
 if TYPE_CHECKING:
     from service.client import Client
@@ -98,6 +99,15 @@ def lines_of(told: Told) -> Iterator[str]:
             before, after = compared["before"][key], compared["after"][key]
             if before is not None and after is not None:
                 yield f"  {key:<10} {before:>9.4g} → {after:.4g}"
+    if others := found.get("alternatives"):
+        yield (
+            f"{others['quantity']} of {len(others['blades'])} blades at {others['time_h']:g} h, by "
+            "what else the readings allow (share of the evidence, mean ± sd of a blade)"
+        )
+        for name, one in zip(names(others), others["each"], strict=True):
+            yield f"  {100 * one['share']:>7.0f}% {one['mean']:.4g} ± {one['sd']:.2g}  {name}"
+        together = others["together"]
+        yield f"  together {together['mean']:.4g} ± {together['sd']:.2g}"
     if found["calibrated"]:
         yield "calibrated: log evidence gained [nat]"
     for one in found["calibrated"]:

@@ -30,6 +30,7 @@ from core.diagnosis import (
     diagnose,
     to_json,
 )
+from core.diagnosis.alternatives import alternatives
 from core.diagnosis.clock import with_offsets
 from core.diagnosis.families import families_for
 from core.diagnosis.pictures import pictures
@@ -147,7 +148,10 @@ def diagnosed(
     progress("pictures and inspections to come", total - 1, total)
     split = splitting(found, case, work)
     apart = None if split is None else separation_json(split)
-    told = to_json(found, case, both, pictures(found, case), apart, wide)
+    others = None
+    if found.verdict.word in ("effect", "not separable") and compare_h is not None and quantity:
+        others = alternatives(found.before, found.rivals, case, quantity, compare_h)
+    told = to_json(found, case, both, pictures(found, case), apart, wide, others)
     if claimed and compare_h is not None:
         steps = iter(range(STEPS + 3, total - 1))
         held = transferred(

@@ -15,6 +15,7 @@ adopt       an effect in the model, as a calibrated amplitude
 diagnose    all of it in turn
 conclude    the word, every name on its own turn
 halves      whether an amplitude holds between halves of blades and readings
+alternatives  what else the readings allow: forecasts by other courses
 transfer    whether an effect holds in another condition
 report      before and after, on readings that neither model used
 residuals   every reading predicted from the visits before it; omnibus: tests of what they should be

@@ -108,7 +108,7 @@ def _with(
     family, name = cell.family, parameter_name(cell, model.network)
     sign = family.sign or 1
     course = _bounded(cell, sign)
-    blades = _blades(cell, facts)
+    blades = concerned(cell, facts)
     since: tuple[tuple[str, float], ...] = ()
     if family.clock != "blade" and any(f.offset_h for f in facts.values()):
         since = tuple(sorted((b, f.offset_h) for b, f in facts.items()))
@@ -144,7 +144,7 @@ def _bounded(cell: Cell, sign: int) -> Course:
     return Course.of([(h, sign * v) for h, v in cell.course.points])
 
 
-def _blades(cell: Cell, facts: Mapping[str, Facts]) -> tuple[str, ...] | None:
+def concerned(cell: Cell, facts: Mapping[str, Facts]) -> tuple[str, ...] | None:
     """Whom a cell concerns; none: all, whoever joins later among them."""
     if cell.whom == "blade":
         return (cell.value or "",)

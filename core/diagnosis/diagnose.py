@@ -29,6 +29,7 @@ import numpy as np
 from core.calibration.online import Workspace
 from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude
+from core.diagnosis.alternatives import shares
 from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.densities import leans
@@ -59,6 +60,7 @@ class Diagnosis:
     tried     every calibrated hypothesis: names and log evidence against the model as it was
     refused   hypotheses that the runs have no room for, with the reason: the scan's word alone
     turns     what each turn weighed and took
+    rivals    what else the readings allow in place of the effects, with shares (`alternatives`)
     """
 
     verdict: Verdict
@@ -70,6 +72,7 @@ class Diagnosis:
     tried: tuple[tuple[tuple[str, ...], float], ...]
     refused: tuple[tuple[tuple[str, ...], str], ...] = ()
     turns: tuple[Turn, ...] = ()
+    rivals: tuple[tuple[Rival, float], ...] = ()
 
     @property
     def open(self) -> Turn | None:
@@ -140,6 +143,7 @@ def diagnose(
         tuple((tuple(c.name for c in r.effects), r.gained) for r in search.known.values()),
         tuple(search.refused.items()),
         tuple(turns),
+        shares(taken, [*search.known.values()], turns, search.prices) if taken.effects else (),
     )
 
 

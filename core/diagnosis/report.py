@@ -160,6 +160,27 @@ def score(
     return Scored.of(np.array(mean), np.array(sd), np.array(bands).T, y)
 
 
+def foreseen(
+    model: Model,
+    state: RotorState,
+    spec: RotorSpec,
+    quantity: str,
+    hours: float,
+    blades: Sequence[str],
+) -> tuple[Array, Array]:
+    """Mean and sd of each of the blades at an hour, without noise, (B,) each."""
+    found = []
+    for blade in blades:
+        posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
+        known = (spec.known or {}).get(blade)
+        got = predict(
+            model.for_blade(blade), posterior, quantity, [hours], noise=False, known=known
+        )
+        found.append((got.mean[0], got.sd["total"][0]))
+    mean, sd = np.array(found).T
+    return mean, sd
+
+
 def fleet(
     model: Model,
     state: RotorState,
@@ -169,13 +190,5 @@ def fleet(
     blades: Sequence[str] = (),
 ) -> tuple[float, float]:
     """Mean over blades (none: all) at an hour, root mean square of their sds, without noise."""
-    found = []
-    for blade in blades or spec.blades:
-        posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
-        known = (spec.known or {}).get(blade)
-        got = predict(
-            model.for_blade(blade), posterior, quantity, [hours], noise=False, known=known
-        )
-        found.append((got.mean[0], got.sd["total"][0]))
-    mean, sd = np.array(found).T
+    mean, sd = foreseen(model, state, spec, quantity, hours, blades or spec.blades)
     return float(np.mean(mean)), float(np.sqrt(np.mean(sd**2)))

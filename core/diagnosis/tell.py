@@ -10,6 +10,7 @@ import numpy as np
 
 from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude_of
+from core.diagnosis.alternatives import Alternatives
 from core.diagnosis.case import Case
 from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.grammar import Cell
@@ -28,12 +29,14 @@ def to_json(
     pictures: Json | None = None,
     separating: Json | None = None,
     wide: Widened | None = None,
+    others: Alternatives | None = None,
 ) -> Json:
     """Verdict, effects with amplitudes, evidence, everything tried, before and after.
 
     pictures    what a report shows of it (`core.diagnosis.pictures`)
     separating  inspections that would split what is not separable (`core.diagnosis.separate`)
     wide        what a lack without a name makes of the bands (`core.diagnosis.widen`)
+    others      forecasts by the rivals of what is in the model (`core.diagnosis.alternatives`)
     """
     verdict = found.verdict
     after = found.after
@@ -71,6 +74,7 @@ def to_json(
         "before_after": None if compared is None else compared_json(compared),
         "pictures": pictures,
         "separating": separating,
+        "alternatives": None if others is None else others.to_json(),
         "widened": None if wide is None else widened_json(wide),
     }
 

@@ -569,6 +569,28 @@ class FoundCondition(TypedDict):
     after: dict[str, Any]
 
 
+class FoundAlternativesEachEffect(TypedDict):
+    name: str
+    shape: str
+    step_h: float | None
+
+
+class FoundAlternativesEach(TypedDict):
+    effects: list[FoundAlternativesEachEffect]
+    share: float
+    mean: float
+    sd: float
+
+
+class FoundAlternatives(TypedDict):
+    quantity: str
+    time_h: float
+    blades: list[str]
+    before: SeparatingSingleExpected
+    together: SeparatingSingleExpected
+    each: list[FoundAlternativesEach]
+
+
 class FoundRestsOn(TypedDict):
     rotor: str
     through_seq: int
@@ -604,6 +626,7 @@ class Found(TypedDict):
     not_adopted: NotRequired[str]
     pictures: NotRequired[Pictures | None]
     separating: NotRequired[Separating | None]
+    alternatives: NotRequired[FoundAlternatives | None]
     rests_on: FoundRestsOn
 
 

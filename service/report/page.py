@@ -13,7 +13,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from service.report import evidence, residuals, sections, split
+from service.report import alternatives, evidence, residuals, sections, split
 from service.report.conditions import conditions
 from service.report.markup import Markup, el, join
 from service.report.tables import facts, pairs, section
@@ -66,6 +66,7 @@ def report(
         conditions(found),
         sections.life(found, limit),
         sections.forecast(found),
+        alternatives.alternatives(found),
         residuals.residuals(found),
         evidence.evidence(found),
         evidence.held(found),

@@ -98,6 +98,25 @@ def test_a_forecast_is_drawn_to_its_hour_and_no_further() -> None:
     assert ticks(found)[-1] == "17,500", "twice 8,000 h, and up to the next hour that is known"
 
 
+def test_what_else_the_readings_allow_is_told_beside_the_forecast() -> None:
+    """Rivals by what tells them apart, with shares; where there is one only, nothing is said."""
+    found = told("effect")
+    said = " ".join(Read(page_of(found)).said.split())
+    for one in (
+        "What else the readings allow",
+        "coating wear, linear 70 % 0.360 ± 0.020",
+        "coating wear, late 30 % 0.420 ± 0.020",
+        "the model as it was – 0.410 ± 0.020",
+        "all of them together – 0.378 ± 0.034",
+        "2 blades on the rotor",
+        "mean permanent tip elongation at 50,000 h [mm]",
+    ):
+        assert one in said, one
+    for nothing in ({"alternatives": None}, {}):
+        older = {k: v for k, v in found.items() if k != "alternatives"} | nothing
+        assert "What else" not in page_of(older), "an older diagnosis has none"
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_a_report_loads_and_runs_nothing_and_is_whole(verdict: str) -> None:
     page = page_of(told(verdict), 0.35)

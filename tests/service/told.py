@@ -50,6 +50,7 @@ def told(verdict: str, blade: str = "B1", campaign: str = "spring", **changes: A
         "before_after": compared() if verdict == "effect" else None,
         "pictures": pictures(blade, campaign, named=named),
         "separating": separating(campaign) if verdict == "not separable" else None,
+        "alternatives": alternatives(name) if named else None,
         "rests_on": rested(),
     } | changes  # fmt: skip
 
@@ -86,6 +87,26 @@ def compared() -> Json:
             "before": {"mean": 0.41, "sd": 0.02},
             "after": {"mean": 0.36, "sd": 0.015},
         },
+    }
+
+
+def alternatives(name: str) -> Json:
+    """The offset, and two courses of wear beside it."""
+    offset = {"name": name, "shape": "constant", "step_h": None}
+    wear = [
+        {"name": "coating wear", "shape": shape, "step_h": None} for shape in ("linear", "late")
+    ]
+    shares = zip(wear, (0.7, 0.3), (0.36, 0.42), strict=True)
+    return {
+        "quantity": "elongation",
+        "time_h": 50_000.0,
+        "blades": ["B2", "B3"],
+        "before": {"mean": 0.41, "sd": 0.02},
+        "together": {"mean": 0.378, "sd": 0.034},
+        "each": [
+            {"effects": [offset, one], "share": share, "mean": mean, "sd": 0.02}
+            for one, share, mean in shares
+        ],
     }
 
 

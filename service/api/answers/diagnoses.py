@@ -100,6 +100,21 @@ SEPARATING = having(
     ),
     set=each(having(**CANDIDATE)),
 )
+FORESEEN = {"mean": NUMBER, "sd": NUMBER}
+ALTERNATIVES = having(
+    quantity=TEXT,
+    time_h=NUMBER,
+    blades=each(TEXT),
+    before=having(**FORESEEN),
+    together=having(**FORESEEN),
+    each=each(
+        having(
+            effects=each(having(name=TEXT, shape=TEXT, step_h=maybe(NUMBER))),
+            share=NUMBER,
+            **FORESEEN,
+        )
+    ),
+)
 VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]}
 ADOPTION = having(
     rotor=TEXT,
@@ -116,7 +131,7 @@ ADOPTION = having(
     at=TEXT,
 )
 FOUND = having(
-    ("adds", "conditions", "not_adopted", "pictures", "separating", "widened"),
+    ("adds", "alternatives", "conditions", "not_adopted", "pictures", "separating", "widened"),
     verdict=VERDICT,
     names=each(TEXT),
     reasons=each(TEXT),
@@ -169,6 +184,7 @@ FOUND = having(
     not_adopted=TEXT,
     pictures=maybe(PICTURES),
     separating=maybe(SEPARATING),
+    alternatives=maybe(ALTERNATIVES),
     rests_on=having(
         rotor=TEXT,
         through_seq=WHOLE,

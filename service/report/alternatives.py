@@ -1,0 +1,104 @@
+"""The section on what else the readings allow: forecasts by other courses, or other causes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from service.report.figures import SD, label_of
+from service.report.markup import Markup, el
+from service.report.svg import (
+    LETTER,
+    WIDE,
+    Frame,
+    Scale,
+    block,
+    legend,
+    line,
+    padded,
+    picture,
+    short,
+    words,
+)
+from service.report.tables import figure, note, section, table
+from service.report.words import joined, number, with_sd
+
+Json = Mapping[str, Any]
+LABEL = 44  # letters of a row's label
+AS_IT_WAS, TOGETHER = "the model as it was", "all of them together"
+
+
+def alternatives(found: Json) -> Markup | None:
+    """Forecasts by each rival and by all together; None where there is one only."""
+    told = found.get("alternatives")
+    if not told:
+        return None
+    unit = ((found.get("pictures") or {}).get("courses") or {}).get("unit", "")
+    in_unit = f" [{unit}]" if unit else ""
+    what = f"{label_of(told['quantity'])} at {number(told['time_h'])} h{in_unit}"
+    rows = [(AS_IT_WAS, None, told["before"])]
+    rows += [(name, one["share"], one) for name, one in zip(names(told), told["each"], strict=True)]
+    rows.append((TOGETHER, None, told["together"]))
+    count = len(told["blades"])
+    said = (
+        f"The readings allow these of what was calibrated, by their shares of the evidence. They "
+        f"differ in what they foretell of {count} blade{'s' * (count != 1)} on the rotor. An "
+        "adoption puts the effects of this diagnosis into the model, and foretells by these alone."
+    )
+    return section(
+        "What else the readings allow",
+        el("p", said),
+        table(
+            ["", "share", f"mean {what}"],
+            [
+                [name, "–" if share is None else f"{100 * share:.0f} %",
+                 with_sd(one["mean"], one["sd"])]
+                for name, share, one in rows
+            ],
+            (1, 2),
+        ),
+        figure(
+            intervals([(name, one["mean"], one["sd"]) for name, _, one in rows], f"mean {what}"),
+            "Mean of these blades, and 95 % of a single one.",
+        ),
+        note("What was not calibrated has no share here."),
+    )  # fmt: skip
+
+
+def names(told: Json) -> list[str]:
+    """Each rival by the effects that not all of them have.
+
+    >>> names({"each": [{"effects": [{"name": "wear", "shape": "linear", "step_h": None}]},
+    ...                 {"effects": [{"name": "wear", "shape": "late", "step_h": None}]}]})
+    ['wear, linear', 'wear, late']
+    """
+    every = [[_called(e) for e in one["effects"]] for one in told["each"]]
+    common = set.intersection(*map(set, every))
+    return [joined([e for e in one if e not in common]) or joined(one) for one in every]
+
+
+def _called(effect: Json) -> str:
+    if effect["step_h"] is not None:
+        return f"{effect['name']} at {number(effect['step_h'])} h"
+    return f"{effect['name']}, {effect['shape']}"
+
+
+def intervals(rows: Sequence[tuple[str, float, float]], title: str) -> Markup:
+    """Means and ± 1.96 sds, a row each: name, mean, sd."""
+    left = 24 + LETTER * max(len(short(name, LABEL)) for name, _, _ in rows)
+    ends = [mean + s * SD * sd for _, mean, sd in rows for s in (-1, 1)]
+    low, high = padded(ends)
+    top, tall = 34.0, 26.0
+    end = top + tall * len(rows)
+    x = Scale(low, high, left, WIDE - 16)
+    parts = [Frame(x, Scale(0.0, 1.0, end, top), title, grid_y=False).drawn(y_ticks=False)]
+    for k, (name, mean, sd) in enumerate(rows):
+        level, which = top + tall * (k + 0.5), "before" if name == AS_IT_WAS else "after"
+        parts.append(words(left - 8, level + 4, short(name, LABEL), "tick", "end"))
+        parts.append(line(x(mean - SD * sd), level, x(mean + SD * sd), level, f"{which} course"))
+        high_, size = (8.0, 4.0) if name == TOGETHER else (5.0, 3.0)
+        parts.append(block(x(mean) - size / 2, level - high_, size, 2 * high_, f"{which} mark"))
+    parts.append(
+        legend(left, 20, [("before mark", "without effects"), ("after mark", "with effects")])
+    )
+    return picture(end + 42, *parts, label="Forecasts by what else the readings allow")
