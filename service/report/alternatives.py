@@ -7,6 +7,7 @@ from typing import Any
 
 from service.report.figures import SD, label_of
 from service.report.markup import Markup, el
+from service.report.split import percent
 from service.report.svg import (
     LETTER,
     WIDE,
@@ -24,7 +25,7 @@ from service.report.tables import figure, note, section, table
 from service.report.words import joined, number, with_sd
 
 Json = Mapping[str, Any]
-LABEL = 44  # letters of a row's label
+LABEL = 48  # letters of a row's label
 AS_IT_WAS, TOGETHER = "the model as it was", "all of them together"
 
 
@@ -51,15 +52,15 @@ def alternatives(found: Json) -> Markup | None:
         table(
             ["", "share", f"mean {what}"],
             [
-                [name, "–" if share is None else f"{100 * share:.0f} %",
+                [name, "–" if share is None else percent(share),
                  with_sd(one["mean"], one["sd"])]
                 for name, share, one in rows
             ],
             (1, 2),
         ),
         figure(
-            intervals([(name, one["mean"], one["sd"]) for name, _, one in rows], f"mean {what}"),
-            "Mean of these blades, and 95 % of a single one.",
+            intervals(rows, f"mean {what}"),
+            "Mean of these blades, 95 % of a single one, and shares of the evidence.",
         ),
         note("What was not calibrated has no share here."),
     )  # fmt: skip
@@ -78,26 +79,31 @@ def names(told: Json) -> list[str]:
 
 
 def _called(effect: Json) -> str:
-    if effect["step_h"] is not None:
-        return f"{effect['name']} at {number(effect['step_h'])} h"
-    return f"{effect['name']}, {effect['shape']}"
+    """An effect with its course before whom it concerns."""
+    hour = effect["step_h"]
+    when = f", {effect['shape']}" if hour is None else f" at {number(hour)} h"
+    what, bracket, whom = effect["name"].partition(" (")
+    return f"{what}{when}{bracket}{whom}"
 
 
-def intervals(rows: Sequence[tuple[str, float, float]], title: str) -> Markup:
-    """Means and ± 1.96 sds, a row each: name, mean, sd."""
+def intervals(rows: Sequence[tuple[str, float | None, Json]], title: str) -> Markup:
+    """Means and ± 1.96 sds, a row each: name, share, forecast."""
     left = 24 + LETTER * max(len(short(name, LABEL)) for name, _, _ in rows)
-    ends = [mean + s * SD * sd for _, mean, sd in rows for s in (-1, 1)]
+    ends = [one["mean"] + s * SD * one["sd"] for _, _, one in rows for s in (-1, 1)]
     low, high = padded(ends)
     top, tall = 34.0, 26.0
     end = top + tall * len(rows)
-    x = Scale(low, high, left, WIDE - 16)
+    x = Scale(low, high, left, WIDE - 52)
     parts = [Frame(x, Scale(0.0, 1.0, end, top), title, grid_y=False).drawn(y_ticks=False)]
-    for k, (name, mean, sd) in enumerate(rows):
+    for k, (name, share, one) in enumerate(rows):
         level, which = top + tall * (k + 0.5), "before" if name == AS_IT_WAS else "after"
+        mean, sd = one["mean"], one["sd"]
         parts.append(words(left - 8, level + 4, short(name, LABEL), "tick", "end"))
         parts.append(line(x(mean - SD * sd), level, x(mean + SD * sd), level, f"{which} course"))
         high_, size = (8.0, 4.0) if name == TOGETHER else (5.0, 3.0)
         parts.append(block(x(mean) - size / 2, level - high_, size, 2 * high_, f"{which} mark"))
+        if share is not None:
+            parts.append(words(WIDE - 46, level + 4, percent(share), "tick"))
     parts.append(
         legend(left, 20, [("before mark", "without effects"), ("after mark", "with effects")])
     )
