@@ -20,6 +20,7 @@ from core.compiled import compiled
 POINTS = 5
 MOST = 40  # panels that may wait
 LEVELS = 4.0  # times that a panel may be split
+SHY = 0.1  # of the last Legendre coefficient but one: the last is not believed to be smaller
 GL_X, GL_W = np.polynomial.legendre.leggauss(POINTS)
 FINE_X, FINE_W = np.polynomial.legendre.leggauss(16)
 # (POINTS, POINTS) from values at the points to Legendre coefficients: degree, point
@@ -27,7 +28,7 @@ LEGENDRE = np.array(
     [(2 * n + 1) / 2 * GL_W * np.polynomial.legendre.Legendre.basis(n)(GL_X) for n in range(POINTS)]
 )
 FINE = np.polynomial.legendre.legvander(FINE_X, POINTS - 1) @ LEGENDRE
-LAST = LEGENDRE[-1]
+BUT_ONE, LAST = LEGENDRE[-2], LEGENDRE[-1]
 # a waiting panel: lower and upper end, how often it was split
 LOWER, UPPER, LEVEL = range(3)
 
@@ -96,9 +97,11 @@ def take_one(f, half, mid, split, panels, waiting, out, peak, i):  # type: ignor
     if top > peak[i]:
         out[i] *= math.exp(peak[i] - top)
         peak[i] = top
-    total = last = 0.0
+    total = last = but_one = 0.0
     for n in range(POINTS):
         last += LAST[n] * f[n, i]
+        but_one += BUT_ONE[n] * f[n, i]
+    bends = max(abs(last), SHY * abs(but_one))
     for p in range(len(FINE_X)):
         c = -top
         for n in range(POINTS):
@@ -106,7 +109,7 @@ def take_one(f, half, mid, split, panels, waiting, out, peak, i):  # type: ignor
         total += half[i] * FINE_W[p] * fast_exp(min(c, 50.0))
     q = waiting[i] - 1
     level = panels[q, LEVEL, i]
-    if abs(last) * total > split * max(out[i], total) and level < LEVELS and q + 2 <= MOST:
+    if bends * total > split * max(out[i], total) and level < LEVELS and q + 2 <= MOST:
         low, high = panels[q, LOWER, i], panels[q, UPPER, i]
         panels[q, LOWER, i], panels[q, UPPER, i], panels[q, LEVEL, i] = mid[i], high, level + 1.0
         panels[q + 1, LOWER, i], panels[q + 1, UPPER, i] = low, mid[i]

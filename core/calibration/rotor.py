@@ -32,7 +32,7 @@ from core.calibration.lead import panel, quadratic, start_of
 from core.calibration.message import BladeMessage
 from core.calibration.space import SharedSpace
 from core.calibration.start import Start
-from core.calibration.tried import Tried, judged, pool
+from core.calibration.tried import Tried, judged, of_all, pool
 from core.smc.particles import ess, normalised
 from core.smc.placement import (
     Proposal,
@@ -229,6 +229,8 @@ def weigh(
                 found = moments(every, normalised(log_every - log_mixed))
                 ways.append(rounded(*found, space.heavy))
                 ways.insert(0 if idle else len(ways), finely_rounded(*found, space.heavy))
+            elif idle:  # too few of the last ones
+                ways.insert(0, of_all([*tried.values()], d * d + MOMENTS))
             ways.append(improved(start, unit, log_p, log_q, fitting))
             fresh = [way for way in ways if way.key not in tried]
             if not fresh or believed < least or idle == IDLE:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import log_ndtr
 
-from core.calibration.panels import GL_X, LANES, MOST, POINTS, laid_out, next_panels, take
+from core.calibration.panels import GL_X, LANES, LAST, MOST, POINTS, laid_out, next_panels, take
 
 Array = NDArray[np.float64]
 
@@ -91,3 +91,24 @@ def test_a_lane_that_is_done_waits_for_the_others() -> None:
     others = np.delete(found, 5)
     assert others == pytest.approx(np.full(LANES - 1, math.log(2.0)), abs=1e-9)
     assert found[5] == pytest.approx(math.log(2 / 40), abs=0.07), "a cusp, split four times"
+
+
+def test_a_last_coefficient_that_is_small_by_chance_is_not_believed() -> None:
+    """A summit at one end, less its own fourth Legendre coefficient: the last one is zero, and the
+    polynomial through the five points integrates to nats too much."""
+    p4 = np.polynomial.legendre.Legendre.basis(4)
+
+    def summit(x: Array) -> Array:
+        return 38.0 * np.exp(-(((x + 1.0) / 0.35) ** 2))
+
+    def f(x: Array) -> Array:
+        return summit(x) - float(LAST @ summit(GL_X)) * p4(x)
+
+    assert LAST @ f(GL_X) == pytest.approx(0.0, abs=1e-9)
+    through = np.polynomial.legendre.Legendre.fit(GL_X, f(GL_X), POINTS - 1, domain=[-1, 1])
+    exact = math.log(quad(lambda x: math.exp(f(x)), -1, 1, limit=400)[0])
+    alone = math.log(quad(lambda x: math.exp(through(x)), -1, 1, limit=400)[0])
+    assert abs(alone - exact) > 1.0, "one panel would not do"
+    found, turns = integral(f, [])
+    assert found == pytest.approx(np.full(LANES, exact), abs=3e-3)
+    assert turns > 1

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.calibration.tried import Tried, judged, pool
+from core.calibration.tried import Tried, judged, of_all, pool
 from core.smc.particles import ess
-from core.smc.placement import Proposal, moments, sobol
+from core.smc.placement import Proposal, improved, moments, sobol
 
 Array = np.ndarray
 
@@ -57,3 +57,40 @@ def test_a_narrow_placement_is_doubted_by_what_others_have_seen() -> None:
 def test_where_no_surface_goes_through_the_nodes_tell() -> None:
     few = tried([0.4, 0.4], 0.05, 4)
     assert judged(few, [few]) == (few.share, None)
+
+
+# of rotor 278 of `study coverage mixed --seed 12`: the posterior is nearly normal, with these sds
+MODE, SDS = np.array([0.258, 0.608, 0.505, 0.556]), np.array([0.023, 0.0103, 0.0017, 0.092])
+PLACES = (  # spreads halved from turn to turn, and correlations that a few nodes had made up
+    ([0.2656, 0.6094, 0.5044, 0.5625], [0.03125, 0.01105, 0.00098, 0.17678]),
+    ([0.2578, 0.6074, 0.5051, 0.5625], [0.01562, 0.00552, 0.00049, 0.08839]),
+    ([0.2578, 0.6064, 0.5049, 0.5469], [0.00781, 0.00276, 0.00024, 0.04419]),
+    ([0.2500, 0.6094, 0.5056, 0.5625], [0.01562, 0.00552, 0.00049, 0.08839]),
+)
+
+
+def normal(unit: Array) -> Array:
+    return np.asarray(-0.5 * np.sum(((unit - MODE) / SDS) ** 2, axis=1))
+
+
+def astray(mean: list[float], sd: list[float]) -> Tried:
+    chol = np.diag(sd)
+    chol[2, :2] = 0.5 * sd[2], 0.75 * sd[2]
+    chol[3, 1:3] = -0.5 * sd[3], 0.5 * sd[3]
+    place = Proposal(np.array(mean), chol, (3,))
+    unit, log_q = place.nodes(sobol(256, 4, 1))
+    return Tried(place, unit, normal(unit), log_q)
+
+
+def test_all_that_was_tried_tells_what_no_placement_alone_does() -> None:
+    every = [astray(*one) for one in PLACES]
+
+    def share(place: Proposal) -> float:
+        unit, log_q = place.nodes(sobol(256, 4, 1))
+        return ess(normal(unit) - log_q) / 256
+
+    shares = [one.share for one in every]
+    assert max(shares) < 0.15, "each of them would be called degenerate"
+    alone = [improved(one.proposal, one.unit, one.log_p, one.log_q, 0.3) for one in every]
+    followed = [share(place) for place in alone]
+    assert share(of_all(every, 24.0)) > 0.4 > max(followed[1:])
