@@ -9,8 +9,7 @@ A verdict on one of the sets of `effect_sets` is
     silent        `unattributed` or `adequate`, where something is planted that has a name
     wrong         any other: a name that is not there
 
-Where an effect is put into the model, both models are calibrated without a sixth of the readings
-and predict these, and the fleet at the plan's horizon (`report`), where the truth is known.
+What an effect in the model changes is in `effect_gains`.
 """
 
 from __future__ import annotations
@@ -20,18 +19,17 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from core.calibration.online import Workspace, update
-from core.diagnosis.diagnose import Diagnosis, diagnose
-from core.diagnosis.report import before_after
+from core.diagnosis.diagnose import diagnose
 from core.diagnosis.verdict import Verdict
 from core.errors import BladetwinError, InputError
 from core.model import Model, rotor_blade_wide
+from core.validation.effect_gains import compared
 from core.validation.effect_plans import plan as plan_of
-from core.validation.effect_sets import ALIKE, CLEAN, CONDITIONS, NAMED, OUTSIDE, SIZE, Set, made
+from core.validation.effect_sets import ALIKE, CLEAN, CONDITIONS, NAMED, OUTSIDE, SIZE, made
 from core.validation.effect_sets import conditions as conditions_of
 from core.validation.records import Record, code_digest, records
 
@@ -96,39 +94,6 @@ def one(
     }
 
 
-def compared(told: Diagnosis, given: Set, horizon_h: float, work: Workspace) -> dict[str, Any]:
-    """Both models on readings that they did not use: as they were read, and without noise."""
-    models, states = (told.before[0], told.after[0]), (told.before[1], told.after[1])
-    horizon = horizon_h or max(r.time_h for r in given.case.readings)
-    both = before_after(
-        models,
-        given.case.spec,
-        given.case.readings,
-        horizon,
-        workspace=work,
-        states=states,
-    )
-    exact = np.array([given.exact[name] for name in both.held])
-    found: dict[str, Any] = {"held": len(both.held)}
-    for when, scored, forecast in zip(
-        ("before", "after"), (both.before, both.after), both.forecast, strict=True
-    ):
-        off = np.array(scored.means) - exact
-        found[when] = {
-            "rmse": round(scored.rmse, 5),
-            "bias": round(scored.bias, 5),
-            "exact_rmse": round(float(np.sqrt(np.mean(off**2))), 5),
-            "exact_bias": round(float(np.mean(off)), 5),
-            "log_score": round(scored.log_score, 4),
-            "inside_95": round(scored.within_95, 4),
-            "width_95": round(scored.width, 5),
-        }
-        if given.ahead:
-            truth = float(np.mean([given.ahead[b] for b in given.case.spec.blades]))
-            found[when]["forecast_error"] = round(forecast[0] / truth - 1.0, 5)
-    return found
-
-
 def table(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
     """By condition: sets, alarms, and each outcome as a share of all sets."""
     found: dict[str, Mapping[str, float]] = {}
@@ -142,42 +107,6 @@ def table(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
         }
         alarms = sum(bool(r.get("alarm")) for r in own) / len(own)
         found[condition] = {"sets": len(own), "alarms": alarms, **shares}
-    return found
-
-
-def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
-    """By condition, what an effect in the model changes on readings that neither model used.
-
-    sets         with an effect in the model after, whether its name is settled or not
-    rmse, bias   after over before, of predictions against readings without noise: rms over the
-                 sets, and of the mean of the bias's sizes
-    better       share of the sets whose log score is better after
-    inside 95    share of the readings in their 95 % interval after
-    forecast     error of the fleet's mean at the horizon after over before, means of its sizes,
-                 where the plan has a horizon
-    """
-    found: dict[str, Mapping[str, float]] = {}
-    for condition in CONDITIONS:
-        own = [r for r in records if r["condition"] == condition and "after" in r]
-        if not own:
-            continue
-
-        def ratio(what: str, own: Sequence[Record] = own) -> float:
-            sizes = [[abs(r[when][what]) for when in ("before", "after")] for r in own]
-            before, after = np.mean(sizes, axis=0)
-            return float(after / before)
-
-        squares = [[r[when]["exact_rmse"] ** 2 for when in ("before", "after")] for r in own]
-        rms = np.sqrt(np.mean(squares, axis=0))
-        held = sum(r["held"] for r in own)
-        found[condition] = {
-            "sets": len(own),
-            "rmse": float(rms[1] / rms[0]),
-            "bias": ratio("exact_bias"),
-            "better": sum(r["after"]["log_score"] > r["before"]["log_score"] for r in own)
-            / len(own),
-            "inside 95": sum(r["held"] * r["after"]["inside_95"] for r in own) / held,
-        } | ({"forecast": ratio("forecast_error")} if "forecast_error" in own[0]["after"] else {})
     return found
 
 

@@ -46,6 +46,7 @@ def effects(
 ) -> None:
     """Verdicts on finite-element rotors with and without undeclared effects, all sets counted."""
     from core.validation import effects_study as study
+    from core.validation.effect_gains import improvement
     from core.validation.effect_oracle import bounds
     from core.validation.effect_plans import plan as plan_of
     from core.validation.effect_sets import CLEAN, conditions
@@ -79,7 +80,7 @@ def effects(
         "table": table,
         "marks": study.marks(table),
         "possible": best,
-        "improvement": study.improvement(found),
+        "improvement": improvement(found),
         "sets": found,
     }
     write(facts, made_by, out)

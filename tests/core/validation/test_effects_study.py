@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from core.diagnosis.verdict import Verdict
 from core.errors import InputError
+from core.validation import effect_gains, fe_rotors
 from core.validation import effect_sets as sets
 from core.validation import effects_study as study
-from core.validation import fe_rotors
+from core.validation.effect_gains import improvement
 from core.validation.effect_plans import NOISE, plan
 from core.validation.effect_truths import (
     EFFECTS,
@@ -154,12 +157,40 @@ def test_improvement_is_over_all_sets_with_an_effect_in_the_model() -> None:
     one = {"condition": "wear", "held": 50, "before": before, "after": scored(0.01, 0.003, 2, 0.9)}
     two = one | {"held": 150, "after": scored(0.03, -0.009, 1.4, 0.98)}
     without = {"condition": "wear", "outcome": "silent"}
-    found = study.improvement([one, without, two])["wear"]
+    found = improvement([one, without, two])["wear"]
     assert found["sets"] == 2
     assert found["rmse"] == pytest.approx(np.sqrt((0.01**2 + 0.03**2) / 2) / 0.04)
     assert found["bias"] == found["forecast"] == pytest.approx(0.2)
     assert found["better"] == 0.5
     assert found["inside 95"] == pytest.approx((50 * 0.9 + 150 * 0.98) / 200)
+    assert "open" not in found
+    rivals = {"count": 2, "before": -0.1, "leading": 0.04, "together": -0.01, "z": -0.2}
+    torn = one | {"rivals": rivals | {"leading": None}}
+    found = improvement([one | {"rivals": rivals}, torn, two])["wear"]
+    assert (found["open"], found["sets"]) == (1, 3)
+    assert (found["leading"], found["together"]) == pytest.approx((0.4, 0.1))
+
+
+def test_rivals_are_held_against_the_truth_of_the_blades_that_they_differ_in() -> None:
+    """Of ten blades two are worn; the leading rival foretells half of what wear adds."""
+    case = SimpleNamespace(spec=SimpleNamespace(blades=[f"b{k}" for k in range(10)]))
+    ahead = {f"b{k}": 1.5 if k < 2 else 1.0 for k in range(10)}
+    cell, other = object(), object()
+    each = (
+        SimpleNamespace(effects=(cell,), share=0.75, mean=1.2, sd=0.1),
+        SimpleNamespace(effects=(other,), share=0.25, mean=1.8, sd=0.1),
+    )
+    others = SimpleNamespace(
+        blades=("b0", "b1"), before=(0.9, 0.1), together=(1.35, 0.3), each=each
+    )
+    told = SimpleNamespace(before=None, rivals=(), effects=[SimpleNamespace(cell=cell)])
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(effect_gains, "alternatives", lambda *given: others)
+        given: Any = SimpleNamespace(case=case, ahead=ahead)
+        found = effect_gains.foretold(cast(Any, told), given, 5e4)
+    assert found == {
+        "rivals": {"count": 2, "before": -0.4, "leading": -0.2, "together": -0.1, "z": -0.5}
+    }
 
 
 def test_a_sound_rotor_is_adequate_and_a_campaign_set_to_zero_anew_is_named() -> None:

@@ -1,0 +1,114 @@
+"""What an effect in the model changes, on simulated rotors whose truth is known.
+
+Both models are calibrated without a sixth of the readings and predict these, and the fleet at the
+plan's horizon (`core.diagnosis.report`). Where several rivals stand, their forecasts at the horizon
+and that of all together are held against the truth, too (`core.diagnosis.alternatives`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from core.calibration.online import Workspace
+from core.diagnosis.alternatives import alternatives
+from core.diagnosis.diagnose import Diagnosis
+from core.diagnosis.report import before_after
+from core.validation.effect_sets import CONDITIONS, Set
+from core.validation.records import Record
+
+FORETOLD = ("before", "leading", "together")
+
+
+def compared(told: Diagnosis, given: Set, horizon_h: float, work: Workspace) -> dict[str, Any]:
+    """Both models on readings that they did not use: as they were read, and without noise."""
+    models, states = (told.before[0], told.after[0]), (told.before[1], told.after[1])
+    horizon = horizon_h or max(r.time_h for r in given.case.readings)
+    both = before_after(
+        models,
+        given.case.spec,
+        given.case.readings,
+        horizon,
+        workspace=work,
+        states=states,
+    )
+    exact = np.array([given.exact[name] for name in both.held])
+    found: dict[str, Any] = {"held": len(both.held)}
+    for when, scored, forecast in zip(
+        ("before", "after"), (both.before, both.after), both.forecast, strict=True
+    ):
+        off = np.array(scored.means) - exact
+        found[when] = {
+            "rmse": round(scored.rmse, 5),
+            "bias": round(scored.bias, 5),
+            "exact_rmse": round(float(np.sqrt(np.mean(off**2))), 5),
+            "exact_bias": round(float(np.mean(off)), 5),
+            "log_score": round(scored.log_score, 4),
+            "inside_95": round(scored.within_95, 4),
+            "width_95": round(scored.width, 5),
+        }
+        if given.ahead:
+            truth = float(np.mean([given.ahead[b] for b in given.case.spec.blades]))
+            found[when]["forecast_error"] = round(forecast[0] / truth - 1.0, 5)
+    return found | foretold(told, given, horizon)
+
+
+def foretold(told: Diagnosis, given: Set, horizon_h: float) -> dict[str, Any]:
+    """Where several rivals stand: errors at the horizon of the blades that they differ in, by the
+    model as it was, the leading rival's and all of them together, and how many sds the last is off.
+    """
+    others = alternatives(told.before, told.rivals, given.case, "elongation", horizon_h)
+    if others is None or not given.ahead:
+        return {}
+    truth = float(np.mean([given.ahead[b] for b in others.blades]))
+    own = frozenset(e.cell for e in told.effects)
+    leading = next((one.mean for one in others.each if frozenset(one.effects) == own), None)
+    means = {"before": others.before[0], "leading": leading, "together": others.together[0]}
+    errors = {k: None if m is None else round(m / truth - 1.0, 5) for k, m in means.items()}
+    off = (others.together[0] - truth) / others.together[1]
+    return {"rivals": {"count": len(others.each), **errors, "z": round(off, 3)}}
+
+
+def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
+    """By condition, what an effect in the model changes on readings that neither model used.
+
+    sets         with an effect in the model after, whether its name is settled or not
+    rmse, bias   after over before, of predictions against readings without noise: rms over the
+                 sets, and of the mean of the bias's sizes
+    better       share of the sets whose log score is better after
+    inside 95    share of the readings in their 95 % interval after
+    forecast     error of the fleet's mean at the horizon after over before, means of its sizes,
+                 where the plan has a horizon
+    leading, together   where several rivals stand (`open` sets): the same of the blades that they
+                 differ in, by the leading rival and by all of them
+    """
+    found: dict[str, Mapping[str, float]] = {}
+    for condition in CONDITIONS:
+        own = [r for r in records if r["condition"] == condition and "after" in r]
+        if not own:
+            continue
+
+        def ratio(what: str, own: Sequence[Record] = own) -> float:
+            sizes = [[abs(r[when][what]) for when in ("before", "after")] for r in own]
+            before, after = np.mean(sizes, axis=0)
+            return float(after / before)
+
+        squares = [[r[when]["exact_rmse"] ** 2 for when in ("before", "after")] for r in own]
+        rms = np.sqrt(np.mean(squares, axis=0))
+        held = sum(r["held"] for r in own)
+        found[condition] = {
+            "sets": len(own),
+            "rmse": float(rms[1] / rms[0]),
+            "bias": ratio("exact_bias"),
+            "better": sum(r["after"]["log_score"] > r["before"]["log_score"] for r in own)
+            / len(own),
+            "inside 95": sum(r["held"] * r["after"]["inside_95"] for r in own) / held,
+        } | ({"forecast": ratio("forecast_error")} if "forecast_error" in own[0]["after"] else {})
+        several = [r["rivals"] for r in own if r.get("rivals", {}).get("leading") is not None]
+        if several:
+            sizes = {k: np.mean([abs(r[k]) for r in several]) for k in FORETOLD}
+            ratios = {k: float(sizes[k] / sizes["before"]) for k in FORETOLD[1:]}
+            found[condition] = {**found[condition], "open": len(several), **ratios}
+    return found
