@@ -26,6 +26,7 @@ from sqlalchemy import text
 
 from core.model import rotor_blade
 from service.store.engine import open_engine, transaction
+from tests.service.told import told
 
 ARGS = (
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
@@ -155,46 +156,8 @@ def diagnosis(service: Running) -> str:
     """A diagnosis that ended with an effect; its result is written as a worker would."""
     path = "/v1/rotors/r1/diagnoses"
     made = service.client.post(path, json={"compare": True}).json()["diagnosis"]["id"]
-    score = {"count": 2, "rmse": 0.03, "bias": 0.01, "log_score": 1.9, "within_68": 0.5}
-    score |= {"within_95": 1.0, "width": 0.13, "z": [0.1, -0.4]}
-    result = {
-        "verdict": "effect",
-        "names": ["campaign offset (campaign outage)"],
-        "reasons": ["campaign offset gains 13.7 nat and leaves nothing behind"],
-        "p": 0.0025,
-        "p_after": 0.8,
-        "claimed": True,
-        "gained_nat": 13.7,
-        "effects": [
-            {
-                "name": "campaign offset",
-                "words": "set to zero anew for one campaign",
-                "amplitude": {"mean": -0.021, "sd": 0.0024, "of": "added to elongation"},
-            }
-        ],
-        "evidence": {},
-        "calibrated": [],
-        "no_room": [],
-        "holds": [],
-        "tried": [{"what": HOSTILE, "log_bf": 6.4}, {"what": "fouling, all", "log_bf": -0.4}],
-        "parameters": {
-            "before": {"t1t_rate": {"mean": 0.87, "sd": 0.014}},
-            "after": {"t1t_rate": {"mean": 0.885, "sd": 0.012}},
-        },
-        "readings": {"delivered": 7, "used": 7},
-        "models": {"before": "a", "after": "b"},
-        "before_after": {"quantity": "elongation", "before": score, "after": score},
-        "rests_on": {
-            "rotor": "r1",
-            "through_seq": 9,
-            "events_digest": "e",
-            "model": "rotor-blade",
-            "model_version": "v",
-            "model_digest": "d",
-            "particles": 200,
-            "seed": 0,
-        },
-    }
+    tried = [{"what": HOSTILE, "log_bf": 6.4}, {"what": "fouling, all", "log_bf": -0.4}]
+    result = told("effect", campaign="outage", tried=tried)
     engine = open_engine(service.database)
     with transaction(engine, write=True) as connection:
         done = "UPDATE job SET status='done', result=:result, finished_at=created_at WHERE id=:id"

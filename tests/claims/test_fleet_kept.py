@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from core.validation import effects_study as study
+from core.validation.effect_gains import improvement
 from core.validation.effect_sets import PHYSICS, SENSORS
 
 HERE = Path(__file__).parent
@@ -23,7 +24,7 @@ def test_every_set_is_there_and_the_counts_are_those_of_the_sets() -> None:
     assert study.table(sets) == TABLE
     marks = study.marks(TABLE)
     assert {name: marks[name] for name in MARKS} == pytest.approx(MARKS)
-    assert study.improvement(sets) == KEPT["improvement"]
+    assert improvement(sets) == KEPT["improvement"]
 
 
 def test_the_seed_comes_from_the_commit_so_that_nothing_was_chosen_by_it() -> None:

@@ -94,3 +94,14 @@ def test_all_that_was_tried_tells_what_no_placement_alone_does() -> None:
     alone = [improved(one.proposal, one.unit, one.log_p, one.log_q, 0.3) for one in every]
     followed = [share(place) for place in alone]
     assert share(of_all(every, 24.0)) > 0.4 > max(followed[1:])
+
+
+def test_far_from_the_posterior_spreads_do_not_collapse_to_the_nearest_nodes() -> None:
+    place = Proposal(MODE + np.array([10 * SDS[0], 0, 0, 0]), np.diag(0.7 * SDS), (3,))
+    unit, log_q = place.nodes(sobol(256, 4, 1))
+    far = Tried(place, unit, normal(unit), log_q)
+    assert ess(far.log_p - far.log_q) < 3
+    found = of_all([far], 24.0)
+    assert found.chol is not None
+    assert np.all(np.diag(found.chol) > 0.5 * SDS)
+    assert found.mean[0] < place.mean[0], "and it moves towards it"
