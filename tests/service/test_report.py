@@ -15,6 +15,7 @@ import pytest
 from sqlalchemy import update
 
 from service.client import Client, ProblemError
+from service.diagnose_command import lines_of
 from service.handlers.diagnoses import request_diagnosis
 from service.report import markup
 from service.report.heat import heat
@@ -115,6 +116,13 @@ def test_what_else_the_readings_allow_is_told_beside_the_forecast() -> None:
     for nothing in ({"alternatives": None}, {}):
         older = {k: v for k, v in found.items() if k != "alternatives"} | nothing
         assert "What else" not in page_of(older), "an older diagnosis has none"
+    shown = "\n".join(lines_of({"rotor": "r1", "result": found}))
+    for one in (
+        "elongation of 2 blades at 50000 h",
+        "70% 0.36 ± 0.02  coating wear, linear",
+        "together 0.378 ± 0.034",
+    ):
+        assert one in shown, one
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
