@@ -4,11 +4,12 @@ f, the log of what the parameters further in leave, is smooth between the places
 a bound, and close to a parabola where nothing does. So not exp(f) but f is taken for a polynomial
 on a panel: the one through five Gauss–Legendre points, whose last Legendre coefficient tells how
 far it bends away from what polynomials can follow. A panel that matters and bends too much is
-split. The last coefficient may be small by chance where f is no polynomial at all: over a panel with a
-summit at one end, and another 11 nats lower far off, it was, at 3 of 256 shared values, and the integral
-was 5.4 nats too large. So a share `SHY` of the coefficient before it counts as well: a series that
-falls off faster than that has to show it on halves. exp of the polynomial is summed at many points, which costs next to nothing; a normal
-density over its whole width needs one panel, where five points of exp(f) itself need four.
+split. The last coefficient may be small by chance where f is no polynomial at all: over a panel
+with a summit at one end, and another 11 nats lower far off, it was, at 3 of 256 shared values, and
+the integral was 5.4 nats too large. So a share `SHY` of the coefficient before it counts as well: a
+series that falls off faster than that has to show it on halves. exp of the polynomial is summed at
+many points, which costs next to nothing; a normal density over its whole width needs one panel,
+where five points of exp(f) itself need four.
 """
 
 from __future__ import annotations
