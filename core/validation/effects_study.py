@@ -20,8 +20,6 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-import numpy as np
-
 from core.calibration.online import Workspace, update
 from core.diagnosis.diagnose import diagnose
 from core.diagnosis.verdict import Verdict
@@ -156,20 +154,24 @@ def marks(found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     """What is asked of such a loop, over all sets of a kind, as shares.
 
     alarms on clean sets (at a nominal 5 %); of effects that have a name: alarms, the right one, a
-    wrong one; of those outside of the grammar: no name
+    wrong one; of those outside of the grammar: no name. Kinds that were not asked for have none.
+
+    >>> marks({"clean": {"sets": 4, "alarms": 0.25}})
+    {'clean, alarms': 0.25}
     """
 
-    def mean(kinds: Sequence[str], *what: str) -> float:
-        own = [found[k] for k in kinds if k in found]
-        total = sum(one["sets"] for one in own)
-        return sum(one["sets"] * one[w] for one in own for w in what) / total if total else np.nan
-
-    return {
-        "clean, alarms": mean(CLEAN, "alarms"),
-        "named, alarms": mean(NAMED, "alarms"),
-        "named, right": mean(NAMED, "right"),
-        "named, right or in the set": mean(NAMED, "right", "in the set"),
-        "named, wrong": mean(NAMED, "wrong"),
-        "alike, not separable": mean(ALIKE, "right"),
-        "outside, no name": mean(OUTSIDE, "right"),
+    asked: dict[str, tuple[Sequence[str], tuple[str, ...]]] = {
+        "clean, alarms": (CLEAN, ("alarms",)),
+        "named, alarms": (NAMED, ("alarms",)),
+        "named, right": (NAMED, ("right",)),
+        "named, right or in the set": (NAMED, ("right", "in the set")),
+        "named, wrong": (NAMED, ("wrong",)),
+        "alike, not separable": (ALIKE, ("right",)),
+        "outside, no name": (OUTSIDE, ("right",)),
     }
+    out: dict[str, float] = {}
+    for mark, (kinds, what) in asked.items():
+        own = [found[k] for k in kinds if k in found]
+        if total := sum(one["sets"] for one in own):
+            out[mark] = sum(one["sets"] * one[w] for one in own for w in what) / total
+    return out
