@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
-from core.course import Bias
+from core.drift import Bias
 from core.errors import InputError
 from core.quantity import LEAST_GAIN, Quantity
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.answers import Answers, Stacked
-from core.course import ITSELF, Drift
+from core.drift import ITSELF, Drift
 from core.errors import InputError, ModelError
 from core.network import Network, rotor_blade_network
 from core.response import Response

@@ -13,7 +13,7 @@ with the joint density (the paper's Eq. 4 and Fig. 6, for B blades and shared s,
     p(s, l, D) = p(s) Π_b p(l_b) Π_{i in b} N(y_i | Y_m(t_i; l_b, s), sigma² + sigma_surrogate²)
 
 A quantity may declare what the model gets wrong (`Discrepancy`); its theta are shared, too. An
-input may run in time by an amplitude that is a parameter (`core.course.Drift`), readings may be
+input may run in time by an amplitude that is a parameter (`core.drift.Drift`), readings may be
 off by one (`Bias`), for all blades or for some.
 
 The declaration is data: it is written to JSON, posted over HTTP and stored with every state.
@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.course import Bias, Drift
+from core.drift import Bias, Drift
 from core.errors import InputError
 from core.family import Family
 from core.gain import check_biases, check_discrepancy

@@ -27,6 +27,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.readings",
         "core.archive",
         "core.course",
+        "core.drift",
         "core.family",
     ),
     ("core.blade", "core.design", "core.reduction", "core.smc"),

@@ -3,8 +3,9 @@
 A dormant input that is constant and the same in all blades wakes: the parameter itself becomes
 shared, with the prior that the network declares for it. Of everything else the amplitude is a
 shared parameter with a normal prior of the expected size, cut at zero where physics gives it a
-sign, and where the input would leave the simulation's runs. Shapes run on until `grammar.UNTIL`
-times the hour at which they reach their size, and stay from then on.
+sign, and where the input would leave the simulation's runs while it is read: later it is held at
+their end (`core.surrogate.reach`), and `held.leaving_runs` tells from when on. Shapes run on until
+`grammar.UNTIL` times the hour at which they reach their size, and stay from then on.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from core.course import Bias, Course, Drift
+from core.course import Course
 from core.diagnosis.grammar import Cell, Facts, there
 from core.diagnosis.signature import NOISES
+from core.drift import Bias, Drift
 from core.errors import InputError
 from core.model import Model
 from core.network import Network, Parameter
@@ -36,14 +38,17 @@ def with_effects(
     cells: Sequence[Cell],
     facts: Mapping[str, Facts],
     noise: Mapping[str, float],
+    read_h: Mapping[str, float] | None = None,
 ) -> Model:
     """The model with these effects as calibrated parameters.
+
+    read_h  hours of the blades at which each was read last; none: to the runs' last hour
 
     Raises InputError where the simulation's runs have no room for one.
     """
     network = model.network
     for cell in cells:
-        network = _with(network, model, cell, facts, noise)
+        network = _with(network, model, cell, facts, noise, read_h)
     return Model.of(network, model.surrogate)
 
 
@@ -102,6 +107,7 @@ def _with(
     cell: Cell,
     facts: Mapping[str, Facts],
     noise: Mapping[str, float],
+    read_h: Mapping[str, float] | None,
 ) -> Network:
     if frees(cell, network):
         return _freed(network, cell)
@@ -125,8 +131,8 @@ def _with(
             low, high = max(low, -0.8), min(high, 4.0)
         changes: dict[str, Any] = {"biases": (*network.biases, bias)}
     else:
-        drift = Drift(name, family.of, course, family.how, blades, since)
-        low, high = _room(model, drift, low, high, size)
+        drift = Drift(name, family.of, course, family.how, blades, since, held=True)
+        low, high = _room(model, drift, low, high, size, read_h)
         changes = {"drifts": (*network.drifts, drift)}
     amplitude = Parameter(
         name, "shared", Prior("normal", low, high, 0.0, size), nominal=0.0, symbol="a"
@@ -157,8 +163,15 @@ def concerned(cell: Cell, facts: Mapping[str, Facts]) -> tuple[str, ...] | None:
     return None if found is None else tuple(sorted(found))
 
 
-def _room(model: Model, drift: Drift, low: float, high: float, size: float) -> tuple[float, float]:
-    """The amplitudes that keep the input inside the runs, over its prior, to their last hour."""
+def _room(
+    model: Model,
+    drift: Drift,
+    low: float,
+    high: float,
+    size: float,
+    read_h: Mapping[str, float] | None = None,
+) -> tuple[float, float]:
+    """The amplitudes that keep the input inside the runs, over its prior, while it is read."""
     base = model.surrogate.base if isinstance(model.surrogate, Driven) else model.surrogate
     if not isinstance(base, Surrogate):
         raise InputError(
@@ -172,12 +185,16 @@ def _room(model: Model, drift: Drift, low: float, high: float, size: float) -> t
     parameter = model.network.parameter(drift.input)
     own, asleep = box[drift.input], parameter.level == "dormant"
     at = [parameter.nominal] if asleep else [parameter.prior.low, parameter.prior.high]
-    s = np.concatenate(
-        [
-            drift.shape.over(zero, zero + base.horizon_h)
-            for zero in {0.0, *dict(drift.since).values()}
-        ]
-    )
+    zeros, last = dict(drift.since), base.horizon_h
+    until = {(zero, last) for zero in (0.0, *zeros.values())}
+    if read_h is not None:
+        read = (
+            read_h.items()
+            if drift.blades is None
+            else ((b, read_h.get(b, 0.0)) for b in drift.blades)
+        )
+        until = {(zeros.get(b, 0.0), min(hour, last)) for b, hour in read}
+    s = np.concatenate([drift.shape.over(zero, zero + hour) for zero, hour in until])
     for x in at:
         assert x is not None
         for v in (float(s.min()), float(s.max())):

@@ -58,6 +58,14 @@ class Case:
         """Blades that forecasts and inspections to come are of."""
         return tuple(self.serving) or tuple(self.spec.blades)
 
+    @cached_property
+    def read_h(self) -> dict[str, float]:
+        """Hours of the blades at which each was read last."""
+        found: dict[str, float] = {}
+        for one in self.readings:
+            found[one.blade] = max(one.time_h, found.get(one.blade, 0.0))
+        return found
+
     def noise(self, model: Model, state: RotorState) -> dict[str, float]:
         """Of a reading, by quantity, as the state has it."""
         shared = shared_posterior(state.meta, state.arrays.__getitem__)
@@ -143,7 +151,9 @@ class Case:
         if not any(one.alone and not one.agrees for one in found):
             return found
         less = {
-            cell.name: with_effects(model, [c for c in taken.effects if c != cell], facts, noise)
+            cell.name: with_effects(
+                model, [c for c in taken.effects if c != cell], facts, noise, self.read_h
+            )
             for cell in taken.effects
         }
         return tuple(

@@ -22,7 +22,7 @@ Everything is a function of the readings that count, the facts of the blades and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from core.diagnosis.case import Case
 from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.densities import leans
 from core.diagnosis.grammar import Cell
+from core.diagnosis.held import leaving_runs
 from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.verdict import Verdict, judge
@@ -133,6 +134,9 @@ def diagnose(
         gone,
         [end for c in taken.effects if (end := _end(c, model, taken)) is not None],
     )
+    if verdict.word == "effect":
+        later = leaving_runs(taken.model, taken.state, case.present)
+        verdict = replace(verdict, reasons=(*verdict.reasons, *later))
     return Diagnosis(
         verdict,
         first,

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.answers import Answers
-from core.course import Course, Drift
+from core.course import Course
 from core.diagnosis.grammar import Facts
 from core.diagnosis.scores import Scores
+from core.drift import Drift
 from core.errors import InputError
 from core.network import Network
 from core.observation import Inspection

@@ -36,7 +36,7 @@ def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) 
             continue
         try:
             more = (*turn.before, *(turn.cells[i] for i in one.cells))
-            bigger = with_effects(model, more, case.facts, noise)
+            bigger = with_effects(model, more, case.facts, noise, case.read_h)
             made = update(bigger, case.spec, case.readings, workspace=workspace)
         except InputError:
             continue

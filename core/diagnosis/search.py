@@ -65,7 +65,8 @@ class Search:
             self.say(" and ".join(names))
             noise = self.case.noise(self.model, self.state)
             try:
-                bigger = with_effects(self.model, effects, self.case.facts, noise)
+                case = self.case
+                bigger = with_effects(self.model, effects, case.facts, noise, case.read_h)
                 made = begun(
                     bigger,
                     self.case.spec,

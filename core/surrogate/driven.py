@@ -27,13 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive import Input
-from core.course import Drift
+from core.drift import Drift
 from core.errors import InputError
 from core.response import Response
 from core.surrogate.anchor import Anchor
 from core.surrogate.compile import fitting
 from core.surrogate.history import FOLLOWED, Followed, follow
 from core.surrogate.model import Surrogate
+from core.surrogate.reach import check_reach, missed, run
 from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
@@ -78,31 +79,11 @@ class Driven:
             if not low < high:
                 raise InputError(name, (low, high), "is no range", "give low < high")
         for own in known.values():
-            self._check_reach(own)
+            fixed = self.fixed.get(own.name)
+            start = self._range(own) if fixed is None else (fixed,)
+            check_reach(own, start, self.drifts, self.ranges, self.horizon_h)
         if self.anchor is not None:
             self.anchor.fits(self.base, {i.name: self._range(i) for i in self.base.inputs})
-
-    def _check_reach(self, own: Input) -> None:
-        """Refuse what an input may become outside of the runs."""
-        fixed = self.fixed.get(own.name)
-        reached = list(self._range(own)) if fixed is None else [fixed]
-        for d in self.drifts:
-            if d.input == own.name:
-                s = d.shape.over(0.0, self.horizon_h)
-                reached = [
-                    float(d.moved(x, a, at))
-                    for x in reached
-                    for a in self.ranges[d.name]
-                    for at in (0.0, s.min(), s.max())
-                ]
-        slack = 1e-9 * (own.high - own.low)
-        if min(reached) < own.low - slack or max(reached) > own.high + slack:
-            raise InputError(
-                f"course of {own.name}",
-                (min(reached), max(reached)),
-                f"leaves the runs, {own.low:g} … {own.high:g}",
-                "narrow the amplitude or the range, or train on a wider box",
-            )
 
     def _range(self, own: Input) -> tuple[float, float]:
         return self.ranges.get(own.name, (own.low, own.high))
@@ -132,6 +113,8 @@ class Driven:
         boxes = [(i.name, float(i.low), float(i.high)) for i in self.inputs]
         text = repr((self.base.digest, self.drifts, boxes, sorted(self.fixed.items())))
         text += "" if self.anchor is None else self.anchor.digest
+        if ends := [d.name for d in self.drifts if d.held]:
+            text += repr(ends)
         return sha256(text.encode()).hexdigest()
 
     def along(
@@ -190,10 +173,7 @@ class Driven:
             for j, own in enumerate(self.base.inputs):
                 now = values.get(own.name)
                 now = np.full(len(x), self.fixed[own.name]) if now is None else now
-                for d in self.drifts:
-                    if d.input == own.name:
-                        now = d.moved(now, values[d.name], d.shape.mean(start, end))
-                held[:, p, j] = now
+                held[:, p, j] = run(now, own, self.drifts, values, start, end)
         return held
 
     def predict(
@@ -254,7 +234,7 @@ class Driven:
         # time by time: rows are the same to the last bit whatever else is asked for with them
         for t, at in enumerate(later):
             parts[at] = self._fitted(
-                mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq, factor, degree
+                mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq, degree
             )
         return Response.stack(parts)
 
@@ -265,14 +245,16 @@ class Driven:
         none = np.zeros(rows)
         return Response(names, low, high, degree, zero, zero, none, none, zero)
 
-    def _fitted(
-        self, y: Array, sd: Array, ceeq: Array, per_ceeq: bool, factor: Array, degree: int
-    ) -> Response:
+    def _fitted(self, y: Array, sd: Array, ceeq: Array, per_ceeq: bool, degree: int) -> Response:
         """Rows (S, R) at one time as polynomials."""
         low, high = np.array([(i.low, i.high) for i in self.inputs]).T
+        z, factor = fitting(len(low), degree)
         scale = np.repeat(ceeq, y.shape[1], axis=1) if per_ceeq else y
         v = np.log((sd / (np.abs(scale) + TINY)) ** 2 + TINY**2)
         fitted = factor @ np.hstack([y / scale, np.log(scale), v])
+        if any(d.held for d in self.drifts):
+            missed_2 = missed(z, degree, fitted[:, : 2 * y.shape[1]], y, scale)
+            fitted[:, 2 * y.shape[1] :] = factor @ np.logaddexp(v, np.log(missed_2 + TINY**2))
         p_a, p_b, p_v = np.split(np.ascontiguousarray(fitted.T), 3)
         ones = np.ones(y.shape[1])
         names = tuple(i.name for i in self.inputs)

@@ -33,7 +33,8 @@ from core.blade import BOUNDS, DORMANT, simulate_history
 from core.blade.history import PIECES
 from core.blade.kept import kept_runs
 from core.builtin import plans, rotor_blade
-from core.course import Course, Drift
+from core.course import Course
+from core.drift import Drift
 from core.rng import stream
 from core.surrogate.anchor import Anchor
 from core.surrogate.driven import Driven

@@ -19,7 +19,8 @@ import pytest
 from core.builtin import rotor_blade
 from core.calibration.online import RotorSpec, update
 from core.calibration.state import blade_posterior, shared_posterior
-from core.course import Course, Drift
+from core.course import Course
+from core.drift import Drift
 from core.model import Model
 from core.network import Parameter, rotor_blade_network
 from core.observation import Inspection

@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import truncnorm
 
 from core.calibration.health import verdict
-from core.course import Bias, Course
+from core.course import Course
+from core.drift import Bias
 from core.errors import InputError
 from core.network import Network, Parameter, Quantity, rotor_blade_network
 from core.prior import Prior

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from core.builtin import rotor_blade
-from core.course import Bias, Course, Drift
+from core.course import Course
+from core.drift import Bias, Drift
 from core.model import Model
 from core.network import Network, Parameter, Quantity, rotor_blade_network
 from core.prior import Prior

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from core.course import ITSELF, Bias, Course, Drift
+from core.course import Course
+from core.drift import ITSELF, Bias, Drift
 from core.errors import InputError
 from core.network import Network, Parameter
 from core.prior import Prior

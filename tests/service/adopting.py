@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from core.course import Bias, Course
+from core.course import Course
+from core.drift import Bias
 from core.network import Network, Parameter
 from core.observation import Inspection
 from core.prior import Prior

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from core.builtin import creep_specimens
 from core.calibration.online import RotorSpec, Workspace, update
-from core.course import Course, Drift, How
-from core.diagnosis import Case, Facts
+from core.course import Course
+from core.diagnosis import Case, Facts, adopt
 from core.diagnosis.adopt import _room, with_effects
 from core.diagnosis.conclude import Rival
 from core.diagnosis.families import FAMILIES
 from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis
 from core.diagnosis.search import Search
+from core.drift import Drift, How
 from core.errors import CalibrationError, InputError
 from core.model import Model, rotor_blade_wide
 from core.observation import Inspection
@@ -42,17 +46,16 @@ def search() -> Search:
     return Search(model, state, case, work, lambda *a: None)
 
 
-def test_effects_that_leave_the_runs_together_are_refused_and_the_search_goes_on(
-    search: Search,
-) -> None:
+def test_effects_that_leave_the_runs_together_are_held_at_their_end(search: Search) -> None:
+    """Each alone has its room; where both would leave it, the gas stays at the runs' hottest."""
     both = with_effects(search.model, (FOULING, STEP), search.case.facts, {"elongation": 0.02})
-    assert len(both.network.drifts) == 2, "nothing is refused before a blade is asked for"
-    assert search.calibrated((FOULING, STEP)) is None
-    ((effects, why),) = search.refused.items()
-    assert effects == ("fouling", "firing temperature step")
-    assert "leaves the runs" in why
-    alone = search.calibrated((STEP,))
-    assert alone is not None
+    fouling, step = (p.prior for p in both.network.parameters if p.prior.sd in (0.04, 0.02))
+    gas = next(p.prior for p in both.network.parameters if p.name == "t1t_rate")
+    assert gas.high + fouling.high + step.high > 1.045
+    made = search.calibrated((FOULING, STEP))
+    assert made is not None
+    assert all(d.held for d in made.model.network.drifts)
+    assert made.state.meta["sealed"]
 
 
 def test_where_a_pair_has_no_room_each_of_the_two_is_tried(
@@ -66,6 +69,15 @@ def test_where_a_pair_has_no_room_each_of_the_two_is_tried(
     )
     names = tuple(scan.cells[i].name for i in pair)
     only = [Hypothesis(pair, names, 20.0, 1.0)]
+    made = adopt.with_effects
+
+    def narrow(model: Model, cells: Sequence[Cell], *given: Any) -> Model:
+        if len(cells) == 2:
+            raise InputError("effects", 2, "find no room together", "")
+        return made(model, cells, *given)
+
+    monkeypatch.setattr(sys.modules[Search.__module__], "with_effects", narrow)
+    search.known.clear()
     monkeypatch.setattr(sys.modules[Search.__module__], "weighed_all", lambda *a, **k: only)
     monkeypatch.setattr(sys.modules[Search.__module__], "SIBLINGS", 0)
     nothing = Rival((), search.model, lambda: search.state, 0.0)
@@ -102,6 +114,32 @@ def test_an_amplitude_keeps_its_input_inside_the_runs_over_the_whole_prior(
     one: Drift, room: tuple[float, float]
 ) -> None:
     assert _room(rotor_blade_wide(), one, -10.0, 10.0, 0.05) == pytest.approx(room, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("read_h", "blades", "room"),
+    [
+        ({"B1": 2.5e4, "B2": 1e4}, None, 0.8),  # half of it by then: the thin ones have 0.4
+        ({"B1": 2.5e4, "B2": 1e4}, ("B2",), 2.0),
+        ({"B1": 2.5e4, "B2": 1e4}, ("B3",), 10.0),  # never read
+        ({"B1": 9e4}, None, 0.4),
+        ({"B1": 9e5}, None, 0.4),
+    ],
+)
+def test_while_it_is_read_an_input_stays_inside_and_later_it_is_held(
+    read_h: dict[str, float], blades: tuple[str, ...] | None, room: float
+) -> None:
+    one = replace(drift([(5e4, -1.0)], "tbc_thickness", "times"), blades=blades)
+    found = _room(rotor_blade_wide(), one, 0.0, 10.0, 0.25, read_h)
+    assert found == pytest.approx((0.0, room))
+
+
+def test_by_the_rotor_s_hours_each_blade_s_last_reading_counts() -> None:
+    """0.045 of room; s is 0.5 at the last reading of the old blade, 0.6 at that of the young."""
+    course = Course.of([(0.0, 0.0), (1e5, 1.0)])
+    one = Drift("effect", "t1t_rate", course, since=(("old", 0.0), ("young", 2e4)))
+    found = _room(rotor_blade_wide(), one, 0.0, 10.0, 0.01, {"old": 5e4, "young": 4e4})
+    assert found[1] == pytest.approx(0.045 / 0.6)
 
 
 def test_by_the_rotor_s_hours_the_youngest_blade_s_last_hour_counts() -> None:

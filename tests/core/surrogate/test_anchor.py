@@ -9,7 +9,8 @@ import pytest
 
 from core.blade import BOUNDS
 from core.builtin import inspection_plan, rotor_blade, worn_plan
-from core.course import Course, Drift
+from core.course import Course
+from core.drift import Drift
 from core.errors import InputError
 from core.model import Model, rotor_blade_wide
 from core.network import rotor_blade_network

@@ -13,7 +13,8 @@ import pytest
 from core.builtin import rotor_blade
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, shared_posterior
-from core.course import Course, Drift
+from core.course import Course
+from core.drift import Drift
 from core.errors import InputError, ModelError, RangeError
 from core.model import Model
 from core.network import Network, Parameter, rotor_blade_network
