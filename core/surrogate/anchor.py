@@ -105,20 +105,22 @@ class Anchor:
         times: Array,
         driven: Answer,
         what: tuple[Followed, Followed],
+        doubt: bool = True,
     ) -> Answer:
         """Mean and sd (n, T, R) and mean CEEQ (n, T) from those of the driven wide one.
 
         start   inputs of the wide one before anything runs, asleep what sleeps, (n, d)
         middle  their means from the start to each time, (n, T, d)
         what    the rows followed: of the wide one, of the fine one
+        doubt   False: the sd is not asked for, and is that of the driven one
         """
         y, sd, ceeq = driven
         held = np.minimum(times, self.fine.horizon_h)
         names = [i.name for i in wide.inputs]
         own = start[:, [names.index(i.name) for i in self.fine.inputs]]
-        y0, _, e0 = _constant(wide, start, held, what[0])
-        yf, sdf, ef = _constant(self.fine, own, held, what[1])
-        share = self._share(wide, start, middle)[:, :, None]
+        y0, _, e0 = _constant(wide, start, held, what[0], False)
+        yf, sdf, ef = _constant(self.fine, own, held, what[1], doubt)
+        share = self._share(wide, start, middle)[:, :, None] if doubt else np.ones((1, 1, 1))
         if what[0].per_ceeq:
             grown = (ef / e0)[:, :, None]
             e, e0, ef = (one[:, :, None] for one in (ceeq, e0, ef))
@@ -138,7 +140,7 @@ class Anchor:
         return np.asarray(np.sqrt(left).reshape(n, t))
 
 
-def _constant(surrogate: Surrogate, x: Array, times: Array, what: Followed) -> Answer:
+def _constant(surrogate: Surrogate, x: Array, times: Array, what: Followed, doubt: bool) -> Answer:
     """Under inputs x (n, d) that do not change."""
     at = np.repeat(x[:, None, :], len(times), axis=1)
-    return follow(surrogate, FROM_START, at[:, :0], times, at, what, 0.0)
+    return follow(surrogate, FROM_START, at[:, :0], times, at, what, 0.0, doubt=doubt)

@@ -44,14 +44,17 @@ def chebyshev_points(d: int, degree: int) -> Array:
 
 
 @lru_cache(maxsize=8)
-def fitting(d: int, degree: int) -> tuple[Array, Array]:
+def fitting(d: int, degree: int, share: int = 1) -> tuple[Array, Array]:
     """Points (S, d) and the factor (M, S) from values there to a polynomial's coefficients.
+
+    share  a power of two: the first points alone, by one of so many
 
     >>> points, factor = fitting(1, 2)
     >>> np.abs(factor @ points[:, 0] ** 2).round(9).tolist()
     [0.0, 0.0, 1.0]
     """
     points = chebyshev_points(d, degree)
+    points = points[: len(points) // share]
     basis = monomials(points, degree)
     # normal equations on an orthonormalised basis: monomials alone are ill-conditioned
     _, r = np.linalg.qr(basis)

@@ -42,6 +42,7 @@ Rows = tuple[Followed, Followed | None]
 PARTS = 8
 MANY = 200  # inputs from which polynomials answer
 KEPT = 512  # of them
+FEWER = 4  # of the points of the fit one has a sd, where inputs are held
 TINY = 1e-12
 
 
@@ -96,6 +97,11 @@ class Driven:
         return (*kept, *(Input(d.name, *self.ranges[d.name]) for d in self.drifts))
 
     @property
+    def _holds(self) -> bool:
+        """Whether an input is held at the runs' end."""
+        return any(d.held for d in self.drifts)
+
+    @property
     def horizon_h(self) -> float:
         return self.base.horizon_h
 
@@ -123,8 +129,11 @@ class Driven:
         """Mean and sd of rows (n, T, R), and mean CEEQ (n, T), at hours after 0."""
         return self._along(x, times, self._rows(quantity, nodes))
 
-    def _along(self, x: Array, times: Array, what: Rows) -> tuple[Array, Array, Array]:
-        """Mean, sd (n, T, R) and mean CEEQ (n, T) at times for inputs x (n, d)."""
+    def _along(
+        self, x: Array, times: Array, what: Rows, doubt: bool = True
+    ) -> tuple[Array, Array, Array]:
+        """Mean, sd (n, T, R) and mean CEEQ (n, T) at times for inputs x (n, d); doubt: the sd is
+        asked for, which takes most of the time."""
         if np.any(times <= 0):
             raise InputError("times", times.tolist(), "are not after the start", "ask later")
         self.base.check_times(times)
@@ -135,7 +144,7 @@ class Driven:
         held = self._held(x, list(pairwise(edges)))
         at_times = self._held(x, list(zip(starts, times, strict=True)))
         rule = FOLLOWED if self.drifts else 0.0
-        found = follow(self.base, edges, held, times, at_times, what[0], rule)
+        found = follow(self.base, edges, held, times, at_times, what[0], rule, doubt=doubt)
         if self.anchor is None or what[1] is None:
             return found
         middle = np.stack(
@@ -148,7 +157,7 @@ class Driven:
             axis=1,
         )
         both = (what[0], what[1])
-        return self.anchor.corrected(self.base, self._start(x), middle, times, found, both)
+        return self.anchor.corrected(self.base, self._start(x), middle, times, found, both, doubt)
 
     def _start(self, x: Array) -> Array:
         """The base's inputs (n, d) before anything runs, with what sleeps asleep."""
@@ -230,7 +239,11 @@ class Driven:
         later = np.flatnonzero(times > 0)
         if later.size:
             x = low + 0.5 * (z + 1.0) * (high - low)
-            mean, sd, ceeq = self._along(x, times[later], what)
+            if self._holds:  # an error runs smoothly, and costs more than the mean
+                mean, _, ceeq = self._along(x, times[later], what, doubt=False)
+                sd = self._along(x[: len(x) // FEWER], times[later], what)[1]
+            else:
+                mean, sd, ceeq = self._along(x, times[later], what)
         # time by time: rows are the same to the last bit whatever else is asked for with them
         for t, at in enumerate(later):
             parts[at] = self._fitted(
@@ -246,15 +259,18 @@ class Driven:
         return Response(names, low, high, degree, zero, zero, none, none, zero)
 
     def _fitted(self, y: Array, sd: Array, ceeq: Array, per_ceeq: bool, degree: int) -> Response:
-        """Rows (S, R) at one time as polynomials."""
+        """Rows (S, R) at one time as polynomials; sd (S', R) at the first points, or at all."""
         low, high = np.array([(i.low, i.high) for i in self.inputs]).T
         z, factor = fitting(len(low), degree)
         scale = np.repeat(ceeq, y.shape[1], axis=1) if per_ceeq else y
-        v = np.log((sd / (np.abs(scale) + TINY)) ** 2 + TINY**2)
-        fitted = factor @ np.hstack([y / scale, np.log(scale), v])
-        if any(d.held for d in self.drifts):
-            missed_2 = missed(z, degree, fitted[:, : 2 * y.shape[1]], y, scale)
-            fitted[:, 2 * y.shape[1] :] = factor @ np.logaddexp(v, np.log(missed_2 + TINY**2))
+        v = np.log((sd / (np.abs(scale[: len(sd)]) + TINY)) ** 2 + TINY**2)
+        if not self._holds:
+            fitted = factor @ np.hstack([y / scale, np.log(scale), v])
+        else:
+            fitted = factor @ np.hstack([y / scale, np.log(scale)])
+            beside = np.log(missed(z, degree, fitted, y, scale) + TINY**2)
+            few = fitting(len(low), degree, len(y) // len(v))[1]
+            fitted = np.hstack([fitted, few @ np.logaddexp(v, beside)])
         p_a, p_b, p_v = np.split(np.ascontiguousarray(fitted.T), 3)
         ones = np.ones(y.shape[1])
         names = tuple(i.name for i in self.inputs)

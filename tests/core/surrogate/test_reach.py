@@ -145,3 +145,16 @@ def test_missed_is_the_mean_square_of_what_is_left() -> None:
     assert missed(z, 1, fitted, y, scale) == pytest.approx([0.0], abs=1e-30)
     fitted[0, 0] = 1.1
     assert missed(z, 1, fitted, y, scale) == pytest.approx([0.01])
+
+
+def test_an_error_at_a_quarter_of_the_points_is_that_at_all_of_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(6)
+    low, high = np.array([(i.low, i.high) for i in MODEL.inputs]).T
+    x = low + rng.random((60, len(low))) * (high - low)
+    mean, few = replace(MODEL).response("elongation", TIMES[:2]).evaluate(x)
+    monkeypatch.setattr(driven, "FEWER", 1)
+    again, every = replace(MODEL).response("elongation", TIMES[:2]).evaluate(x)
+    assert np.array_equal(mean, again)
+    assert np.sqrt(np.mean(np.log(few / every) ** 2)) < 0.05
