@@ -21,6 +21,7 @@ from core.life import Life, life
 from core.model import Model
 from core.network import Network
 from core.observation import Inspection
+from core.runs_end import held_from
 from service import kernels
 from service.bands import Bands, bands_of
 from service.made_up import made_up_rotor
@@ -167,6 +168,19 @@ class CoreScience:
         return life(
             model, posterior, quantity, limit, times, node, component=component, known=known
         )
+
+    def held_from(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        known: Mapping[str, float] | None,
+    ) -> float | None:
+        if not any(d.held for d in card.network.drifts):
+            return None
+        found = held_from(self.models.of(card), blade_posterior(meta, get, blade), blade, known)
+        return min(found.values(), default=None)
 
     def joint_draws(
         self, meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int

@@ -37,7 +37,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.discrepancy",),
     ("core.calibration",),
     ("core.curves",),
-    ("core.prediction",),
+    ("core.prediction", "core.runs_end"),
     ("core.life", "core.planning", "core.diagnosis", "core.posterior_region"),
     ("core.validation",),
 )

@@ -122,6 +122,7 @@ class Prediction(TypedDict):
     lower: list[Any]
     upper: list[Any]
     quantiles: dict[str, list[Any]]
+    held_from_h: float | None
     health: Health
     rests_on: RestsOn
 
@@ -137,6 +138,7 @@ class Life(TypedDict):
     time_h: list[float]
     passed: list[float]
     quantiles: dict[str, float | None]
+    held_from_h: float | None
     health: Health
     rests_on: RestsOn
 

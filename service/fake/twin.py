@@ -232,6 +232,16 @@ class FakeScience:
     ) -> FakePrediction:
         return banded(card, get, blade, quantity, times, node, probability)
 
+    def held_from(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        known: Mapping[str, float] | None,
+    ) -> float | None:
+        return None  # a formula has no runs to leave
+
     def life(
         self,
         card: ModelCard,

@@ -8,7 +8,7 @@ import numpy as np
 
 from core.errors import InputError
 from service.errors import FaultsError
-from service.handlers.reads import Basis, Question, health, question
+from service.handlers.reads import Basis, Question, health, held_from, question
 from service.ports import Json, ModelCard, Science, Store
 
 AXES = ("x", "y", "z")
@@ -75,5 +75,6 @@ def life(
         "time_h": np.asarray(told.time_h).tolist(),
         "passed": np.asarray(told.passed).tolist(),
         "quantiles": {str(p): hour for p, hour in told.quantiles.items()},
+        "held_from_h": held_from(store, science, found),
         "health": health(found.state),
     }

@@ -244,5 +244,14 @@ def predict(store: Store, science: Science, found: Basis, asked: Question) -> Js
         "sd": {name: np.asarray(part).tolist() for name, part in bands.sd.items()},
         **{name: np.asarray(getattr(bands, name)).tolist() for name in ("lower", "upper")},
         "quantiles": {str(p): np.asarray(q).tolist() for p, q in bands.quantiles.items()},
+        "held_from_h": held_from(store, science, found),
         "health": health(found.state),
     }
+
+
+def held_from(store: Store, science: Science, found: Basis) -> float | None:
+    """The hour from which what is foretold of the basis's blade is too mild (`Science`)."""
+    blade = found.blade
+    assert blade is not None
+    get = found.arrays(store)
+    return science.held_from(found.card, found.state.meta, get, blade.id, blade.known)

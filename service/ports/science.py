@@ -163,6 +163,18 @@ class Science(Protocol):
         """
         ...
 
+    def held_from(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blade: str,
+        known: Mapping[str, float] | None,
+    ) -> float | None:
+        """The blade's hour [h] from which one of its inputs is held at the end of the model's runs,
+        so that what is foretold is too mild; None: at none of the model's hours."""
+        ...
+
     def surface(self, card: ModelCard) -> Surface | None:
         """The surface of the model's mesh; None: it has none that is known."""
         ...

@@ -105,6 +105,7 @@ PREDICTION = having(
     lower=BAND,
     upper=BAND,
     quantiles=named(BAND),
+    held_from_h=maybe(NUMBER),
     health=HEALTH,
     rests_on=RESTS_ON,
 )
@@ -119,6 +120,7 @@ LIFE = having(
     time_h=each(NUMBER),
     passed=each(NUMBER),
     quantiles=named(maybe(NUMBER)),
+    held_from_h=maybe(NUMBER),
     health=HEALTH,
     rests_on=RESTS_ON,
 )

@@ -162,6 +162,8 @@ async function draw() {
   if (drawn.version < now.version) redraw(); // these were answered before it was there
   const readings = kindsOf(all.items);
   notices([...warningsOf(now), readings.length === 0 && ["wait", "No reading of this blade yet: what is shown is what the rotor tells of it."],
+    found.held_from_h !== null && ["warn", `From ${hours(found.held_from_h)} on an adopted effect would take an input of this blade out of the model’s runs, and it is held at their end.`,
+      "What is foretold of later hours is too mild."],
     all.more && ["wait", "Only the newest 2 000 readings of this blade are drawn."]]);
   drawControls(found);
   drawBands(found, readings, await lifeOf(found));

@@ -1,0 +1,48 @@
+"""From when on a blade's inputs are held at the end of the simulation's runs.
+
+A drift that a diagnosis adopts stays inside the runs at every reading; where it goes on, an input
+may reach the end of the runs and stay there (`core.surrogate.reach`). What is foretold of such
+hours is too mild. Parameters count at their posterior means: a warning, not a band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from core.calibration.state import Posterior
+from core.model import Model
+from core.surrogate.driven import Driven
+
+HOURS = 151  # at which a course is looked at
+
+
+def held_from(
+    model: Model, posterior: Posterior, blade: str, known: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """By input that reaches the end of its runs, the first of `HOURS` hours of the blade [h] at
+    which it would have left them; known: inputs of the blade that are given."""
+    answers, network = model.surrogate, model.network
+    if not isinstance(answers, Driven):
+        return {}
+    moving = [d for one in network.drifts if one.held and (d := one.of_blade(blade)) is not None]
+    if not moving:
+        return {}
+    means = {p.name: p.nominal or 0.0 for p in network.parameters}
+    means |= dict(zip(posterior.names, posterior.particles.mean.tolist(), strict=True))
+    means |= known or {}
+    hours = np.linspace(0.0, answers.horizon_h, HOURS)
+    found: dict[str, float] = {}
+    for own in answers.base.inputs:
+        if own.name not in {d.input for d in moving}:
+            continue
+        course = np.full(HOURS, means[own.name])
+        for one in network.drifts:
+            if one.input == own.name and (d := one.of_blade(blade)) is not None:
+                course = d.moved(course, means[d.name], d.shape.at(hours))
+        slack = 1e-9 * (own.high - own.low)
+        outside = (course < own.low - slack) | (course > own.high + slack)
+        if outside.any():
+            found[own.name] = float(hours[np.argmax(outside)])
+    return found

@@ -1,0 +1,106 @@
+"""A prediction says from which hour on an adopted effect is held at the end of the model's runs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import httpx
+import numpy as np
+import pytest
+
+from core.calibration.online import RotorSpec, update
+from core.calibration.state import RotorState, blade_posterior
+from core.diagnosis import Facts
+from core.diagnosis.adopt import with_effects
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell
+from core.diagnosis.held import leaving_runs
+from core.model import Model, rotor_blade_wide
+from core.observation import Inspection
+from core.prior import Prior
+from service.ports import ModelCard
+from service.science import CoreScience
+from service.variant import effects_between, with_more
+from service.worker.loop import Worker
+
+NAMES, SIZE = ("B1", "B2"), 0.7
+FACTS = {"B1": Facts(coating_lot="C1"), "B2": Facts(coating_lot="C2")}
+WEAR = Cell(next(f for f in FAMILIES if f.name == "coating wear"), "linear", "coating_lot", "C2")
+BLADE = "/v1/rotors/r1/blades/B1"
+
+
+@pytest.fixture(scope="module")
+def worn() -> tuple[Model, RotorState]:
+    """B2's coating is known to lose 70 % by 50,000 h, of which it was read for 16,000."""
+    data = [
+        Inspection(f"{b}-{t}", b, "elongation", t, np.array([0.25 + 5e-6 * t]), sigma=0.02)
+        for b in NAMES
+        for t in (8e3, 16e3)
+    ]
+    read_h = dict.fromkeys(NAMES, 16e3)
+    grown = with_effects(rotor_blade_wide(), [WEAR], FACTS, {"elongation": 0.02}, read_h)
+    (*others, amplitude) = grown.network.parameters
+    sure = replace(amplitude, prior=Prior("normal", 0.0, amplitude.prior.high, SIZE, 1e-4))
+    model = Model.of(replace(grown.network, parameters=(*others, sure)), grown.surrogate)
+    return model, update(model, RotorSpec("r", NAMES, 200, 1), data)
+
+
+@pytest.fixture(scope="module")
+def science() -> CoreScience:
+    return CoreScience(model=rotor_blade_wide())
+
+
+@pytest.fixture
+def card(science: CoreScience, worn: tuple[Model, RotorState]) -> ModelCard:
+    told = with_more(None, effects_between(rotor_blade_wide().network, worn[0].network))
+    return science.vary(science.builtin("rotor-blade"), json.loads(json.dumps(told)))
+
+
+def test_the_first_hour_at_which_its_coating_would_be_thinner_than_any_run_s(
+    science: CoreScience, card: ModelCard, worn: tuple[Model, RotorState]
+) -> None:
+    _, state = worn
+    get = state.arrays.__getitem__
+    told = science.held_from(card, state.meta, get, "B2", None)
+    found = blade_posterior(state.meta, get, "B2")
+    coating = float(found.particles.w @ found.column("tbc_thickness"))
+    hour = 5e4 * (1.0 - 0.4 / coating) / SIZE
+    assert told is not None
+    assert hour < told <= hour + 1000.0, "to the next of the hours that are looked at"
+    thicker = science.held_from(card, state.meta, get, "B2", {"tbc_thickness": 1.3})
+    assert thicker == pytest.approx(5e4 * (1.0 - 0.4 / 1.3) / SIZE, abs=1000.0)
+    assert science.held_from(card, state.meta, get, "B1", None) is None, "of another coating"
+
+
+def test_a_model_without_effects_is_held_nowhere(
+    science: CoreScience, worn: tuple[Model, RotorState]
+) -> None:
+    plain = science.builtin("rotor-blade")
+    _, state = worn
+    assert science.held_from(plain, state.meta, state.arrays.__getitem__, "B2", None) is None
+    assert leaving_runs(rotor_blade_wide(), state, NAMES) == []
+
+
+def test_a_verdict_says_it_of_all_blades_together(worn: tuple[Model, RotorState]) -> None:
+    (said,) = leaving_runs(*worn, NAMES)
+    assert f"{WEAR.name} would take tbc_thickness of 1 of 2 blades out of the runs, 0.4 … " in said
+    assert "what is said of later hours is too mild" in said
+    assert leaving_runs(*worn, ("B1",)) == []
+
+
+def test_prediction_and_life_say_it(
+    rotor: str, api: httpx.Client, worker: Worker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert api.post(
+        f"/v1/rotors/{rotor}/inspections",
+        json={"inspections": [
+            {"id": "i1", "blade": "B1", "quantity": "elongation", "time_h": 8e3, "values": [0.2]}
+        ]},
+    ).status_code == 202  # fmt: skip
+    worker.drain()
+    asked = (f"{BLADE}/prediction?times=24000", f"{BLADE}/life?limit=0.5")
+    assert [api.get(one).json()["held_from_h"] for one in asked] == [None, None]
+    monkeypatch.setattr(CoreScience, "held_from", lambda *_: 41_000.0)
+    later = (f"{BLADE}/prediction?times=24001", f"{BLADE}/life?limit=0.51")
+    assert [api.get(one).json()["held_from_h"] for one in later] == [41_000.0] * 2
