@@ -417,6 +417,20 @@ def test_hours_and_ticks_have_the_decimals_that_their_range_needs(watched: Watch
     assert shown == ["12350", "342", "04567", "0.0", "2.5", "5.0"]
 
 
+def test_a_wide_model_s_last_hours_are_shown_where_something_was_read_there(
+    watched: Watched,
+) -> None:
+    page = watched.open("/rotors/r1")
+    told = page.evaluate("""async () => {
+      const { usual, usualHours } = await import("/assets/ahead.js");
+      const wide = { horizon_h: 150000, time_h: [0, 20000, 60000, 150000] };
+      const narrow = { horizon_h: 50000, time_h: [0, 20000, 50000] };
+      return [usual(wide), usual(wide, 24000), usual(wide, 51000), usual(narrow),
+        usualHours(wide), usualHours(wide, 51000), usualHours(narrow)];
+    }""")
+    assert told == [50_000, 50_000, 150_000, 50_000, "0,20000,50000", None, None]
+
+
 def test_a_service_that_is_away_is_told_and_the_page_comes_back(watched: Watched) -> None:
     page = watched.open("/rotors/r1")
     page.route("**/v1/**", lambda route: route.abort())

@@ -1,5 +1,6 @@
 // A blade: what is predicted and from what, what was measured, and how the belief moved.
 
+import { usualHours } from "./ahead.js";
 import { get, pages, path } from "./api.js";
 import { chart, legend, numbers } from "./chart.js";
 import { corner, marginals } from "./corner.js";
@@ -145,8 +146,9 @@ async function lifeOf(found) {
 }
 
 async function draw() {
+  model ??= await get(path`/v1/models/${(await get(url)).model}`);
   const rest = Promise.all([
-    get(`${own}/prediction`, { quantity: chosen.quantity }), pages(`${url}/inspections`, { blade, newest: true }, 2000),
+    get(`${own}/prediction`, { quantity: chosen.quantity, times: usualHours(model) }), pages(`${url}/inspections`, { blade, newest: true }, 2000),
     get(`${own}/draws`, { count: 1000 }), get(`${url}/versions`, { limit: 8 }), get(`${url}/inspections`, { newest: true, limit: 200, blade })]);
   rest.catch(() => {}); // what went wrong is told where it is waited for
   const now = await get(url);
@@ -156,11 +158,13 @@ async function draw() {
   if (me?.retired) states.push(badge("wait", "retired"));
   if (me) states.push(h("span", { class: "soft" }, [me.slot && `slot ${me.slot}`, me.lot && `lot ${me.lot}`, me.coating_lot && `coating ${me.coating_lot}`].filter(Boolean).join(" · ")));
   show($("states"), states);
-  model ??= await get(path`/v1/models/${now.model}`);
-  const [found, all, draws, kept, came] = await rest;
+  const [nearer, all, draws, kept, came] = await rest;
+  let found = nearer;
   drawn.version = Math.min(found.rests_on.version, draws.rests_on.version);
   if (drawn.version < now.version) redraw(); // these were answered before it was there
   const readings = kindsOf(all.items);
+  const latest = Math.max(0, ...readings.map((r) => r.time_h));
+  if (latest > found.time_h.at(-1)) found = await get(`${own}/prediction`, { quantity: chosen.quantity, times: usualHours(model, latest) });
   notices([...warningsOf(now), readings.length === 0 && ["wait", "No reading of this blade yet: what is shown is what the rotor tells of it."],
     found.held_from_h !== null && ["warn", `From ${hours(found.held_from_h)} on an adopted effect would take an input of this blade out of the model’s runs, and it is held at their end.`,
       "What is foretold of later hours is too mild."],

@@ -1,5 +1,6 @@
 // A rotor at a glance: every blade by slot and as a table.
 
+import { usual } from "./ahead.js";
 import { get, offers, pages, path } from "./api.js";
 import { $, asked, facts, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
 import { decimals, fixed, hours, inUnit, number, plain, unit, withSd, words } from "./format.js";
@@ -122,16 +123,15 @@ async function draw() {
   show($("states"), badges(statesOf(now)));
   drawState(now);
   notices(warningsOf(now));
-  const known = model ?? get(path`/v1/models/${now.model}`);
+  model ??= await get(path`/v1/models/${now.model}`);
   if (now.version === 0) {
-    model = await known;
     show(glance, h("p", { class: "wait" }, "No posterior yet."));
     show(list, h("p", { class: "wait" }, `${number(now.blades.length, "blade")}; their predictions come with the first posterior.`));
     return;
   }
-  const { quantity, time_h } = chosen;
-  const [told, first] = await Promise.all([known, get(`${url}/blades`, { quantity, time_h, limit: 200 })]);
-  model = told;
+  const quantity = chosen.quantity;
+  const time_h = chosen.time_h ?? usual(model);
+  const first = await get(`${url}/blades`, { quantity, time_h, limit: 200 });
   if (first.next !== null) {
     const rest = await pages(`${url}/blades`, { quantity, time_h, cursor: first.next }, 2000);
     first.items.push(...rest.items);
