@@ -98,15 +98,15 @@ def test_a_held_coating_is_finite_elements_that_stop_there() -> None:
     at = (1.0 - LOW / coating) / a * 5e4
     assert 3.3e4 < at < 3.4e4
     own = {"tbc_thickness": coating, "t1t_rate": gas, "creep_transient": 0.0, "creep_steady": 0.0}
-    hours = np.array([0.0, *TIMES])
+    hours = np.array([0.0, *TIMES[:2]])
     whole = simulate(own, "coarse", time_h=hours).elongation[1:]
     course = own | {"tbc_thickness": [(0.0, coating), (at, LOW), (1.5e5, LOW)]}
     worn = simulate_history(course, "coarse", time_h=hours, bounds=box).elongation[1:]
     x = np.array([[own[i.name] for i in MODEL.inputs[:4]] + [v] for v in (0.0, a)])
-    mean, _ = MODEL.predict(x, "elongation", TIMES)
+    mean, _ = MODEL.predict(x, "elongation", TIMES[:2])
     off = mean[1] / mean[0] / (worn / whole) - 1.0
-    assert np.all(np.abs(off) < [0.005, 0.04, 0.045])
-    assert np.all(worn / whole > [1.25, 1.75, 2.2]), "the wear tells"
+    assert np.all(np.abs(off) < [0.005, 0.03])
+    assert np.all(worn / whole > [1.25, 1.75]), "the wear tells"
 
 
 def test_polynomials_of_a_held_input_say_how_far_they_miss() -> None:
