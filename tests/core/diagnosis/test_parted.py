@@ -64,6 +64,8 @@ def test_each_half_has_the_amplitude_of_its_own_exact_posterior(by: str) -> None
         assert 0.3 * amplitude == pytest.approx(mean, abs=0.15 * sd)
     both = sum(sd**2 for _, sd in told) ** 0.5
     assert 0.3 * found.sd == pytest.approx(both, rel=0.1)
+    awake = Parted(SPEC, data).amplitudes(BENT, "bent", "bend", 0.06, 0.3, by)
+    assert np.subtract(found.amplitudes, awake.amplitudes) == pytest.approx([0.2, 0.2])
 
 
 @pytest.mark.parametrize("by", [BLADES, HOURS])
