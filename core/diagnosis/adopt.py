@@ -188,12 +188,8 @@ def _room(
     zeros, last = dict(drift.since), base.horizon_h
     until = {(zero, last) for zero in (0.0, *zeros.values())}
     if read_h is not None:
-        read = (
-            read_h.items()
-            if drift.blades is None
-            else ((b, read_h.get(b, 0.0)) for b in drift.blades)
-        )
-        until = {(zeros.get(b, 0.0), min(hour, last)) for b, hour in read}
+        whose = read_h if drift.blades is None else drift.blades
+        until = {(zeros.get(b, 0.0), min(read_h.get(b, 0.0), last)) for b in whose}
     s = np.concatenate([drift.shape.over(zero, zero + hour) for zero, hour in until])
     for x in at:
         assert x is not None
