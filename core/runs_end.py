@@ -1,8 +1,8 @@
 """From when on a blade's inputs are held at the end of the simulation's runs.
 
 A drift that a diagnosis adopts stays inside the runs at every reading; where it goes on, an input
-may reach the end of the runs and stay there (`core.surrogate.reach`). What is foretold of such
-hours is too mild. Parameters count at their posterior means: a warning, not a band.
+may reach the end of the runs and stay there (`core.surrogate.reach`). Such hours have too
+little of the effect. Parameters count at their posterior means: a warning, not a band.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""That a model with effects foretells too mildly, in words: from which hour on, of which blades."""
+"""That later hours have too little of an effect, in words: from when on, and of which blades."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def leaving_runs(model: Model, state: RotorState, blades: Sequence[str]) -> list
     return [
         f"from {min(hours):,.0f} h on {' and '.join(d.name for d in held if d.input == name)} "
         f"would take {name} of {len(hours)} of {len(blades)} blades out of the runs, "
-        f"{box[name].low:g} … {box[name].high:g}: there it is held at their end, and what is said "
-        "of later hours is too mild"
+        f"{box[name].low:g} … {box[name].high:g}: there it is held at their end, and later hours "
+        "have too little of the effect"
         for name, hours in sorted(ends.items())
     ]

@@ -7,8 +7,8 @@ runs and stays there,
     x_j(t) = min(max(x_j + Σ a s(t), low_j), high_j)
 
 An effect that a diagnosis adopts is held: its amplitude is calibrated where the readings are, well
-inside, and only thin coatings of many hours would ever leave. What is said of them after that is
-too mild, never made up.
+inside, and only thin coatings of many hours would ever leave. After that they have too
+little of the effect, and nothing is made up.
 
 A held input has a kink, which polynomials follow less well than what is smooth; by how much they
 miss at the points that they are fitted at counts as an error of the answer (`missed`).

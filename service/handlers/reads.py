@@ -250,7 +250,7 @@ def predict(store: Store, science: Science, found: Basis, asked: Question) -> Js
 
 
 def held_from(store: Store, science: Science, found: Basis) -> float | None:
-    """The hour from which what is foretold of the basis's blade is too mild (`Science`)."""
+    """The hour from which the basis's blade has too little of an effect (`Science.held_from`)."""
     blade = found.blade
     assert blade is not None
     get = found.arrays(store)

@@ -172,7 +172,7 @@ class Science(Protocol):
         known: Mapping[str, float] | None,
     ) -> float | None:
         """The blade's hour [h] from which one of its inputs is held at the end of the model's runs,
-        so that what is foretold is too mild; None: at none of the model's hours."""
+        so that later ones have too little of an effect; None: at none of the model's hours."""
         ...
 
     def surface(self, card: ModelCard) -> Surface | None:

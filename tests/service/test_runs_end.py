@@ -85,7 +85,7 @@ def test_a_model_without_effects_is_held_nowhere(
 def test_a_verdict_says_it_of_all_blades_together(worn: tuple[Model, RotorState]) -> None:
     (said,) = leaving_runs(*worn, NAMES)
     assert f"{WEAR.name} would take tbc_thickness of 1 of 2 blades out of the runs, 0.4 … " in said
-    assert "what is said of later hours is too mild" in said
+    assert "later hours have too little of the effect" in said
     assert leaving_runs(*worn, ("B1",)) == []
 
 
