@@ -1,0 +1,66 @@
+"""Kept studies of fleets' diagnoses: 402 clean sets, and five effects of physics with more room."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from core.validation import effects_study as study
+from core.validation.effect_gains import improvement
+from core.validation.effect_sets import CLEAN, PHYSICS
+
+RESULTS = Path(__file__).parent / "results"
+TEXT = (Path(__file__).parent / "README.md").read_text()
+
+
+def kept(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((RESULTS / name / "result.json").read_text())
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "kinds", "sets"),
+    [("effects-clean", CLEAN, 134), ("effects-fleet-physics", PHYSICS, 6)],
+)
+def test_every_set_is_there_and_the_seed_comes_from_the_commit(
+    name: str, kinds: tuple[str, ...], sets: int
+) -> None:
+    found = kept(name)
+    numbers = {(one["condition"], one["number"]) for one in found["sets"]}
+    assert numbers == {(kind, n) for kind in kinds for n in range(sets)}
+    assert study.table(found["sets"]) == found["table"]
+    assert study.marks(found["table"]) == pytest.approx(found["marks"])
+    assert improvement(found["sets"]) == found["improvement"]
+    assert found["seed"] == int(found["commit"][:6], 16)
+
+
+def test_clean_sets_alarm_as_seldom_as_asked_and_those_of_heavy_tails_too_often() -> None:
+    found = kept("effects-clean")
+    alarms = {kind: round(134 * found["table"][kind]["alarms"]) for kind in CLEAN}
+    assert list(alarms.values()) == [4, 14, 6]
+    assert found["marks"]["clean, alarms"] <= 0.075
+    assert found["table"]["clean, heavy tails"]["alarms"] > 0.075, "missed, and said"
+    assert "24 of 402" in TEXT
+    assert "14 of 134" in TEXT
+    names = [one["names"] for one in found["sets"] if one["outcome"] == "wrong"]
+    assert all(len(one) == 1 and one[0].startswith("tip rub (blade") for one in names)
+    assert len(names) == 4
+
+
+def test_physics_of_two_noises_is_noticed_and_not_named_and_never_wrongly() -> None:
+    found = kept("effects-fleet-physics")
+    assert found["marks"]["named, wrong"] == found["marks"]["named, right"] == 0.0
+    rows = {
+        k: [round(6 * row[w]) for w in ("alarms", "in the set")]
+        for k, row in found["table"].items()
+    }
+    assert rows == {
+        "wear": [6, 3], "worn lot": [3, 0], "fouling": [4, 0], "step": [6, 4], "tertiary": [6, 2]
+    }  # fmt: skip
+    assert "9 of 30" in TEXT
+    for one in found["sets"]:
+        if "rivals" in one:
+            assert abs(one["rivals"]["z"]) < 1.0
