@@ -37,3 +37,21 @@ def test_the_oracles_are_told() -> None:
     )
     assert f"would notice {searched[0]} and {searched[1]} %" in words
     assert f"looks for nothing else {alone[0]} and {alone[1]}." in words
+
+
+def test_alarms_at_other_sizes_are_told_and_no_set_is_lost() -> None:
+    """Fouling and a worn lot where they are noticed; all others at one noise."""
+    words = (HERE / "README.md").read_text()
+    for name, sets, clean in (("effects-power-large", 12, 24), ("effects-power-small", 8, 8)):
+        found = json.loads((HERE / "results" / name / "result.json").read_text())
+        assert found["errors"] == 0
+        assert str(found["seed"]) in words
+        assert int(found["commit"][:6], 16) == found["seed"]
+        for condition, rows in found["curves"].items():
+            own = [one for one in found["sets"] if one["condition"] == condition]
+            assert len(own) == (clean if condition == "clean" else sets * len(rows))
+            for row in rows:
+                alarms = sum(one["alarm"] for one in own if one["size"] == row["size"])
+                assert row["alarms"] == alarms / row["sets"]
+                at = "clean" if condition == "clean" else f"{condition} {row['size']:g}"
+                assert f"{at}: {alarms} of {row['sets']}" in words
