@@ -58,6 +58,16 @@ def test_effects_that_leave_the_runs_together_are_held_at_their_end(search: Sear
     assert made.state.meta["sealed"]
 
 
+def test_a_search_gives_an_effect_the_room_of_the_readings(search: Search) -> None:
+    """Read to 21,000 h, when a coating has lost 0.42 of what it loses by 50,000 h."""
+    wear = Cell(FAMILY["coating wear"], "linear", "blade", "B1")
+    assert search.case.read_h == {"B1": 21e3, "B2": 21e3}
+    made = search.calibrated((wear,))
+    assert made is not None
+    prior = made.model.network.parameter(wear.name).prior
+    assert prior.high == pytest.approx(0.4 / 0.42)
+
+
 def test_where_a_pair_has_no_room_each_of_the_two_is_tried(
     search: Search, monkeypatch: pytest.MonkeyPatch
 ) -> None:
