@@ -385,6 +385,37 @@ def test_a_posterior_that_is_not_trusted_or_provisional_is_shown_as_such(watched
     expect(row).to_contain_text("contradicts the rotor")
 
 
+def test_a_blade_whose_input_is_held_at_the_runs_end_is_shown_as_such(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/blades/B1")
+    expect(page.locator("#notice")).not_to_contain_text("Later hours")
+
+    def held(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, json=answer.json() | {"held_from_h": 41_000.0})
+
+    page.route("**/v1/rotors/r1/blades/B1/prediction*", held)
+    page = watched.open("/rotors/r1/blades/B1")
+    notice = page.locator("#notice .warn")
+    expect(notice).to_contain_text(re.compile(r"From 41\s000 h on an adopted effect"))
+    expect(notice).to_contain_text("Later hours have too little of the effect.")
+
+
+def test_a_rotor_of_wide_runs_is_shown_at_the_usual_hour(watched: Watched) -> None:
+    """Its blades are asked for at 50,000 h, unless an hour was chosen."""
+
+    def wide(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, json=answer.json() | {"horizon_h": 150_000.0})
+
+    asked: list[str] = []
+    watched.page.route("**/v1/models/*", wide)
+    watched.page.on("request", lambda one: asked.append(one.url))
+    watched.open("/rotors/r1")
+    assert any("/v1/rotors/r1/blades?" in one and "time_h=50000" in one for one in asked)
+    watched.open("/rotors/r1?time_h=20000")
+    assert any("/v1/rotors/r1/blades?" in one and "time_h=20000" in one for one in asked)
+
+
 def test_the_time_to_a_limit_is_the_service_s(watched: Watched, service: Running) -> None:
     """Of a scalar, and of one direction of a vector."""
     for quantity, limit, more in (
