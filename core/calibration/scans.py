@@ -87,11 +87,23 @@ class Dense:
 
 
 @dataclass(frozen=True, slots=True)
+class Mixing:
+    """A scan's rows as mixtures of the deformation's spatial modes: `turn` @ `modes`.
+
+    modes  R, (Q, B): the same for all scans of the same nodes
+    turn   W, (Q, Q): of this scan
+    """
+
+    turn: Array
+    modes: Array
+
+
+@dataclass(frozen=True, slots=True)
 class ScanRows:
     """A scan as rows: response (Q rows), y (Q,), extra variance (Q,) [unit²], remainder.
 
     discrepancy   of each row
-    mixing        the rows as mixtures of the deformation's spatial modes, (Q, B)
+    mixing        of the rows
     """
 
     response: Response
@@ -99,7 +111,7 @@ class ScanRows:
     extra: Array
     dense: Dense
     discrepancy: tuple[Affine, ...]
-    mixing: Array
+    mixing: Mixing
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,13 +144,12 @@ def scan_rows(
     model: Model,
     reading: Inspection,
     sigma: str | float,
-    boxed: Callable[[Response], Response],
-    degree: int,
+    answer: Callable[[Array], Response],
 ) -> ScanRows:
     """One scan as rows, one for each of its modes.
 
     sigma   name of the shared noise, or its known value
-    boxed   brings a response to the boxes of the priors
+    answer  the model's rows for R (Q, B) at the scan's hour, on the boxes of the priors
     """
     assert reading.nodes is not None
     quantity = model.network.quantity(reading.quantity)
@@ -149,7 +160,7 @@ def scan_rows(
     y = q.T @ readings
     seen = [affine(model, quantity, reading.time_h, axis) for axis in range(len(AXES))]
     dense, shift, moved = _split(model, reading, sigma, q, seen)
-    response = boxed(surrogate.mode_response(reading.time_h, r, degree=degree))
+    response = answer(r)
     noise = _noise_guess(model, reading, dense)
 
     def share_of(z: Array) -> Array:
@@ -189,7 +200,7 @@ def scan_rows(
         )
         for row in weight @ moved
     )
-    return ScanRows(mixed, weight @ y, extra, dense, rows, weight @ r)
+    return ScanRows(mixed, weight @ y, extra, dense, rows, Mixing(weight, r))
 
 
 def _scale(response: Response, x: Array) -> float:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.answers import Input, Stacked
-from core.calibration.scans import Dense, scan_rows
+from core.calibration.scans import Dense, Mixing, scan_rows
 from core.discrepancy import NONE, Affine, affine
 from core.errors import InputError, ModelError
 from core.model import Model
@@ -37,6 +37,7 @@ from core.surrogate.driven import Driven
 Array = NDArray[np.float64]
 Rows = Response | FormulaRows
 DEGREE = CALIBRATED
+MOST_ROWS = 8192  # compiled ones that a model keeps
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class BladeRows:
     discount  per row: what its variance is multiplied by, (R,); 1 without forgetting
     effective number of readings that forgetting leaves
     readings  in the order of their rows; of: which of them each row is of, −1 for a prior's
-    mixings   of a scan's rows, by the scan's place in `readings` (`scans.ScanRows`)
+    mixings   of a scan's rows, by the scan's place in `readings`
     """
 
     response: Rows
@@ -71,7 +72,7 @@ class BladeRows:
     effective: float
     readings: tuple[Inspection, ...] = ()
     of: tuple[int, ...] = ()
-    mixings: Mapping[int, Array] = field(default_factory=dict)
+    mixings: Mapping[int, Mixing] = field(default_factory=dict)
 
     @property
     def polynomials(self) -> Response:
@@ -135,7 +136,7 @@ def _boxed(model: Model, response: Response) -> Response:
 def _rows(model: Model, key: tuple[object, ...], make: object) -> Response:
     """Responses are asked for again and again at the same outages: keep them with the model."""
     if key not in model._rows:
-        if len(model._rows) > 4096:
+        if sum(map(len, model._rows.values())) > MOST_ROWS:
             model._rows.clear()
         model._rows[key] = _boxed(model, make())  # type: ignore[operator]
     return model._rows[key]
@@ -216,6 +217,14 @@ def _answer(model: Model, reading: Inspection) -> Rows:
     return _rows(model, key, lambda: part.response(reading.quantity, times, nodes, degree=DEGREE))
 
 
+def _scanned(model: Model, reading: Inspection, modes: Array) -> Response:
+    """The rows of a scan's modes at its nodes, R (Q, B)."""
+    assert reading.nodes is not None
+    key = (reading.quantity, reading.time_h, "scan", reading.nodes.tobytes())
+    part = model.part(reading.quantity)
+    return _rows(model, key, lambda: part.mode_response(reading.time_h, modes, degree=DEGREE))
+
+
 def _stacked(parts: Sequence[Rows]) -> Rows:
     """All rows of a blade as one; ModelError where formulas and polynomials would mix."""
     formulas = [p for p in parts if isinstance(p, FormulaRows)]
@@ -252,12 +261,12 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
 
     in_order = tuple(sorted(readings, key=lambda i: (i.time_h, i.id)))
     of: list[int] = []
-    mixings: dict[int, Array] = {}
+    mixings: dict[int, Mixing] = {}
     for place, reading in enumerate(in_order):
         quantity = model.network.quantity(reading.quantity)
         name = reading.sigma if reading.sigma is not None else quantity.sigma_of(reading.instrument)
         if quantity.kind == "vector":
-            scan = scan_rows(model, reading, name, partial(_boxed, model), DEGREE)
+            scan = scan_rows(model, reading, name, partial(_scanned, model, reading))
             response: Rows = scan.response
             values = scan.y
             dense.append(scan.dense)

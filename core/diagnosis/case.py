@@ -12,9 +12,9 @@ from core.diagnosis.adopt import amplitude, typical_noise, with_effects
 from core.diagnosis.clock import readers
 from core.diagnosis.conclude import Rival
 from core.diagnosis.families import families_for
-from core.diagnosis.following import Physics
 from core.diagnosis.grammar import Cell, Facts, cells
 from core.diagnosis.halves import halves
+from core.diagnosis.moving import Physics
 from core.diagnosis.parted import Parted
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores

@@ -65,9 +65,12 @@ def _dated(readings: Sequence[Inspection]) -> dict[tuple[str, str], float]:
 
 def readers(readings: Sequence[Inspection], blades: Mapping[str, Facts]) -> Readers:
     """Instruments, campaigns and where between inspections a step may be."""
+    of: dict[str, list[Inspection]] = {}
+    for r in readings:
+        of.setdefault(r.quantity, []).append(r)
     return Readers(
-        parts(r.instrument for r in readings),
-        parts(r.campaign for r in readings),
+        {quantity: parts(r.instrument for r in own) for quantity, own in of.items()},
+        {quantity: parts(r.campaign for r in own) for quantity, own in of.items()},
         _between({r.time_h + blades[r.blade].offset_h for r in readings}),
         _between({r.time_h for r in readings}),
     )

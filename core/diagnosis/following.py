@@ -7,18 +7,16 @@ by piece between the hours at which something changes.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.answers import Answers
-from core.course import Course
 from core.diagnosis.grammar import Facts
+from core.diagnosis.moving import Moving, Physics
 from core.diagnosis.scores import Scores
 from core.drift import Drift
 from core.errors import InputError
-from core.network import Network
 from core.observation import Inspection
 from core.surrogate import Surrogate
 from core.surrogate.driven import Driven
@@ -30,56 +28,6 @@ PARTS = 6  # of a ramp
 Held = dict[tuple[object, ...], Array]
 
 
-@dataclass(frozen=True, slots=True)
-class Physics:
-    """What answers for effects.
-
-    rest     values of the inputs that the network lacks
-    fields   by each quantity that is read at a node, the one where a reading names none
-    network  of the model, with the effects that it has already
-    """
-
-    answers: Answers
-    rest: Mapping[str, float]
-    fields: Mapping[str, int]
-    network: Network
-
-    @staticmethod
-    def of(network: Network, answers: Answers, rest: Mapping[str, float]) -> Physics:
-        """For the quantities of a network."""
-        read_at = [q for q in network.quantities if q.kind == "field"]
-        there = {q.name: q.default_node for q in read_at if q.default_node in answers.named}
-        fields = {q: answers.named[node] for q, node in there.items()}
-        return Physics(answers, rest, fields, network)
-
-    def drifts(self, blade: str) -> tuple[Drift, ...]:
-        """What moves a blade's inputs in the model already, by the blade's own hours."""
-        asleep = {p.name for p in self.network.of_level("dormant")}
-        own = (d.of_blade(blade) for d in self.network.drifts if d.name not in asleep)
-        return tuple(d for d in own if d is not None)
-
-    def asked(self, reading: Inspection) -> tuple[str, list[int] | None]:
-        """Quantity and nodes of a reading."""
-        if reading.nodes is not None:
-            return reading.quantity, [int(n) for n in reading.nodes]
-        node = self.fields.get(reading.quantity)
-        return reading.quantity, None if node is None else [node]
-
-
-@dataclass(frozen=True, slots=True)
-class Moving:
-    """What an input does, for all blades: `how`, size with its sign, shape, and its clock."""
-
-    input: str
-    how: str
-    size: float
-    course: Course
-    rotor: bool
-
-    def moved(self, x: Array, s: Array) -> Array:
-        return x + self.size * s if self.how == "plus" else x * (1.0 + self.size * s)
-
-
 def change(
     physics: Physics, seen: Scores, facts: Mapping[str, Facts], effect: Moving, held: Held
 ) -> Array:
@@ -88,34 +36,46 @@ def change(
     held  rows without, by the group of readings; filled
     """
     out = np.zeros(seen.answers.shape)
-    groups: dict[object, list[tuple[int, int]]] = {}
     drifts = [physics.drifts(blade) for blade in seen.blades]
-    for b, i in np.argwhere(seen.real):
-        reading, rows = seen.reading(b, i), seen.rows[b]
-        if seen.place[b, i] in rows.mixings:
-            key: object = ("scan", int(b), int(seen.place[b, i]))
-        else:
-            nodes = None if reading.nodes is None else tuple(reading.nodes)
-            key = (reading.quantity, nodes, drifts[b])
-        groups.setdefault(key, []).append((int(b), int(i)))
-    for members in groups.values():
+    for members in _groups(seen, drifts).values():
         b0, i0 = members[0]
-        reading, rows = seen.reading(b0, i0), seen.rows[b0]
-        place = int(seen.place[b0, i0])
-        if place in rows.mixings:
-            hours = np.array([reading.time_h])
-            mixing = rows.mixings[place]
-            moved = _follow(physics, seen, facts, effect, [b0], hours, mixing, None, held)
-            for b, i in members:
-                out[b, :, i] = moved[0, :, 0, i - i0]
-            continue
+        mixing = seen.rows[b0].mixings.get(int(seen.place[b0, i0]))
         blades = sorted({b for b, _ in members})
         hours = np.unique([seen.reading(b, i).time_h for b, i in members])
-        moved = _follow(physics, seen, facts, effect, blades, hours, None, reading, held)
+        one = None if mixing is not None else seen.reading(b0, i0)
+        modes = None if mixing is None else mixing.modes
+        moved = _follow(physics, seen, facts, effect, blades, hours, modes, one, held)
         for b, i in members:
-            at = int(np.searchsorted(hours, seen.reading(b, i).time_h))
-            out[b, :, i] = moved[blades.index(b), :, at, 0]
+            place = int(seen.place[b, i])
+            at = moved[blades.index(b), :, int(np.searchsorted(hours, seen.reading(b, i).time_h))]
+            if mixing is None:
+                out[b, :, i] = at[:, 0]
+                continue
+            rows = slice(i, i + at.shape[1])
+            out[b, :, rows] = at @ seen.rows[b].mixings[place].turn.T
     return out
+
+
+def _groups(
+    seen: Scores, drifts: Sequence[tuple[Drift, ...]]
+) -> dict[object, list[tuple[int, int]]]:
+    """Blade and row of what is followed at once: readings of one kind, of blades that run alike.
+
+    Of scans the first row of each, those of blades that were scanned at the same hours together.
+    """
+    scanned: dict[tuple[int, bytes], list[tuple[int, int]]] = {}
+    groups: dict[object, list[tuple[int, int]]] = {}
+    for b, i in np.argwhere(seen.real).tolist():
+        reading, mixings, place = seen.reading(b, i), seen.rows[b].mixings, int(seen.place[b, i])
+        if place not in mixings:
+            nodes = None if reading.nodes is None else tuple(reading.nodes)
+            groups.setdefault((reading.quantity, nodes, drifts[b]), []).append((b, i))
+        elif i == 0 or seen.place[b, i - 1] != place:
+            scanned.setdefault((b, mixings[place].modes.tobytes()), []).append((b, i))
+    for (b, modes), members in scanned.items():
+        hours = tuple(seen.reading(b, i).time_h for _, i in members)
+        groups.setdefault(("scan", modes, hours, drifts[b]), []).extend(members)
+    return groups
 
 
 def _follow(
@@ -125,7 +85,7 @@ def _follow(
     effect: Moving,
     blades: Sequence[int],
     hours: Array,
-    mixing: Array | None,
+    modes: Array | None,
     reading: Inspection | None,
     known: Held,
 ) -> Array:
@@ -138,9 +98,9 @@ def _follow(
     drifts = physics.drifts(seen.blades[blades[0]])  # those of all of them
     names = [i.name for i in base.inputs]
     x = _inputs(physics, seen, blades, names)
-    what = _rule(physics, base, reading, mixing)
+    what = _rule(physics, base, reading, modes)
     if what is None or not isinstance(base, Surrogate):
-        flat = _at_once(physics, base, x, effect, hours, reading, mixing)
+        flat = _at_once(physics, base, x, effect, hours, reading, modes)
         return flat.reshape(len(blades), points, *flat.shape[1:])
     clock = [facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades]
     offset = np.repeat(clock, points)
@@ -177,7 +137,7 @@ def _follow(
         mean, _, _ = follow(base, edges, pieces, marks, last, what, doubt=False)
         return np.asarray(mean)
 
-    key = (tuple(blades), hours.tobytes(), None if mixing is None else mixing.tobytes())
+    key = (tuple(blades), hours.tobytes(), None if modes is None else modes.tobytes())
     asked = (*key, "" if reading is None else repr(physics.asked(reading)))
     if asked not in known:
         known[asked] = along(steps, held)
@@ -203,14 +163,14 @@ def _inputs(physics: Physics, seen: Scores, blades: Sequence[int], names: Sequen
 
 
 def _rule(
-    physics: Physics, base: Answers, reading: Inspection | None, mixing: Array | None
+    physics: Physics, base: Answers, reading: Inspection | None, modes: Array | None
 ) -> Followed | None:
     """How rows are followed in time; None where they do not grow from 0 with creep."""
     if not isinstance(base, Surrogate) or MEAN_CEEQ not in base.parts:
         return None
-    if mixing is not None:
+    if modes is not None:
         creeps = base.parts[DEFORMATION].form == "per ceeq"
-        return Followed.mixed(base, mixing) if creeps else None
+        return Followed.mixed(base, modes) if creeps else None
     try:
         return Followed.of(base, *physics.asked(_given(reading)))
     except InputError:
@@ -229,7 +189,7 @@ def _at_once(
     effect: Moving,
     hours: Array,
     reading: Inspection | None,
-    mixing: Array | None,
+    modes: Array | None,
 ) -> Array:
     """The same for what has no memory: constant effects only, as the others mean nothing."""
     j = [i.name for i in base.inputs].index(effect.input)
@@ -239,9 +199,9 @@ def _at_once(
     if isinstance(base, Surrogate):
         low, high = np.array([(i.low, i.high) for i in base.inputs]).T
         changed = np.clip(changed, low, high)
-    if mixing is not None:
-        rows = base.mode_response(float(hours[0]), mixing)
-        return np.asarray(rows.evaluate(changed)[0] - rows.evaluate(x)[0])[:, None, :]
+    if modes is not None:
+        every = [base.mode_response(float(hour), modes) for hour in hours]
+        return np.stack([one.evaluate(changed)[0] - one.evaluate(x)[0] for one in every], axis=1)
     quantity, nodes = physics.asked(_given(reading))
     after, _ = base.predict(changed, quantity, hours, nodes)
     before, _ = base.predict(x, quantity, hours, nodes)

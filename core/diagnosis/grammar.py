@@ -108,12 +108,13 @@ def there(cell: Cell, own: Facts) -> bool:
 class Readers:
     """Instruments and campaigns of a rotor's readings (`parts`), and hours between its inspections.
 
+    instruments, campaigns  by quantity: who read it, not who read something else
     between_h  of the rotor's hours, one for each interval between inspections: where a step may be
     ages_h     the same of the blades' own hours
     """
 
-    instruments: tuple[str, ...]
-    campaigns: tuple[str, ...]
+    instruments: Mapping[str, tuple[str, ...]]
+    campaigns: Mapping[str, tuple[str, ...]]
     between_h: tuple[float, ...]
     ages_h: tuple[float, ...]
 
@@ -149,20 +150,22 @@ def cells(
         "lot": lots,
         "coating_lot": coats,
         "blade": sorted(blades) if len(blades) > 1 else [],
-        "instrument": readers.instruments,
-        "campaign": readers.campaigns,
     }
     found = []
     for family in families:
         where = readers.ages_h if family.clock == "blade" else readers.between_h
         if family.of not in (inputs if family.target == "input" else quantities):
             continue
+        who = {
+            "instrument": readers.instruments.get(family.of, ()),
+            "campaign": readers.campaigns.get(family.of, ()),
+        }
         for whom in family.whom:
             for shape in family.shapes:
                 steps = where if shape == "step" else (None,)
                 found += [
                     Cell(family, shape, whom, value, hour, reference)
-                    for value in values[whom]
+                    for value in (values | who)[whom]
                     for hour in steps
                 ]
     return found

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from core.answers import Stacked
 from core.calibration.message import POOL
-from core.diagnosis.following import Held, Moving, Physics, change
+from core.diagnosis.following import Held, change
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.masks import masks
+from core.diagnosis.moving import Moving, Physics
 from core.diagnosis.scores import Scores
 from core.errors import InputError
 from core.model import Model

@@ -34,7 +34,7 @@ def compared(told: Diagnosis, given: Set, horizon_h: float, work: Workspace) -> 
         workspace=work,
         states=states,
     )
-    exact = np.array([given.exact[name] for name in both.held])
+    exact = np.concatenate([given.exact[name] for name in both.held])
     found: dict[str, Any] = {"held": len(both.held)}
     for when, scored, forecast in zip(
         ("before", "after"), (both.before, both.after), both.forecast, strict=True

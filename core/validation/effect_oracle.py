@@ -24,7 +24,7 @@ the grammar; the sensitivities come from a calibration of the same rotor without
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,12 +35,13 @@ from core.calibration.online import Workspace, update
 from core.diagnosis.chance import family_wise
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
+from core.diagnosis.scores import Scores
 from core.diagnosis.verdict import ALARM as FAMILY_WISE
 from core.diagnosis.verdict import NAMED
 from core.errors import InputError
 from core.model import Model, rotor_blade_wide
 from core.rng import stream
-from core.validation.effect_plans import NOISE, Plan
+from core.validation.effect_plans import NOISE, SCAN_NOISE, Plan
 from core.validation.effect_plans import plan as plan_of
 from core.validation.effect_sets import Set, effect_of, made
 from core.validation.records import Record, records
@@ -88,20 +89,20 @@ def possible(
     """Of what is planted in a set; InputError where nothing is."""
     data = given.case.readings
     change = {r.id: given.exact[r.id] - given.sound[r.id] for r in data}
-    if not any(change.values()):
+    if not any(np.any(one) for one in change.values()):
         raise InputError("set", given.case.spec.id, "has no effect", "plant one")
     rng = stream(seed, "oracle")
+    noise = {"elongation": NOISE, "deformation": SCAN_NOISE}
     sound = tuple(
-        replace(r, values=np.array([given.sound[r.id] + NOISE * rng.normal()])) for r in data
+        replace(r, values=given.sound[r.id] + noise[r.quantity] * rng.normal(size=r.values.shape))
+        for r in data
     )
     case = replace(given.case, readings=sound)
     state = update(model, case.spec, sound, workspace=workspace)
     scan = case.scan(model, state)
     seen = scan.seen
-    g = np.zeros((*seen.place.shape, 1))
-    for b, i in np.argwhere(seen.real):
-        g[b, i, 0] = change[seen.reading(b, i).id]
-    information = seen.cross(np.concatenate([g, scan.g], axis=2))
+    g = by_rows(model, seen, change)
+    information = seen.cross(np.concatenate([g[:, :, None], scan.g], axis=2))
     alone = 0.5 * float(information[0, 0])
     named, alarms = len(scan.cells), searched(scan, information[0, 1:], stream(seed, "searched"))
     rivals = [c for c in range(named) if not _right(scan.cells[c], given.truth)]
@@ -110,6 +111,23 @@ def possible(
     if nearest is None:
         return Possible(alone, None, alone, alarms)
     return Possible(alone, scan.cells[nearest].name, left[nearest], alarms)
+
+
+def by_rows(model: Model, seen: Scores, change: Mapping[str, Array]) -> Array:
+    """What a change of readings, by their ids, makes of their rows, (B, n)."""
+    out = np.zeros(seen.place.shape)
+    bases: dict[bytes, Array] = {}
+    for b, rows in enumerate(seen.rows):
+        for place, reading in enumerate(rows.readings):
+            at, moved = seen.place[b] == place, change[reading.id].reshape(-1)
+            if place in rows.mixings and reading.nodes is not None:
+                key = reading.nodes.tobytes()
+                if key not in bases:
+                    phi = model.part(reading.quantity).deformation_modes(reading.nodes.tolist())
+                    bases[key] = np.linalg.qr(phi.reshape(len(moved), -1))[0]
+                moved = rows.mixings[place].turn @ (bases[key].T @ moved)
+            out[b, at] = moved
+    return out
 
 
 def searched(scan: Scan, across: Array, rng: np.random.Generator) -> float:

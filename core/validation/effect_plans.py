@@ -3,6 +3,8 @@
     rotor-20    20 blades at six visits, two ages (`fe_rotors`, `effect_truths`); effects as they
                 were run
     fleet-100   100 blades at three visits, five ages (`effect_fleet`); effects scaled to a size
+    fleet-scans one of these rotors, and a 3-D scan of each blade at the last visit, of
+                96 nodes (`effect_scans`)
 
 A size is a multiple of the noise: by so much the mean of the concerned blades changes at the last
 visit. Effects are run by finite elements at one strength each, and scaled in proportion from
@@ -12,7 +14,7 @@ there, up at most to twice that.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -20,12 +22,28 @@ from numpy.typing import NDArray
 
 from core.errors import InputError
 from core.validation import effect_fleet as fleet
+from core.validation import effect_scans as scans
 from core.validation import effect_truths as truths
 from core.validation import fe_rotors
 
 Array = NDArray[np.float64]
 NOISE = 0.02  # mm
+SCAN_NOISE = 0.03  # mm, of each coordinate
 STRONGEST = 2.0  # times an effect as it was run
+
+
+@dataclass(frozen=True)
+class Scanned:
+    """3-D scans of every blade at some of the visits.
+
+    visits  which, (S,); nodes (N,)
+    shape   deformation without effects [mm], (R, B, S, N, 3); change: by effect, what it adds
+    """
+
+    visits: tuple[int, ...]
+    nodes: NDArray[np.int64]
+    shape: Array
+    change: Mapping[str, Array]
 
 
 @dataclass(frozen=True)
@@ -38,6 +56,7 @@ class Plan:
     shares      by effect, elongation with it over that without, (R, B, V); rotors without: nan
     horizon     elongation (R, B) and shares (R, B) at `horizon_h` of each blade, where forecast
     odd_visits  the visit with a campaign's fault, and the first with odd blades' fault
+    scans       where blades are scanned
     """
 
     name: str
@@ -51,6 +70,7 @@ class Plan:
     horizon_h: float = 0.0
     horizon: Array | None = None
     horizon_shares: Mapping[str, Array] | None = None
+    scans: Scanned | None = None
 
     @property
     def rotors(self) -> int:
@@ -100,6 +120,16 @@ class Plan:
             return np.asarray(sound)
         strength = self.strength(rotor, effect, size)
         return np.asarray(sound * (1.0 + strength * (self.shares[effect][rotor] - 1.0)))
+
+    def scanned(self, rotor: int, effect: str | None, size: float | None = None) -> Array:
+        """Deformation with an effect [mm], (B, S, N, 3); no scans where the plan has none."""
+        if self.scans is None:
+            return np.zeros((self.blades, 0, 0, 3))
+        plain = self.scans.shape[rotor]
+        if effect is None:
+            return np.asarray(plain)
+        strength = self.strength(rotor, effect, size)
+        return np.asarray(plain + strength * self.scans.change[effect][rotor])
 
     def ahead(self, rotor: int, effect: str | None, size: float | None = None) -> Array | None:
         """The same at the horizon, (B,); none where the plan has none."""
@@ -157,7 +187,29 @@ def fleet_100() -> Plan:
     )
 
 
-PLANS = {"rotor-20": rotor_20, "fleet-100": fleet_100}
+@cache
+def fleet_scans() -> Plan:
+    """The rotor of `fleet_100` whose blades' shapes are known, scanned at the last visit."""
+    whole, last = fleet_100(), len(fleet.VISITS_H) - 1
+    with np.load(scans.SHIPPED, allow_pickle=False) as data:
+        nodes, shape, change = (data[name] for name in ("nodes", "deformation", "change"))
+    at = slice(last, last + 1)  # the one after is the horizon's
+    every = dict(zip(fleet.EFFECTS, change[:, None, :, at].astype(float), strict=True))
+    every["worn lot"] = np.where((whole.coat == 0)[None, :, None, None, None], every["wear"], 0.0)
+    seen = Scanned((last,), nodes.astype(np.int64), shape[None, :, at].astype(float), every)
+    own = slice(scans.ROTOR, scans.ROTOR + 1)
+    return replace(
+        whole,
+        name="fleet-scans",
+        elongation=whole.elongation[own],
+        shares={effect: one[own] for effect, one in whole.shares.items()},
+        horizon=None if whole.horizon is None else whole.horizon[own],
+        horizon_shares={effect: one[own] for effect, one in (whole.horizon_shares or {}).items()},
+        scans=seen,
+    )
+
+
+PLANS = {"rotor-20": rotor_20, "fleet-100": fleet_100, "fleet-scans": fleet_scans}
 
 
 def plan(name: str) -> Plan:

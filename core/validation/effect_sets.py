@@ -10,10 +10,14 @@ distribution with a coefficient of variation of `BURSTS`.
 
 In ``one scanner a visit`` every visit has an instrument of its own, and one of them reads too much:
 an offset of the instrument and of the campaign are the same thing, and no reading tells them apart.
+
+Where a plan has 3-D scans, an effect of physics is in them as finite elements say; faults of those
+who read elongations, and the formulas' other effects, are not.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +29,7 @@ from core.diagnosis.clock import with_offsets
 from core.diagnosis.grammar import Facts
 from core.observation import Inspection
 from core.rng import seed_of, stream
-from core.validation.effect_plans import NOISE, Plan
+from core.validation.effect_plans import NOISE, SCAN_NOISE, Plan
 
 Array = NDArray[np.float64]
 INSTRUMENTS = 3
@@ -46,14 +50,15 @@ COATING, GAS = ("coating wear", "coating loss"), ("firing temperature step", "ga
 class Set:
     """A simulated rotor: readings, facts of its blades, and the names that would be right.
 
-    exact  readings without noise, by their id; sound: those without what is planted as well
+    exact  readings without noise, by their id, shaped as they are; sound: those without what is
+           planted as well
     ahead  blades' elongation at the plan's horizon
     """
 
     case: Case
     truth: frozenset[str]
-    exact: dict[str, float]
-    sound: dict[str, float]
+    exact: dict[str, Array]
+    sound: dict[str, Array]
     ahead: dict[str, float]
 
 
@@ -131,7 +136,7 @@ def made(
     own_h, count = plan.own_h, plan.blades
     late = set(rng.choice(count, count // 3, replace=False).tolist())
     odd_visit, odd_from = plan.odd_visits
-    readings, exact, sound = [], dict[str, float](), dict[str, float]()
+    readings, exact, sound = [], dict[str, Array](), dict[str, Array]()
     for b in range(count):
         for v in range(len(plan.visits_h)):
             if not np.isfinite(curves[b, v]):
@@ -150,7 +155,15 @@ def made(
             readings.append(
                 Inspection(*at, values, instrument=labels.readers[by], campaign=labels.visits[v])
             )
-            exact[name], sound[name] = y, float(plain[b, v])
+            exact[name], sound[name] = np.array([y]), plain[b, v : v + 1]
+    shapes = [plan.scanned(rotor, what, strength) for what in (effect, None)]
+    if condition == "clean, bursts" and plan.scans is not None:
+        jump = (curves / plan.changed(rotor, None))[:, plan.scans.visits, None, None]
+        shapes = [one * jump for one in shapes]
+    heavy, own = condition == CLEAN[1], stream(seed, "scans", condition, number)
+    for scan, with_it, without in scans(plan, labels, shapes, heavy, own):
+        readings.append(scan)
+        exact[scan.id], sound[scan.id] = with_it, without
     facts = {
         name: Facts(lot=labels.lots[b % 3 if not plan.scaled else b // 2 % 3],
                     coating_lot=labels.coats[plan.coat[b]])
@@ -164,6 +177,27 @@ def made(
     ahead = plan.ahead(rotor, effect, strength)
     at_horizon = {} if ahead is None else dict(zip(labels.blades, ahead.tolist(), strict=True))
     return Set(case, labels.right(condition, plan), exact, sound, at_horizon)
+
+
+def scans(
+    plan: Plan, labels: Labels, shapes: Sequence[Array], heavy: bool, rng: np.random.Generator
+) -> Iterator[tuple[Inspection, Array, Array]]:
+    """Scans, each with its shape with and without what is planted and without noise, (N, 3).
+
+    shapes  of all blades, with it and without, (B, S, N, 3) each
+    """
+    if plan.scans is None:
+        return
+    nodes = plan.scans.nodes
+    for b, blade in enumerate(labels.blades):
+        for k, visit in enumerate(plan.scans.visits):
+            exact, sound = (one[b, k] for one in shapes)
+            noise = rng.standard_t(3, exact.shape) / np.sqrt(3) if heavy else None
+            noise = rng.normal(size=exact.shape) if noise is None else noise
+            values = np.round(exact + SCAN_NOISE * noise, 5)
+            at = (f"r{rng.integers(10**9)}", blade, "deformation", float(plan.own_h[b, visit]))
+            scan = Inspection(*at, values, nodes, campaign=labels.visits[visit])
+            yield scan, exact, sound
 
 
 def bursts(rng: np.random.Generator, curves: Array) -> Array:

@@ -91,6 +91,7 @@ def effects(
 @app.command()
 def truths(
     fleet: Annotated[bool, typer.Option("--fleet", help="Those of the plan fleet-100.")] = False,
+    scans: Annotated[bool, typer.Option("--scans", help="Those of the plan fleet-scans.")] = False,
     work: Annotated[Path, typer.Option(help="Folder of the runs; a cut campaign goes on.")] = Path(
         "bladetwin-data/truths"
     ),
@@ -100,10 +101,10 @@ def truths(
     processes: Annotated[int, typer.Option(help="Processes that compute runs.")] = 1,
 ) -> None:
     """Finite-element runs with effects of physics, the truths of `effects`; about half an hour."""
-    from core.validation import effect_fleet, effect_truths
+    from core.validation import effect_fleet, effect_scans, effect_truths
 
     out.mkdir(parents=True, exist_ok=True)
-    made_by = effect_fleet if fleet else effect_truths
+    made_by = effect_scans if scans else effect_fleet if fleet else effect_truths
     file = out / made_by.SHIPPED.name
     with bar("runs", len(made_by.runs())) as step:
         made_by.make(work, file, processes, lambda done, _: step(done))

@@ -11,13 +11,16 @@ from core.calibration.online import RotorSpec, update
 from core.diagnosis import Facts
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.families import FAMILIES
-from core.diagnosis.following import Moving, Physics, change
+from core.diagnosis.following import change
 from core.diagnosis.grammar import Cell
+from core.diagnosis.moving import Moving, Physics
 from core.diagnosis.scoring import scores
 from core.model import Model, rotor_blade, rotor_blade_wide
 from core.network import Network
 from core.observation import Inspection
 from core.surrogate.driven import Driven
+from core.validation.fe_rotors import scan_nodes
+from core.validation.simulate import scan
 
 MODEL = rotor_blade()
 NAMED = MODEL.surrogate.named
@@ -79,3 +82,38 @@ def test_an_effect_that_some_blades_have_already_is_in_what_another_one_adds_to_
     assert np.array_equal(some[0], every[0])
     assert np.allclose(some[1], none[1], rtol=1e-9)
     assert not np.allclose(every[0], none[0], rtol=1e-3), "negative control"
+
+
+def test_scans_move_as_the_runs_say_whoever_was_scanned_where_and_when() -> None:
+    """A hotter gas from the start: each scan's rows change as runs at that gas are, to the
+    polynomials' error; blades scanned alike are followed at once, and one that is not by itself."""
+    hours, few, many = (7e3, 21e3), scan_nodes(4), scan_nodes(7)
+    plan = {"B1": (few, few), "B2": (few, few), "B3": (many, few)}
+    x, rng = np.array([1.0, 0.9, 0.0, 0.0]), np.random.default_rng(1)
+    noise = {"sigma_obs.deformation": 0.03}
+    data = []
+    for blade, nodes in plan.items():
+        for hour, at in zip(hours, nodes, strict=True):
+            values = scan(MODEL, x, hour, at, noise, rng)
+            data.append(Inspection(f"{blade}-{hour}", blade, "deformation", hour, values, at))
+            length = Inspection(f"{blade}+{hour}", blade, "elongation", hour, np.array([0.2]))
+            data.append(length)
+    seen = scores(MODEL, update(MODEL, RotorSpec("r", tuple(plan), 100, 1), data), data)
+    always = Cell(FAMILY["cooling flow"], "constant", "all").course
+    gas = Moving("t1t_rate", "plus", 0.01, always, False)
+    own = Physics.of(MODEL.network, MODEL.surrogate, {})
+    found = change(own, seen, {b: Facts() for b in plan}, gas, {})
+    names = [i.name for i in MODEL.surrogate.inputs]
+    turned = 0
+    for b, rows in enumerate(seen.rows):
+        points = np.stack([seen.points[b][n] for n in names], axis=1)
+        hotter = points + 0.01 * (np.array(names) == "t1t_rate")
+        for place, mixing in rows.mixings.items():
+            made = MODEL.surrogate.mode_response(rows.readings[place].time_h, mixing.modes)
+            modes = made.evaluate(hotter)[0] - made.evaluate(points)[0]
+            got = found[b][:, seen.place[b] == place]
+            size = np.abs(modes).max()
+            assert got == pytest.approx(modes @ mixing.turn.T, abs=0.02 * size)
+            assert not np.allclose(got, modes, atol=0.05 * size), "rows are turned"
+            turned += 1
+    assert turned == 6

@@ -16,7 +16,7 @@ from core.family import Family
 from core.model import rotor_blade
 from core.observation import Inspection
 
-NOBODY = Readers((), (), (4000.0,), (4000.0,))
+NOBODY = Readers({}, {}, (4000.0,), (4000.0,))
 INPUTS = ("tbc_thickness", "t1t_rate", "creep_steady")
 
 
@@ -32,7 +32,9 @@ def test_only_what_readings_could_tell_of_is_listed() -> None:
     assert not any("lot" in n or "instrument" in n or "campaign" in n for n in plain)
     lots = names({"B1": Facts(coating_lot="C1"), "B2": Facts(coating_lot="C2")})
     assert {"coating wear (coating lot C1)", "coating wear (coating lot C2)"} <= lots
-    two = replace(NOBODY, instruments=("a", "b"), campaigns=("x", "y"))
+    two = replace(
+        NOBODY, instruments={"elongation": ("a", "b")}, campaigns={"elongation": ("x", "y")}
+    )
     assert {"instrument offset (instrument a)", "campaign offset (campaign y)"} <= names(
         {"B1": Facts(), "B2": Facts()}, two
     )
@@ -43,6 +45,18 @@ def test_only_what_readings_could_tell_of_is_listed() -> None:
     beside = names({"B1": Facts(), "B2": Facts()}, readers(some, {"B1": Facts()}))
     assert {"instrument offset (instrument a)", "campaign offset (campaign x)"} <= beside
     assert not any("None" in name for name in beside), "what has no name is no cell"
+
+
+def test_who_read_something_else_has_no_offset_here() -> None:
+    """A scanner of shapes is no third instrument of elongations, and no second one."""
+    read = {name: replace(reading("B1", 8e3, "x"), instrument=name) for name in ("a", "b", "c")}
+    shape = replace(read["c"], quantity="deformation")
+    blades = {"B1": Facts(), "B2": Facts()}
+    three = names(blades, readers([read["a"], read["b"], shape], {"B1": Facts()}))
+    offsets = {n for n in three if n.startswith("instrument offset")}
+    assert offsets == {f"instrument offset (instrument {n})" for n in ("a", "b")}
+    two = names(blades, readers([read["a"], shape], {"B1": Facts()}))
+    assert not any("instrument" in n for n in two)
 
 
 def test_what_grows_has_its_size_inside_the_models_hours_and_runs_alike_when_it_is_calibrated() -> (
