@@ -8,6 +8,7 @@ from functools import cached_property
 
 from core.answers import Answers, Stacked
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
+from core.calibration.workspace import Workspace
 from core.diagnosis.adopt import amplitude, typical_noise, with_effects
 from core.diagnosis.clock import readers
 from core.diagnosis.conclude import Rival
@@ -38,6 +39,7 @@ class Case:
     families  beside those of the grammar and of the network
     serving   blades that are still on the rotor, which forecasts and inspections to come are of;
               none: all
+    workspace of its updates, where rows are kept
     """
 
     spec: RotorSpec
@@ -46,6 +48,7 @@ class Case:
     families: Sequence[Family] = ()
     dealt: int = DEALT
     serving: Sequence[str] = ()
+    workspace: Workspace | None = field(default=None, compare=False, repr=False)
     _seen: dict[tuple[str, str], Scores] = field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -102,7 +105,7 @@ class Case:
         if key not in self._seen:
             while len(self._seen) >= KEPT:
                 del self._seen[next(iter(self._seen))]
-            self._seen[key] = scores(model, state, self.readings, self.spec.known)
+            self._seen[key] = scores(model, state, self.readings, self.spec.known, self.workspace)
         return self._seen[key]
 
     def scan(

@@ -97,7 +97,9 @@ def diagnose(
     if not state.sealed:
         raise InputError("state", "provisional", "cannot be diagnosed", "wait until it is sealed")
     quiet: Progress = lambda what, done, total: None  # noqa: E731
-    search = Search(model, state, case, workspace or Workspace(), progress or quiet)
+    work = workspace or Workspace()
+    case = replace(case, workspace=work)
+    search = Search(model, state, case, work, progress or quiet)
     search.say("scan")
     scan = case.scan(model, state)
     search.prices = prices(scan)

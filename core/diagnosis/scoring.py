@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from core.calibration.message import POOL
 from core.calibration.space import locals_of, nominal, shared_prior
 from core.calibration.state import Posterior, RotorState, blade_posterior
-from core.calibration.target import BladeRows, assemble
+from core.calibration.target import BladeRows
+from core.calibration.workspace import Workspace
 from core.diagnosis.scores import Scores
 from core.discrepancy import total
 from core.errors import InputError
@@ -39,9 +40,11 @@ def scores(
     state: RotorState,
     readings: Sequence[Inspection],
     known: Mapping[str, Mapping[str, float]] | None = None,
+    workspace: Workspace | None = None,
 ) -> Scores:
     """Of the readings that count, under the posterior that they made.
 
+    workspace  of the update that made it, where its rows are already
     Raises InputError where there is no reading, or the state rests on others.
     """
     by_blade: dict[str, list[Inspection]] = {}
@@ -50,7 +53,8 @@ def scores(
     if not by_blade:
         raise InputError("readings", 0, "cannot be diagnosed", "post inspections first")
     blades = tuple(sorted(by_blade))
-    rows = tuple(r for b in blades if (r := assemble(model, by_blade[b])) is not None)
+    work = workspace or Workspace()
+    rows = tuple(work.rows_of(model, by_blade[b]) for b in blades)
     if state.meta["events_digest"] != digest_of(readings):
         raise InputError(
             "state", state.meta["events"], "rests on other readings than these", "update it first"
