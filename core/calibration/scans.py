@@ -170,9 +170,7 @@ def scan_rows(
     (gain,), (offset,) = shift.at(eta[None])
     numerical = share_of(y - offset)
     _, sd = response.evaluate(best[None])
-    covariance = r @ surrogate.mode_covariance(reading.time_h) @ r.T
-    root = gain * sd[0] / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    simulated = covariance * np.outer(root, root)
+    simulated = shaped(surrogate.mode_covariance(reading.time_h), r, gain * sd[0])
     unknown = simulated + np.diag(numerical) + seen[0].left ** 2 * np.outer(y, y)
     whiten = np.linalg.inv(np.linalg.cholesky(unknown + noise**2 * np.eye(len(y))))
     part, turn = np.linalg.eigh(whiten @ simulated @ whiten.T)
@@ -201,6 +199,18 @@ def scan_rows(
         for row in weight @ moved
     )
     return ScanRows(mixed, weight @ y, extra, dense, rows, Mixing(weight, r))
+
+
+def shaped(covariance: Array, r: Array, sd: Array) -> Array:
+    """The surrogate's covariance of z, of its shape (B, B) and z's standard deviations (Q,)."""
+    own = r @ covariance @ r.T
+    root = sd / np.sqrt(np.maximum(np.diag(own), 1e-300))
+    return np.asarray(own * np.outer(root, root))
+
+
+def doubt(covariance: Array, r: Array, z: Array, sd: Array, numerical: float) -> Array:
+    """S (Q, Q): what surrogate and mesh do not know of z (Q,)."""
+    return shaped(covariance, r, sd) + np.diag(numerical**2 * (z**2 + np.mean(z**2)))
 
 
 def _scale(response: Response, x: Array) -> float:

@@ -6,13 +6,17 @@ best hypothesis, calibrated from the same readings.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from core.calibration.online import Workspace, update
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.case import Case
 from core.diagnosis.diagnose import Diagnosis
+from core.diagnosis.of_all import of_all
 from core.diagnosis.separate import Rival, Separation, separate
 from core.errors import InputError
 from core.planning.ahead import candidates
+from core.planning.campaigns import campaigns
 
 
 def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) -> list[Rival]:
@@ -55,7 +59,10 @@ def splitting(
     if found.verdict.word != "not separable":
         return None
     rivals = rivals_of(found, case, workspace)
-    asked = candidates(found.before[0], case.present, case.readings)
+    model = found.before[0]
+    asked = candidates(model, case.present, case.readings)
     if len(rivals) < 2 or not asked:
         return None
-    return separate(rivals, asked, case.spec.known)
+    apart = separate(rivals, asked, case.spec.known)
+    whole = campaigns(model, case.present, case.readings)
+    return replace(apart, campaigns=of_all(rivals, whole, case.spec.known))

@@ -38,6 +38,7 @@ from core.diagnosis.verdict import NAMED
 from core.errors import InputError
 from core.model import Model
 from core.planning.ahead import Candidate, Expected, expected
+from core.planning.campaigns import Campaign
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
@@ -84,6 +85,7 @@ class Separation:
     mean: Array
     sd: Array
     grown: tuple[tuple[Candidate, Told], ...]
+    campaigns: tuple[tuple[Campaign, Told], ...] = ()
 
 
 def one_reading(p: Array, mean: Array, sd: Array) -> tuple[Array, Array, Array]:
@@ -100,8 +102,8 @@ def one_reading(p: Array, mean: Array, sd: Array) -> tuple[Array, Array, Array]:
     for k in range(len(p)):
         y = mean[k][:, None] + sd[k][:, None] * t  # (C, G)
         z = (y - mean[:, :, None]) / sd[:, :, None]
-        after = _after(p, -0.5 * z**2 - np.log(sd[:, :, None]))
-        out += p[k] * np.stack([values @ weight for values in _scored(p, after, k)])
+        after = afterwards(p, -0.5 * z**2 - np.log(sd[:, :, None]))
+        out += p[k] * np.stack([values @ weight for values in scored(p, after, k)])
     return out[0], out[1], out[2]
 
 
@@ -115,19 +117,19 @@ def a_set(p: Array, mean: Array, covariance: Array) -> Told:
     for k in range(len(p)):
         off = (mean[k] + t @ roots[k].T)[None] - mean[:, None]  # (K, N, n)
         z = np.linalg.solve(roots, np.swapaxes(off, 1, 2))
-        after = _after(p, -0.5 * np.sum(z**2, axis=1) - log_det[:, None])
-        out += p[k] * np.array([np.mean(values) for values in _scored(p, after, k)])
+        after = afterwards(p, -0.5 * np.sum(z**2, axis=1) - log_det[:, None])
+        out += p[k] * np.array([np.mean(values) for values in scored(p, after, k)])
     return Told(float(out[0]), float(out[1]), float(out[2]))
 
 
-def _after(p: Array, log_density: Array) -> Array:
+def afterwards(p: Array, log_density: Array) -> Array:
     """log of the shares once the reading is there, (K, …)."""
     joint = log_density + np.log(p).reshape(-1, *[1] * (log_density.ndim - 1))
     top = joint.max(axis=0)
     return np.asarray(joint - top - np.log(np.exp(joint - top).sum(axis=0)))
 
 
-def _scored(p: Array, after: Array, k: int) -> tuple[Array, Array, Array]:
+def scored(p: Array, after: Array, k: int) -> tuple[Array, Array, Array]:
     """log of how much rival k's share grows, its share, and whether any is settled."""
     settled = (after.max(axis=0) >= np.log(NAMED)).astype(float)
     return np.asarray(after[k] - np.log(p[k])), np.exp(after[k]), settled
@@ -192,7 +194,8 @@ def _grown(
 
 
 def separation_json(found: Separation, shown: int = 12) -> Json:
-    """The best blade for each quantity, instrument and hour; what rivals expect of it; the set.
+    """The best blade for each quantity, instrument and hour; what rivals expect of it; the set;
+    and campaigns of all blades.
 
     blades_alike  blades of which the same inspection tells nine tenths as much or more
     """
@@ -226,6 +229,7 @@ def separation_json(found: Separation, shown: int = 12) -> Json:
         "entropy_nat": found.entropy,
         "single": single,
         "set": [{**candidate.to_json(), **_told(told)} for candidate, told in found.grown],
+        "campaigns": [{**one.to_json(), **_told(told)} for one, told in found.campaigns],
     }
 
 

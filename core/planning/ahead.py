@@ -174,7 +174,7 @@ def expected(
     for blade, members in by_blade.items():
         particles = Drawn.of(state, blade, most)
         own = [asked[c] for c in members]
-        f, v = _answers(
+        f, v = answered(
             model.for_blade(blade), particles.posterior, own, (known or {}).get(blade), noise=noise
         )
         mean[members], off, given = particles.centred(f)
@@ -218,7 +218,7 @@ class Drawn:
         return np.asarray(mean), np.asarray(off), np.asarray(given - self.node_w @ given)
 
 
-def _answers(
+def answered(
     model: Model,
     posterior: Posterior,
     asked: Sequence[Candidate],

@@ -23,6 +23,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.scans import doubt
 from core.calibration.target import DEGREE
 from core.discrepancy import NONE, affine, parameters, total
 from core.model import Model
@@ -128,9 +129,7 @@ def scan(
     phi = surrogate.deformation_modes(nodes.tolist())
     q, r = np.linalg.qr(phi.reshape(3 * len(nodes), -1))
     (z,), (sd,) = surrogate.mode_response(time_h, r, degree=DEGREE).evaluate(x[None])
-    covariance = r @ surrogate.mode_covariance(time_h) @ r.T
-    root = sd / np.sqrt(np.diag(covariance))
-    unknown = covariance * np.outer(root, root) + np.diag(nu**2 * (z**2 + np.mean(z**2)))
+    unknown = doubt(surrogate.mode_covariance(time_h), r, z, sd, nu)
     own = np.linalg.cholesky(unknown) @ rng.standard_normal(len(z))
     noise = noise_sd * rng.standard_normal((len(nodes), 3))
     return np.asarray(gain * (q @ (z + own)).reshape(-1, 3) + offset + noise)

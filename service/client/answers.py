@@ -507,11 +507,24 @@ class SeparatingSet(TypedDict):
     settled: float
 
 
+class SeparatingCampaign(TypedDict):
+    quantity: str
+    ahead_h: float
+    blades: int
+    instrument: str | None
+    sigma: float | None
+    nodes: int | None
+    gain_nat: float
+    share: float
+    settled: float
+
+
 class Separating(TypedDict):
     rivals: list[SeparatingRival]
     entropy_nat: float
     single: list[SeparatingSingle]
     set: list[SeparatingSet]
+    campaigns: NotRequired[list[SeparatingCampaign]]
 
 
 class FoundCalibrated(TypedDict):

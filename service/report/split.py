@@ -50,6 +50,8 @@ def split(found: Json) -> Markup | None:
                 f"What each of them expects of that reading. {joined(_expected(names, best))}.",
             )
         )
+    if told.get("campaigns"):
+        parts += _everybody(told["campaigns"], now)
     if len(told["set"]) > 1:
         parts.append(el("h3", "Several readings"))
         parts.append(_set(told["set"]))
@@ -75,11 +77,27 @@ def split(found: Json) -> Markup | None:
 
 def inspection(one: Json) -> str:
     """An inspection in words."""
+    return f"{label_of(one['quantity'])} of blade {one['blade']}{_how(one)}"
+
+
+def _how(one: Json) -> str:
     when = "now" if one["ahead_h"] == 0 else f"{number(one['ahead_h'])} h from now"
     who = {None: "", "another": " with another instrument"}.get(
         one["instrument"], f" with instrument {one['instrument']}"
     )
-    return f"{label_of(one['quantity'])} of blade {one['blade']}{who}, {when}"
+    return f"{who}, {when}"
+
+
+def campaign(one: Json) -> str:
+    """An inspection of all blades in words.
+
+    >>> campaign({"quantity": "ceeq", "blades": 9, "nodes": None, "instrument": None, "ahead_h": 0})
+    'creep strain (CEEQ) of 9 blades, now'
+    """
+    what = label_of(one["quantity"])
+    if one["nodes"] is not None:
+        what = f"3-D scan ({what} of {number(one['nodes'])} nodes)"
+    return f"{what} of {number(one['blades'])} blades{_how(one)}"
 
 
 def promise(one: Json, now: float) -> str:
@@ -100,6 +118,20 @@ def _expected(names: Sequence[str], one: Json) -> list[str]:
         f"{name}: {with_sd(e['mean'], e['sd'])} {unit}"
         for name, e in zip(names, one["expected"], strict=True)
     ]
+
+
+def _everybody(campaigns: Sequence[Json], now: float) -> list[Child]:
+    """What reading every blade once promises."""
+    best = campaigns[0]
+    said = f"Best: {campaign(best)}. {promise(best, now)}"
+    if best["gain_nat"] < IDLE:
+        said = "Not even all blades together tell them apart, by any quantity."
+    rows = [
+        [campaign(one), number(one["gain_nat"]), percent(one["share"]), percent(one["settled"])]
+        for one in campaigns
+    ]
+    head = ["every blade once", "tells [nat]", "share of the true one", "settles it"]
+    return [el("h3", "All blades at once"), el("p", said), table(head, rows, (1, 2, 3))]
 
 
 def _set(grown: Sequence[Json]) -> Markup:

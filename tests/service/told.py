@@ -126,11 +126,23 @@ def separating(campaign: str) -> Json:
     expects = [{"mean": 0.3, "sd": 0.01}, {"mean": 0.36, "sd": 0.012}]
     more = {"unit": "mm", "blades_alike": 3, "expected": expects}
     later = one | {"ahead_h": 4000.0, "instrument": None, "gain_nat": 0.01}
+    tells = {"gain_nat": 0.65, "share": 0.97, "settled": 0.94}
+    everybody = {
+        "quantity": "elongation",
+        "ahead_h": 0.0,
+        "blades": 3,
+        "instrument": "another",
+        "sigma": None,
+    } | tells
     return {
         "rivals": [{"names": n, "weight": w} for n, w in zip(rivals, (0.6, 0.4), strict=True)],
         "entropy_nat": 0.673,
         "single": [one | more, later | more],
         "set": [one, later | {"gain_nat": 0.6}],
+        "campaigns": [
+            everybody | {"quantity": "deformation", "nodes": 96, "instrument": None},
+            everybody | {"nodes": None, "gain_nat": 0.04, "share": 0.6, "settled": 0.1},
+        ],
     }
 
 

@@ -86,8 +86,10 @@ READABLE = {
     "sigma": maybe(NUMBER),
 }
 PLANNED = having(**READABLE, sd_after=NUMBER, narrower=NUMBER)
-CANDIDATE = READABLE | {"gain_nat": NUMBER, "share": NUMBER, "settled": NUMBER}
+TELLS = {"gain_nat": NUMBER, "share": NUMBER, "settled": NUMBER}
+CANDIDATE = READABLE | TELLS
 SEPARATING = having(
+    ("campaigns",),  # older reports have none
     rivals=each(having(names=each(TEXT), weight=NUMBER)),
     entropy_nat=NUMBER,
     single=each(
@@ -99,6 +101,17 @@ SEPARATING = having(
         )
     ),
     set=each(having(**CANDIDATE)),
+    campaigns=each(
+        having(
+            quantity=TEXT,
+            ahead_h=NUMBER,
+            blades=WHOLE,
+            instrument=maybe(TEXT),
+            sigma=maybe(NUMBER),
+            nodes=maybe(WHOLE),
+            **TELLS,
+        )
+    ),
 )
 FORESEEN = {"mean": NUMBER, "sd": NUMBER}
 ALTERNATIVES = having(

@@ -1,0 +1,46 @@
+"""What inspecting every blade at once would tell of rivals.
+
+The mutual information of rival and readings, and what the shares of the evidence would be, as for
+a few readings (`core.diagnosis.separate`), of a whole campaign (`core.planning.campaigns`): by
+`DRAWS` draws from each rival's expectation, the same standard-normal numbers for all rivals.
+
+Effects that a few readings of elongation leave alike often differ in the blades' shapes, or in what
+all blades together say to a tenth of one reading's noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.diagnosis.separate import Rival, Told, afterwards, scored
+from core.planning.campaigns import Awaited, Campaign, awaited
+
+Array = NDArray[np.float64]
+DRAWS = 512
+
+
+def told_by(p: Array, each: Sequence[Awaited], seed: int = 0) -> Told:
+    """What a campaign tells, by what each of K rivals expects of it; p (K,) their shares."""
+    out = np.zeros(3)
+    for k, rival in enumerate(each):
+        y = rival.drawn(DRAWS, np.random.default_rng(seed))
+        after = afterwards(p, np.stack([one.log_density(y) for one in each]))
+        out += p[k] * np.array([np.mean(values) for values in scored(p, after, k)])
+    return Told(max(float(out[0]), 0.0), float(out[1]), float(out[2]))
+
+
+def of_all(
+    rivals: Sequence[Rival],
+    asked: Sequence[Campaign],
+    known: Mapping[str, Mapping[str, float]] | None = None,
+) -> tuple[tuple[Campaign, Told], ...]:
+    """Campaigns by what they would tell of the rivals, largest first."""
+    p = np.maximum(np.array([r.weight for r in rivals], float), 1e-12)
+    p /= p.sum()
+    found = [
+        (one, told_by(p, [awaited(r.model, r.state, one, known) for r in rivals])) for one in asked
+    ]
+    return tuple(sorted(found, key=lambda item: -round(item[1].gain, 6)))

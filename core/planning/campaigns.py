@@ -1,0 +1,203 @@
+"""Inspections of every blade at once, and what a calibrated model expects them to read.
+
+One reading of one blade seldom tells what the whole rotor's would: an effect that is common to the
+blades is told by all of them together, and most of all by their shapes. A `Campaign` reads every
+blade once, an elongation or CEEQ each, or a 3-D scan each; as many rows a blade as the quantity has
+(`core.calibration.scans`: a scan's readings through Qᵀ, its part off the modes tells nothing of the
+blade). With f the rows of a blade, s the shared parameters and S what noise and surrogate add,
+
+    y ~ N(m, diag_b(W_b) + U Uᵀ),     m_b = E f_b,     W_b = E Cov[f_b | s] + E S_b,
+    U_b = E[f_b | s] − m_b  over the weighted nodes of s
+
+which holds of the particles' moments whatever the number of blades: U has few columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.scans import doubt
+from core.calibration.state import RotorState
+from core.curves import corrected, inputs_of, noise_of
+from core.discrepancy import AXES
+from core.errors import InputError
+from core.model import Model
+from core.observation import Inspection
+from core.planning.ahead import AHEAD, TO_COME, Candidate, Drawn, answered, candidates
+
+Array = NDArray[np.float64]
+HOURS = AHEAD[::2]  # of a model's hours: now, and a sixth of them later
+SCANNED = 64  # nodes of a scan, where none was scanned yet
+MOST = 800  # particles of a blade
+FAINT = 1e-6  # of the largest: directions that blades have in common
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """One reading of each blade, `ahead_h` after its latest one.
+
+    blades  that it reads, with their hours then
+    nodes   of a scan; none: one value a blade
+    """
+
+    quantity: str
+    ahead_h: float
+    blades: tuple[tuple[str, float], ...]
+    instrument: str | None = None
+    sigma: float | None = None
+    nodes: tuple[int, ...] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain dictionary, with numbers of blades and nodes."""
+        return {
+            "quantity": self.quantity,
+            "ahead_h": self.ahead_h,
+            "blades": len(self.blades),
+            "instrument": self.instrument,
+            "sigma": self.sigma,
+            "nodes": None if self.nodes is None else len(self.nodes),
+        }
+
+
+def campaigns(
+    model: Model, blades: Sequence[str], readings: Sequence[Inspection]
+) -> tuple[Campaign, ...]:
+    """Those that could be made: every quantity that the model answers for, now and later.
+
+    Instruments as in `candidates`. A scan is of the nodes of the rotor's last one, else of
+    `SCANNED` nodes evenly over the mesh.
+    """
+    together: dict[tuple[str, float, str | None, float | None], list[tuple[str, float]]] = {}
+    hours = [share * model.surrogate.horizon_h for share in HOURS]
+    for one in candidates(model, blades, readings, hours):
+        key = (one.quantity, one.ahead_h, one.instrument, one.sigma)
+        together.setdefault(key, []).append((one.blade, one.time_h))
+    found = [Campaign(q, h, tuple(own), by, sigma) for (q, h, by, sigma), own in together.items()]
+    latest = {b: max([0.0, *(r.time_h for r in readings if r.blade == b)]) for b in blades}
+    for q in model.network.quantities:
+        if q.kind != "vector" or (nodes := _nodes(model, q.name, readings)) is None:
+            continue
+        horizon = model.part(q.name).horizon_h
+        for ahead in hours:
+            own = tuple((b, h + ahead) for b, h in latest.items() if 0 < h + ahead <= horizon)
+            if own:
+                found.append(Campaign(q.name, ahead, own, None, None, nodes))
+    return tuple(found)
+
+
+def _nodes(model: Model, quantity: str, readings: Sequence[Inspection]) -> tuple[int, ...] | None:
+    """Of a scan to come; none where the model has no shapes."""
+    part = model.part(quantity)
+    read = [r for r in readings if r.quantity == quantity and r.nodes is not None]
+    if read:
+        last = max(read, key=lambda r: (r.time_h, r.id)).nodes
+        nodes = [] if last is None else last.tolist()
+    else:
+        count = min(SCANNED, part.node_count)
+        nodes = np.linspace(0, part.node_count - 1, count).round().astype(int).tolist()
+    try:
+        part.deformation_modes(nodes)
+    except (InputError, NotImplementedError):
+        return None
+    return tuple(nodes)
+
+
+@dataclass(frozen=True)
+class Awaited:
+    """What a model expects of B blades' c rows; see the module's text.
+
+    mean (B, c); own W (B, c, c); common U (B, c, r)
+    """
+
+    mean: Array
+    own: Array
+    common: Array
+
+    def drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """Readings, (count, B, c)."""
+        root = np.linalg.cholesky(self.own)
+        own = np.einsum("bij,kbj->kbi", root, rng.standard_normal((count, *self.mean.shape)))
+        shared = rng.standard_normal((count, self.common.shape[2]))
+        return np.asarray(self.mean + own + np.einsum("bir,kr->kbi", self.common, shared))
+
+    def log_density(self, y: Array) -> Array:
+        """Of readings (k, B, c), less what is the same for all: (k,)."""
+        root = np.linalg.cholesky(self.own)
+        u = np.linalg.solve(root, np.moveaxis(y - self.mean, 0, -1))  # (B, c, k)
+        a = np.linalg.solve(root, self.common)
+        inner = np.eye(a.shape[2]) + np.einsum("bir,bis->rs", a, a)
+        across = np.einsum("bir,bik->rk", a, u)
+        square = np.sum(u**2, axis=(0, 1)) - np.sum(across * np.linalg.solve(inner, across), axis=0)
+        log_det = 2.0 * np.log(np.einsum("bii->bi", root)).sum() + np.linalg.slogdet(inner)[1]
+        return np.asarray(-0.5 * (square + log_det))
+
+
+def awaited(
+    model: Model,
+    state: RotorState,
+    asked: Campaign,
+    known: Mapping[str, Mapping[str, float]] | None = None,
+) -> Awaited:
+    """Moments of a campaign's readings, by `MOST` particles of each blade of a state."""
+    mean, own, given = [], [], []
+    node_w: Array = np.zeros(0)
+    basis = None if asked.nodes is None else _basis(model, asked)
+    for blade, hour in asked.blades:
+        drawn = Drawn.of(state, blade, MOST)
+        f, noise = _rows(model.for_blade(blade), drawn, asked, blade, hour, known, basis)
+        m, off, between = drawn.centred(f)
+        node_w = drawn.node_w
+        whole = (off * drawn.w[:, None]).T @ off
+        mean.append(m)
+        own.append(whole - (between * node_w[:, None]).T @ between + noise)
+        given.append(between)
+    stacked = np.sqrt(node_w)[:, None] * np.concatenate(given, axis=1)  # (K, B c)
+    _, size, way = np.linalg.svd(stacked, full_matrices=False)
+    kept = size > FAINT * max(float(size[0]), 1e-300)
+    common = (size[kept, None] * way[kept]).T.reshape(len(mean), -1, int(kept.sum()))
+    covariance = np.array(own)
+    return Awaited(np.array(mean), 0.5 * (covariance + np.swapaxes(covariance, 1, 2)), common)
+
+
+def _basis(model: Model, asked: Campaign) -> tuple[Array, Array]:
+    """Q (3 n, c) and R (c, modes) of the nodes."""
+    phi = model.part(asked.quantity).deformation_modes(list(asked.nodes or ()))
+    q, r = np.linalg.qr(phi.reshape(len(AXES) * len(asked.nodes or ()), -1))
+    return np.asarray(q), np.asarray(r)
+
+
+def _rows(
+    model: Model,
+    drawn: Drawn,
+    asked: Campaign,
+    blade: str,
+    hour: float,
+    known: Mapping[str, Mapping[str, float]] | None,
+    basis: tuple[Array, Array] | None,
+) -> tuple[Array, Array]:
+    """A blade's rows at its particles (N, c), and E S, (c, c)."""
+    posterior, fixed = drawn.posterior, (known or {}).get(blade)
+    if basis is None:
+        one = Candidate(blade, asked.quantity, hour, asked.ahead_h, asked.instrument, asked.sigma)
+        f, v = answered(model, posterior, [one], fixed, noise=True)
+        return f, np.diag(drawn.w @ v)
+    (q, r), declared = basis, model.network.quantity(asked.quantity)
+    part, reader = model.part(asked.quantity), (asked.instrument, TO_COME)
+    response = part.mode_response(hour, r)
+    f, sd = response.evaluate(inputs_of(model, posterior, asked.quantity, fixed))
+    at, axes = np.array([hour]), range(len(AXES))
+    wrong = [corrected(model, posterior, declared, at, axis, reader) for axis in axes]
+    gain, off = wrong[0][0], np.concatenate([one[1] for one in wrong], axis=1)
+    f = gain * f + off @ q.reshape(-1, len(AXES), q.shape[1]).sum(axis=0)
+    z, error = drawn.w @ f, np.sqrt(drawn.w @ (gain * sd) ** 2)
+    sigma = noise_of(model, posterior, asked.quantity)
+    sigma2 = float(drawn.w @ sigma**2) if asked.sigma is None else asked.sigma**2
+    sigma_delta, left = float(wrong[0][2][0]), float(wrong[0][3][0])
+    noise = doubt(part.mode_covariance(hour), r, z, error, declared.numerical)
+    noise += (sigma2 + sigma_delta**2) * np.eye(len(z)) + left**2 * np.outer(z, z)
+    return f, noise
