@@ -11,6 +11,7 @@ all blades together say to a tenth of one reading's noise.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +38,23 @@ def of_all(
     asked: Sequence[Campaign],
     known: Mapping[str, Mapping[str, float]] | None = None,
 ) -> tuple[tuple[Campaign, Told], ...]:
-    """Campaigns by what they would tell of the rivals, largest first."""
+    """Campaigns by what they would tell of the rivals, largest first.
+
+    Instruments that no rival tells apart are asked about once, by none's name.
+    """
     p = np.maximum(np.array([r.weight for r in rivals], float), 1e-12)
     p /= p.sum()
+    kinds = dict.fromkeys(
+        one if _told_apart(rivals, one.quantity) else replace(one, instrument=None) for one in asked
+    )
     found = [
-        (one, told_by(p, [awaited(r.model, r.state, one, known) for r in rivals])) for one in asked
+        (one, told_by(p, [awaited(r.model, r.state, one, known) for r in rivals])) for one in kinds
     ]
     return tuple(sorted(found, key=lambda item: -round(item[1].gain, 6)))
+
+
+def _told_apart(rivals: Sequence[Rival], quantity: str) -> bool:
+    """Whether it matters who reads a quantity."""
+    own = [r.model.network for r in rivals]
+    biased = any(b.quantity == quantity and b.instrument is not None for n in own for b in n.biases)
+    return biased or any(n.quantity(quantity).by_instrument for n in own)

@@ -29,6 +29,7 @@ from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
 from core.planning.ahead import AHEAD, TO_COME, Candidate, Drawn, answered, candidates
+from core.response import Response
 
 Array = NDArray[np.float64]
 HOURS = AHEAD[::2]  # of a model's hours: now, and a sixth of them later
@@ -147,14 +148,14 @@ def awaited(
     mean, own, given = [], [], []
     node_w: Array = np.zeros(0)
     basis = None if asked.nodes is None else _basis(model, asked)
+    made: dict[tuple[int, float], Response] = {}
     for blade, hour in asked.blades:
         drawn = Drawn.of(state, blade, MOST)
-        f, noise = _rows(model.for_blade(blade), drawn, asked, blade, hour, known, basis)
+        f, noise = _rows(model.for_blade(blade), drawn, asked, blade, hour, known, basis, made)
         m, off, between = drawn.centred(f)
         node_w = drawn.node_w
-        whole = (off * drawn.w[:, None]).T @ off
         mean.append(m)
-        own.append(whole - (between * node_w[:, None]).T @ between + noise)
+        own.append(_within(drawn, off) + noise)
         given.append(between)
     stacked = np.sqrt(node_w)[:, None] * np.concatenate(given, axis=1)  # (K, B c)
     _, size, way = np.linalg.svd(stacked, full_matrices=False)
@@ -162,6 +163,16 @@ def awaited(
     common = (size[kept, None] * way[kept]).T.reshape(len(mean), -1, int(kept.sum()))
     covariance = np.array(own)
     return Awaited(np.array(mean), 0.5 * (covariance + np.swapaxes(covariance, 1, 2)), common)
+
+
+def _within(drawn: Drawn, off: Array) -> Array:
+    """Covariance of values (n, c) about their means at the nodes, (c, c)."""
+    nodes = len(drawn.node_w)
+    w = drawn.w.reshape(nodes, -1)
+    values = off.reshape(nodes, w.shape[1], -1)
+    middle = np.einsum("km,kmc->kc", w, values) / np.maximum(w.sum(axis=1), 1e-300)[:, None]
+    left = (values - middle[:, None]).reshape(off.shape)
+    return np.asarray((left * drawn.w[:, None]).T @ left)
 
 
 def _basis(model: Model, asked: Campaign) -> tuple[Array, Array]:
@@ -179,8 +190,12 @@ def _rows(
     hour: float,
     known: Mapping[str, Mapping[str, float]] | None,
     basis: tuple[Array, Array] | None,
+    made: dict[tuple[int, float], Response],
 ) -> tuple[Array, Array]:
-    """A blade's rows at its particles (N, c), and E S, (c, c)."""
+    """A blade's rows at its particles (N, c), and E S, (c, c).
+
+    made  rows of scans, by blades that have the same effects and by hour; filled
+    """
     posterior, fixed = drawn.posterior, (known or {}).get(blade)
     if basis is None:
         one = Candidate(blade, asked.quantity, hour, asked.ahead_h, asked.instrument, asked.sigma)
@@ -188,8 +203,10 @@ def _rows(
         return f, np.diag(drawn.w @ v)
     (q, r), declared = basis, model.network.quantity(asked.quantity)
     part, reader = model.part(asked.quantity), (asked.instrument, TO_COME)
-    response = part.mode_response(hour, r)
-    f, sd = response.evaluate(inputs_of(model, posterior, asked.quantity, fixed))
+    key = (id(model), hour)  # models of blades are kept by their model
+    if key not in made:
+        made[key] = part.mode_response(hour, r)
+    f, sd = made[key].evaluate(inputs_of(model, posterior, asked.quantity, fixed))
     at, axes = np.array([hour]), range(len(AXES))
     wrong = [corrected(model, posterior, declared, at, axis, reader) for axis in axes]
     gain, off = wrong[0][0], np.concatenate([one[1] for one in wrong], axis=1)

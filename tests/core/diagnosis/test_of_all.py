@@ -149,3 +149,14 @@ def test_every_quantity_is_read_by_everybody_and_of_a_formula_there_are_no_shape
     plain = campaigns(conjugate(2), ("b0",), [Inspection("e", "b0", "y", 1.0, np.array([0.1]))])
     assert {c.quantity for c in plain} == {"y"}
     assert all(name in CELLS for name in ("instrument", "campaign"))
+
+
+def test_readers_that_no_rival_tells_apart_are_asked_about_once(
+    found: tuple[Separation, list[Inspection]],
+) -> None:
+    got, _ = found
+    (_, campaign) = got.rivals
+    ((one, told),) = of_all([campaign, campaign], [by("g1"), by("g2")])
+    assert one.instrument is None
+    assert told.gain == pytest.approx(0.0, abs=1e-9)
+    assert len(of_all(got.rivals, [by("g1"), by("g2")])) == 2
