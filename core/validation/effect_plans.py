@@ -3,8 +3,8 @@
     rotor-20    20 blades at six visits, two ages (`fe_rotors`, `effect_truths`); effects as they
                 were run
     fleet-100   100 blades at three visits, five ages (`effect_fleet`); effects scaled to a size
-    fleet-scans one of these rotors, and a 3-D scan of each blade at the last visit, of
-                96 nodes (`effect_scans`)
+    fleet-scans one of these rotors, and 3-D scans of two blades of five at the first and at
+                the last visit, of 96 nodes each (`effect_scans`)
 
 A size is a multiple of the noise: by so much the mean of the concerned blades changes at the last
 visit. Effects are run by finite elements at one strength each, and scaled in proportion from
@@ -34,13 +34,14 @@ STRONGEST = 2.0  # times an effect as it was run
 
 @dataclass(frozen=True)
 class Scanned:
-    """3-D scans of every blade at some of the visits.
+    """3-D scans of some blades at some of the visits.
 
-    visits  which, (S,); nodes (N,)
+    visits  which, (S,); blades: which; nodes (N,)
     shape   deformation without effects [mm], (R, B, S, N, 3); change: by effect, what it adds
     """
 
     visits: tuple[int, ...]
+    blades: tuple[int, ...]
     nodes: NDArray[np.int64]
     shape: Array
     change: Mapping[str, Array]
@@ -189,14 +190,13 @@ def fleet_100() -> Plan:
 
 @cache
 def fleet_scans() -> Plan:
-    """The rotor of `fleet_100` whose blades' shapes are known, scanned at the last visit."""
-    whole, last = fleet_100(), len(fleet.VISITS_H) - 1
-    with np.load(scans.SHIPPED, allow_pickle=False) as data:
-        nodes, shape, change = (data[name] for name in ("nodes", "deformation", "change"))
-    at = slice(last, last + 1)  # the one after is the horizon's
-    every = dict(zip(fleet.EFFECTS, change[:, None, :, at].astype(float), strict=True))
+    """The rotor of `fleet_100` whose blades' shapes are known, and scans of these."""
+    whole, visits = fleet_100(), [0, len(fleet.VISITS_H) - 1]
+    nodes, shape, change = scans.load()
+    every = {effect: one[None, :, visits] for effect, one in change.items()}
     every["worn lot"] = np.where((whole.coat == 0)[None, :, None, None, None], every["wear"], 0.0)
-    seen = Scanned((last,), nodes.astype(np.int64), shape[None, :, at].astype(float), every)
+    scanned = tuple(b for b in range(fleet.BLADES) if b % 5 in (0, 2))
+    seen = Scanned(tuple(visits), scanned, nodes, shape[None, :, visits], every)
     own = slice(scans.ROTOR, scans.ROTOR + 1)
     return replace(
         whole,

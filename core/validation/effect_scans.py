@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 Nodes = NDArray[np.int64]
 SHIPPED = Path(__file__).with_name("effect_scans.npz")
 ROTOR, SAME = 1, 1e-9  # mm
+UNIT = 1e-4  # mm, in which shapes are kept: a scan's noise is 300 times as large
 COURSES = ("default", "sound", *EFFECTS)
 
 
@@ -71,7 +72,7 @@ def make(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """All runs as one small file (to 1e-6 mm); a cut campaign goes on in `folder`."""
+    """All runs as one small file (to `UNIT`); a cut campaign goes on in `folder`."""
     return packed(kept_runs(Path(folder) / "scans", runs(), run, workers, progress), out)
 
 
@@ -82,10 +83,19 @@ def packed(done: Mapping[str, Array], out: str | Path = SHIPPED) -> Path:
     plain, sound, *changed = (
         np.array([done[f"{what}-{b:03d}"] for b in range(BLADES)]) for what in COURSES
     )
+    changes = np.array([one - sound for one in changed])
+    kept = [np.round(one / UNIT) for one in (plain, changes)]
     np.savez_compressed(
         out,
         nodes=nodes()["default"].astype(np.int32),
-        deformation=np.round(plain, 6).astype(np.float32),
-        change=np.round([one - sound for one in changed], 6).astype(np.float32),
+        deformation=kept[0].astype(np.int32),
+        change=kept[1].astype(np.int32),
     )
     return Path(out)
+
+
+def load(path: str | Path = SHIPPED) -> tuple[Nodes, Array, dict[str, Array]]:
+    """Nodes (N,), deformation without effects (B, V + 1, N, 3) [mm], and what each effect adds."""
+    with np.load(path, allow_pickle=False) as data:
+        shape, change = (UNIT * data[name].astype(float) for name in ("deformation", "change"))
+        return data["nodes"].astype(np.int64), shape, dict(zip(EFFECTS, change, strict=True))

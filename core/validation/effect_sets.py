@@ -189,13 +189,14 @@ def scans(
     if plan.scans is None:
         return
     nodes = plan.scans.nodes
-    for b, blade in enumerate(labels.blades):
+    for b in plan.scans.blades:
         for k, visit in enumerate(plan.scans.visits):
             exact, sound = (one[b, k] for one in shapes)
             noise = rng.standard_t(3, exact.shape) / np.sqrt(3) if heavy else None
             noise = rng.normal(size=exact.shape) if noise is None else noise
             values = np.round(exact + SCAN_NOISE * noise, 5)
-            at = (f"r{rng.integers(10**9)}", blade, "deformation", float(plan.own_h[b, visit]))
+            hour, name = float(plan.own_h[b, visit]), f"r{rng.integers(10**9)}"
+            at = (name, labels.blades[b], "deformation", hour)
             scan = Inspection(*at, values, nodes, campaign=labels.visits[visit])
             yield scan, exact, sound
 

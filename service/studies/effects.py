@@ -28,7 +28,7 @@ def effects(
     clean: Annotated[int, typer.Option(help="Sets of each kind without an effect.")] = 40,
     planted: Annotated[int, typer.Option(help="Sets of each planted effect.")] = 16,
     plan: Annotated[
-        str, typer.Option(help="rotor-20 or fleet-100: blades and visits.")
+        str, typer.Option(help="rotor-20, fleet-100 or fleet-scans: blades and visits.")
     ] = "rotor-20",
     size: Annotated[
         float, typer.Option(help="Change at the last visit in noises, where the plan is scaled.")
