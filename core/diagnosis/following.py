@@ -20,7 +20,8 @@ from core.errors import InputError
 from core.observation import Inspection
 from core.surrogate import Surrogate
 from core.surrogate.driven import Driven
-from core.surrogate.history import Followed, follow
+from core.surrogate.followed import Followed
+from core.surrogate.history import follow
 from core.surrogate.targets import DEFORMATION, MEAN_CEEQ
 
 Array = NDArray[np.float64]
@@ -134,7 +135,7 @@ def _follow(
         middle = 0.5 * (np.r_[edges[:-1], starts] + ends)  # of the pieces, then those to the marks
         inside = np.clip(inputs(middle), low, high)
         pieces, last = inside[:, : len(edges) - 1], inside[:, len(edges) - 1 :]
-        mean, _, _ = follow(base, edges, pieces, marks, last, what, doubt=False)
+        mean, _, _ = follow(base, edges, pieces, marks, last, what, doubt=False, late=True)
         return np.asarray(mean)
 
     key = (tuple(blades), hours.tobytes(), None if modes is None else modes.tobytes())

@@ -31,7 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import InputError
-from core.surrogate.history import Followed, follow
+from core.surrogate.followed import Followed
+from core.surrogate.history import follow
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import DEFORMATION
 

@@ -32,7 +32,8 @@ from core.errors import InputError
 from core.response import Response
 from core.surrogate.anchor import Anchor
 from core.surrogate.compile import fitting
-from core.surrogate.history import FOLLOWED, Followed, follow
+from core.surrogate.followed import Followed
+from core.surrogate.history import FOLLOWED, follow
 from core.surrogate.model import Surrogate
 from core.surrogate.reach import check_reach, missed, run
 from core.surrogate.targets import DEFORMATION

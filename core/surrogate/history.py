@@ -17,18 +17,15 @@ the slope in log E over log t that it has there, up to `BEYOND` times that insta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from core.errors import InputError, RangeError
+from core.surrogate.followed import Curves, Followed, Scales
 from core.surrogate.model import Surrogate
-from core.surrogate.part import Part
-from core.surrogate.targets import DEFORMATION, MEAN_CEEQ
-from core.surrogate.tucker import Factors
+from core.surrogate.targets import MEAN_CEEQ
 
 Array = NDArray[np.float64]
 FOLLOWED = 0.004
@@ -39,131 +36,22 @@ STEPS = 60
 CLOSE = 1e-12  # of log t
 
 
-@dataclass(frozen=True)
-class Curves:
-    """One part at as many times as inputs: g(t_i; x_i), by the splines of `core.surrogate.tucker`.
-
-    forms (1 + J, A, R) for the rows asked for; offset and slope of the time modes at the last
-    instant carry on beyond it.
-    """
-
-    spline: CubicSpline
-    first: float
-    last: float
-    forms: Array
-    columns: slice
-
-    @staticmethod
-    def of(part: Part, to_rows: Array) -> Curves:
-        """Of the rows that `to_rows` (R, B) makes of the part's spatial modes."""
-        factors: Factors = part.factors
-        forms = factors.core @ to_rows.T
-        clock = np.log(factors.time_h)
-        return Curves(
-            CubicSpline(clock, factors.time, axis=0),
-            float(clock[0]),
-            float(clock[-1]),
-            np.ascontiguousarray(forms),
-            part.columns,
-        )
-
-    def weights(self, c: Array) -> Array:
-        """The time modes' weights for coefficients c (n, J) of this part: (n, A, R)."""
-        return np.asarray(self.forms[0] + np.tensordot(c, self.forms[1:], axes=1))
-
-    def __call__(self, weights: Array, log_t: Array) -> Array:
-        """g (n, R) at log times (n, 1) or, a time for each row, (n, R)."""
-        at, past = np.clip(log_t, self.first, self.last), np.maximum(log_t - self.last, 0.0)
-        modes = self.spline(at) + past[..., None] * self.spline(self.last, 1)
-        return _mixed(modes, weights)
-
-    def slope(self, weights: Array, log_t: Array) -> Array:
-        """dg / d log t (n, R); like `__call__`."""
-        modes = self.spline(np.clip(log_t, self.first, self.last), 1)
-        return _mixed(modes * (log_t >= self.first)[..., None], weights)
-
-
-def _mixed(modes: Array, weights: Array) -> Array:
-    """Time modes (n, 1 or R, A) by their weights (n, A, R)."""
-    if modes.shape[1] == 1:
-        return np.asarray(np.einsum("na,nar->nr", modes[:, 0], weights))
-    return np.asarray(np.einsum("nra,nar->nr", modes, weights))
-
-
-@dataclass(frozen=True)
-class Scales:
-    """k of a part's error (`core.surrogate.part`) at its instants (T,), by row (T, R)."""
-
-    log_t: Array
-    k: Array
-
-    def __call__(self, log_t: Array) -> Array:
-        """k (n, R) at log times (n, R) or (n, 1)."""
-        at = np.broadcast_to(log_t, (len(log_t), self.k.shape[1]))
-        rows = [np.interp(at[:, r], self.log_t, self.k[:, r]) for r in range(self.k.shape[1])]
-        return np.stack(rows, axis=1)
-
-
-@dataclass(frozen=True)
-class Followed:
-    """What is followed: the curves of its rows and the sizes of their errors.
-
-    per_ceeq   the curves are those of the value over mean CEEQ
-    own_clock  each row remembers itself, not the mean CEEQ
-    """
-
-    curves: Curves
-    scales: Scales
-    per_ceeq: bool
-    own_clock: bool
-
-    @staticmethod
-    def of(surrogate: Surrogate, quantity: str, nodes: Sequence[int] | None) -> Followed:
-        """A quantity at nodes, rows in C order of (node, xyz)."""
-        if quantity not in ("elongation", DEFORMATION, "ceeq", "creep_damage"):
-            raise InputError(
-                "quantity",
-                quantity,
-                "has no rule in time",
-                "ask elongation, deformation, ceeq or creep_damage",
-            )
-        rows, part = surrogate.rows(quantity, nodes), surrogate.parts[quantity]
-        needed = "per ceeq" if quantity in ("elongation", DEFORMATION) else "log rate"
-        if part.form != needed:
-            problem = f"is learnt as {part.form!r} of its value: it does not grow from 0 with creep"
-            remedy = "give runs in which it does, or leave out inputs that run in time"
-            raise InputError("quantity", quantity, problem, remedy)
-        return Followed(
-            Curves.of(part, part.factors.space[rows].astype(float)),
-            Scales(
-                np.log(part.factors.time_h),
-                part.scale(part.factors.time_h, rows, surrogate.v_typical),
-            ),
-            quantity in ("elongation", DEFORMATION),
-            quantity == "ceeq",
-        )
-
-    @staticmethod
-    def mixed(surrogate: Surrogate, mixing: Array) -> Followed:
-        """Mixtures T (Q, B) of the deformation's spatial modes."""
-        part = surrogate.parts[DEFORMATION]
-        time = part.factors.time_h
-        covariance = part.mode_covariance(time)
-        k = np.sqrt(np.einsum("qb,tbc,qc->tq", mixing, covariance, mixing))
-        return Followed(Curves.of(part, mixing), Scales(np.log(time), k), True, False)
-
-
-def _clock(curve: Curves, weights: Array, strain: Array) -> Array:
+def _clock(curve: Curves, weights: Array, strain: Array, late: bool = False) -> Array:
     """log t* (n, R) at which t exp(g(t)) reaches `strain` (n, R), for it grows.
 
     By Newton's steps, halving where one would leave what is known to hold it.
+
+    late  where it is reached only after `BEYOND`: that time, in place of a RangeError
     """
     start = np.full(strain.shape, np.log(EARLIEST_H))
     if not np.any(strain > 0):
         return start
     wanted = np.log(np.maximum(strain, 1e-300))
     low, high = start.copy(), np.full(strain.shape, curve.last + np.log(BEYOND))
-    if np.any(high + curve(weights, high) < wanted):
+    reached = high + curve(weights, high)
+    if late:
+        wanted = np.minimum(wanted, reached)
+    elif np.any(reached < wanted):
         raise RangeError(
             "creep strain",
             float(strain.max()),
@@ -204,6 +92,7 @@ def follow(
     rule: float = FOLLOWED,
     *,
     doubt: bool = True,
+    late: bool = False,
 ) -> tuple[Array, Array, Array]:
     """Mean and sd of rows at hours `marks`, (n, M, R), and mean CEEQ there (n, M).
 
@@ -213,9 +102,10 @@ def follow(
               mark depends on no other
     rule      the rule's own error, relative to what has grown; 0 where inputs are constant
     doubt     False: the surrogate's own error is left out of the sd, which saves most of the time
+    late      a memory that inputs reach only long after the horizon grows as it would at `BEYOND`
+              of it (where creep is steady, as it would anywhere), in place of a RangeError
 
-    Raises RangeError for inputs outside the surrogate's box, and for a memory that they reach only
-    long after the horizon.
+    Raises RangeError for inputs outside the surrogate's box, and for such a memory.
     """
     fits = inputs.shape[1] == len(edges) - 1 and at_marks.shape[1] == len(marks)
     if edges[0] != 0 or np.any(np.diff(edges) <= 0) or not fits or np.any(marks <= 0):
@@ -224,7 +114,7 @@ def follow(
     time = part.factors.time_h
     k_memory = Scales(np.log(time), part.scale(time, one, surrogate.v_typical))
     walk = _Walk(
-        surrogate, Curves.of(part, part.factors.space.astype(float)), k_memory, what, doubt
+        surrogate, Curves.of(part, part.factors.space.astype(float)), k_memory, what, doubt, late
     )
     n, many = len(inputs), what.curves.forms.shape[2]
     now = _Memory(np.zeros((n, 1)), *(np.zeros((n, many)) for _ in range(3)))
@@ -248,6 +138,7 @@ class _Walk:
     k_memory: Scales
     what: Followed
     doubt: bool
+    late: bool = False
 
     def on(self, now: _Memory, x: Array, hours: float) -> _Memory:
         """After some hours under inputs x (n, d)."""
@@ -259,21 +150,29 @@ class _Walk:
         else:
             (c_memory, c_own), v = process.mean(z, columns), np.zeros(len(z))
         e, y = memory.weights(c_memory), own.weights(c_own)
-        begun, before = now.mean_ceeq, _clock(memory, e, now.mean_ceeq)
+        begun, before = now.mean_ceeq, _clock(memory, e, now.mean_ceeq, self.late)
         after = np.log(np.exp(before) + hours)
         mean_ceeq, strain = np.exp(after + memory(e, after)), now.strain
+        if self.late:  # what was not reached is carried along
+            mean_ceeq += _short(begun, np.exp(before + memory(e, before)))
         if what.per_ceeq:
             g0, g1 = own(y, before), own(y, after)
             change = g1 * mean_ceeq - g0 * begun
             k = np.hypot(what.scales(after), g1 * self.k_memory(after)) * (mean_ceeq - begun)
         else:
             if what.own_clock:
-                before = _clock(own, y, strain)
+                before = _clock(own, y, strain, self.late)
                 after = np.log(np.exp(before) + hours)
             y0, y1 = (np.exp(at + own(y, at)) for at in (before, after))
             change = y1 - np.where(begun > 0, y0, 0.0)
-            k, strain = what.scales(after) * np.abs(change), y1
+            k = what.scales(after) * np.abs(change)
+            strain = y1 + _short(strain, y0) if self.late and what.own_clock else y1
         doubt = now.doubt + np.abs(k) * np.sqrt(v)[:, None]
         beyond = np.clip((np.exp(after) - np.exp(memory.last)) / hours, 0.0, 1.0)
         doubt = doubt + EXTRAPOLATED * np.abs(change) * beyond
         return _Memory(mean_ceeq, strain, now.total + change, doubt)
+
+
+def _short(strain: Array, reached: Array) -> Array:
+    """By how much a strain is beyond what was reached; 0 where it was."""
+    return np.maximum(strain - reached, 0.0)

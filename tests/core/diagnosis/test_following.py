@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 
 from core.calibration.online import RotorSpec, update
-from core.diagnosis import Facts
+from core.diagnosis import Facts, following
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.families import FAMILIES
 from core.diagnosis.following import change
 from core.diagnosis.grammar import Cell
 from core.diagnosis.moving import Moving, Physics
 from core.diagnosis.scoring import scores
+from core.errors import RangeError
 from core.model import Model, rotor_blade, rotor_blade_wide
 from core.network import Network
 from core.observation import Inspection
 from core.surrogate.driven import Driven
+from core.surrogate.history import follow
 from core.validation.fe_rotors import scan_nodes
 from core.validation.simulate import scan
 
@@ -117,3 +119,26 @@ def test_scans_move_as_the_runs_say_whoever_was_scanned_where_and_when() -> None
             assert not np.allclose(got, modes, atol=0.05 * size), "rows are turned"
             turned += 1
     assert turned == 8
+
+
+def test_a_node_that_the_changed_inputs_would_reach_late_is_looked_at_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A cold node of a blade whose gas gets far colder: its creep all but stops; the mutant asks
+    when it would have crept so far, and there is no answer."""
+    node, hours = int(scan_nodes(5)[0]), (20e3, 30e3)
+    data = [
+        Inspection(f"{h}", "B1", "ceeq", h, np.array([y]), np.array([node]))
+        for h, y in zip(hours, (6e-4, 6.1e-4), strict=True)
+    ]
+    seen = scores(MODEL, update(MODEL, RotorSpec("r", ("B1",), 100, 1), data), data)
+    step = Cell(FAMILY["firing temperature step"], "step", "all", None, 21e3).course
+    colder = Moving("t1t_rate", "plus", -0.19, step, False)
+    own, facts = Physics.of(MODEL.network, MODEL.surrogate, {}), {"B1": Facts()}
+    found = change(own, seen, facts, colder, {})[0]
+    assert np.all(found[:, 0] == 0.0), "before the step"
+    assert np.all(np.isfinite(found))
+    assert np.abs(found).max() < 1.2e-4, "a fifth of what there is"
+    monkeypatch.setattr(following, "follow", lambda *a, late, **n: follow(*a, **n))
+    with pytest.raises(RangeError, match="longer runs"):
+        change(own, seen, facts, colder, {})

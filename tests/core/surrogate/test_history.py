@@ -15,7 +15,7 @@ from core.builtin import rotor_blade
 from core.course import Course, pieces
 from core.errors import InputError, RangeError
 from core.surrogate import history
-from core.surrogate.history import Followed
+from core.surrogate.followed import Followed
 
 KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
 TIMES = np.array(KEPT["time_h"])
@@ -28,9 +28,11 @@ ROWS = [("elongation", None), ("deformation", [TIP]), ("ceeq", [TIP, CRITICAL])]
 ROWS += [("creep_damage", [CRITICAL])]
 
 
-def follow(edges: Any, inputs: Any, quantity: str, nodes: list[int] | None = None) -> Any:
+def follow(
+    edges: Any, inputs: Any, quantity: str, nodes: list[int] | None = None, *, late: bool = False
+) -> Any:
     rows = Followed.of(BLADE, quantity, nodes)
-    return history.follow(BLADE, edges, inputs, edges[1:], inputs, rows)[:2]
+    return history.follow(BLADE, edges, inputs, edges[1:], inputs, rows, late=late)[:2]
 
 
 def followed(run: dict[str, Any], quantity: str, nodes: list[int] | None, parts: int = 8) -> Any:
@@ -118,7 +120,7 @@ def test_hardening_by_time_is_far_worse(monkeypatch: pytest.MonkeyPatch) -> None
     right = np.abs(errors("elongation", None, None)[0][:, -1])
     hours = iter(())
 
-    def by_the_clock(curve: Any, weights: Any, strain: Any) -> Any:
+    def by_the_clock(curve: Any, weights: Any, strain: Any, late: bool) -> Any:
         return np.full(strain.shape, np.log(max(next(hours), history.EARLIEST_H)))
 
     wrong = []
@@ -160,6 +162,27 @@ def test_what_cannot_be_followed_is_refused() -> None:
     cooled[0] = [[0.7, 1.0, 0.0, 3.0], [1.3, 0.8, 0.0, -3.0]]
     with pytest.raises(RangeError, match="longer runs"):
         follow(np.array([0.0, 4e4, 5e4]), cooled, "elongation")
+
+
+@pytest.mark.parametrize(("quantity", "nodes"), ROWS)
+def test_a_memory_that_is_reached_late_goes_on_slowly_and_is_kept(
+    quantity: str, nodes: list[int] | None
+) -> None:
+    """Hot, then so cold that the strain would take longer than three times the runs, then hot as
+    before: hardly anything grows while it is cold, and all goes on as if that had not been."""
+    hot, cold = [0.7, 1.0, 0.0, 3.0], [1.3, 0.8, 0.0, -3.0]
+    edges = np.array([0.0, 4e4, 5e4, 6e4])
+    mean, _ = follow(edges, np.array([[hot, cold, hot]]), quantity, nodes, late=True)
+    never, _ = follow(np.array([0.0, 4e4, 5e4]), np.array([[hot, hot]]), quantity, nodes)
+    before, cooled, again = mean[0]
+    assert before == pytest.approx(never[0, 0], rel=1e-9)
+    grown = never[0, 1] - never[0, 0]
+    little = 0.04 * np.abs(grown).max()
+    assert np.abs(cooled - before).max() < little
+    assert again - cooled == pytest.approx(grown, abs=little)
+    reached, _ = follow(edges, np.array([[hot, hot, hot]]), quantity, nodes, late=True)
+    plain, _ = follow(edges, np.array([[hot, hot, hot]]), quantity, nodes)
+    assert reached == pytest.approx(plain, rel=1e-9), "nothing changes where it is reached"
 
 
 @pytest.mark.parametrize("form", ["raw", "log"])
