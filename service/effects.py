@@ -146,7 +146,7 @@ def diagnosed(
             case.present,
         )
     progress("pictures and inspections to come", total - 1, total)
-    split = splitting(found, case, work)
+    split = splitting(found, case, work, lambda what: progress(what, total - 1, total))
     apart = None if split is None else separation_json(split)
     others = None
     if found.verdict.word in ("effect", "not separable") and compare_h is not None and quantity:

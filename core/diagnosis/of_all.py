@@ -10,7 +10,7 @@ all blades together say to a tenth of one reading's noise.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +37,7 @@ def of_all(
     rivals: Sequence[Rival],
     asked: Sequence[Campaign],
     known: Mapping[str, Mapping[str, float]] | None = None,
+    say: Callable[[str], None] = lambda what: None,
 ) -> tuple[tuple[Campaign, Told], ...]:
     """Campaigns by what they would tell of the rivals, largest first.
 
@@ -47,9 +48,11 @@ def of_all(
     kinds = dict.fromkeys(
         one if _told_apart(rivals, one.quantity) else replace(one, instrument=None) for one in asked
     )
-    found = [
-        (one, told_by(p, [awaited(r.model, r.state, one, known) for r in rivals])) for one in kinds
-    ]
+    found = []
+    for one in kinds:
+        say(f"what {one.quantity} of all blades would tell")
+        each = [awaited(r.model, r.state, one, known) for r in rivals]
+        found.append((one, told_by(p, each)))
     return tuple(sorted(found, key=lambda item: -round(item[1].gain, 6)))
 
 

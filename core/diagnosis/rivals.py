@@ -6,6 +6,7 @@ best hypothesis, calibrated from the same readings.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from core.calibration.online import Workspace, update
@@ -19,7 +20,12 @@ from core.planning.ahead import candidates
 from core.planning.campaigns import campaigns
 
 
-def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) -> list[Rival]:
+def rivals_of(
+    found: Diagnosis,
+    case: Case,
+    workspace: Workspace | None = None,
+    say: Callable[[str], None] = lambda what: None,
+) -> list[Rival]:
     """The best hypothesis of each name of the set, with its share of the evidence, largest first.
 
     Each has the effects that were in the model before, and its own. Left out is what the runs have
@@ -38,6 +44,7 @@ def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) 
         if (known := turn.rivals.get(one.names)) is not None:
             rivals.append(Rival(one.names, known.model, known.state, one.weight))
             continue
+        say(f"{' and '.join(one.names)}, which is not told apart")
         try:
             more = (*turn.before, *(turn.cells[i] for i in one.cells))
             bigger = with_effects(model, more, case.facts, noise, case.read_h)
@@ -49,7 +56,10 @@ def rivals_of(found: Diagnosis, case: Case, workspace: Workspace | None = None) 
 
 
 def splitting(
-    found: Diagnosis, case: Case, workspace: Workspace | None = None
+    found: Diagnosis,
+    case: Case,
+    workspace: Workspace | None = None,
+    say: Callable[[str], None] = lambda what: None,
 ) -> Separation | None:
     """Inspections that would split a set that is not separable.
 
@@ -58,11 +68,12 @@ def splitting(
     """
     if found.verdict.word != "not separable":
         return None
-    rivals = rivals_of(found, case, workspace)
+    rivals = rivals_of(found, case, workspace, say)
     model = found.before[0]
     asked = candidates(model, case.present, case.readings)
     if len(rivals) < 2 or not asked:
         return None
+    say("what one reading would tell")
     apart = separate(rivals, asked, case.spec.known)
     whole = campaigns(model, case.present, case.readings)
-    return replace(apart, campaigns=of_all(rivals, whole, case.spec.known))
+    return replace(apart, campaigns=of_all(rivals, whole, case.spec.known, say))

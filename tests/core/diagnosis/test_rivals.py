@@ -65,7 +65,12 @@ def test_the_suspect_instrument_reads_again_and_then_another_one(
 ) -> None:
     """A reading by g2 tells its own offset from the campaign's; g1's takes an instrument more."""
     found, case, work = torn
-    split = splitting(found, case, work)
+    steps: list[str] = []
+    split = splitting(found, case, work, steps.append)
+    assert (
+        steps[-2:] == ["what one reading would tell", *["what y of all blades would tell"] * 6][-2:]
+    )
+    assert "what one reading would tell" in steps
     assert split is not None
     told = separation_json(split)
     best = {one["instrument"]: one for one in reversed(told["single"])}
