@@ -1,4 +1,4 @@
-"""Kept studies of fleets' diagnoses: 402 clean sets, and five effects of physics with more room."""
+"""Kept studies of fleets: 402 clean sets, five effects of physics, and these in scans."""
 
 from __future__ import annotations
 
@@ -23,7 +23,11 @@ def kept(name: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("name", "kinds", "sets"),
-    [("effects-clean", CLEAN, 134), ("effects-fleet-physics", PHYSICS, 6)],
+    [
+        ("effects-clean", CLEAN, 134),
+        ("effects-fleet-physics", PHYSICS, 6),
+        ("effects-scans", ("clean", *PHYSICS, "pulse"), 2),
+    ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
     name: str, kinds: tuple[str, ...], sets: int
@@ -64,3 +68,16 @@ def test_physics_of_two_noises_is_noticed_and_not_named_and_never_wrongly() -> N
     for one in found["sets"]:
         if "rivals" in one:
             assert abs(one["rivals"]["z"]) < 1.0
+
+
+def test_in_scans_physics_is_named_where_elongations_left_it_open() -> None:
+    found = kept("effects-scans")
+    assert found["plan"] == "fleet-scans"
+    named = [one for one in found["sets"] if one["condition"] in PHYSICS]
+    count = {w: sum(one["outcome"] == w for one in named) for w in ("right", "in the set", "wrong")}
+    assert count == {"right": 8, "in the set": 1, "wrong": 0}
+    assert all(one["alarm"] for one in named)
+    assert "**8 of 10**" in TEXT
+    assert found["table"]["pulse"]["right"] == found["table"]["clean"]["right"] == 1.0
+    errors = [[abs(one[when]["forecast_error"]) for one in named] for when in ("before", "after")]
+    assert sum(errors[1]) < 0.3 * sum(errors[0])
