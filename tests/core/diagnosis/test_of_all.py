@@ -18,7 +18,6 @@ from core.validation.simulate import scan
 from tests.core.calibration.test_exact import conjugate
 from tests.core.diagnosis.test_separate import (
     BLADES,
-    CELLS,
     SIGMA,
     Exact,
     found,
@@ -148,7 +147,6 @@ def test_every_quantity_is_read_by_everybody_and_of_a_formula_there_are_no_shape
     assert now.to_json()["nodes"] == 3
     plain = campaigns(conjugate(2), ("b0",), [Inspection("e", "b0", "y", 1.0, np.array([0.1]))])
     assert {c.quantity for c in plain} == {"y"}
-    assert all(name in CELLS for name in ("instrument", "campaign"))
 
 
 def test_readers_that_no_rival_tells_apart_are_asked_about_once(

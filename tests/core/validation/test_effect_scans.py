@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from core.blade import build_mesh
+from core.calibration.online import Workspace, update
+from core.diagnosis.scoring import scores
 from core.errors import InputError
+from core.model import rotor_blade_wide
 from core.validation import effect_fleet as fleet
 from core.validation import effect_oracle as oracle
 from core.validation import effect_scans as scans
@@ -91,15 +95,10 @@ def test_a_set_has_scans_of_some_blades_and_what_is_planted_is_in_them() -> None
 
 def test_an_oracle_reads_scans_by_their_rows() -> None:
     """A change that is a pure mode's moves rows as the turn says; one off the modes moves none."""
-    from core.calibration.online import Workspace, update
-    from core.diagnosis.scoring import scores
-    from core.model import rotor_blade_wide
-
     model, given = rotor_blade_wide(), made(SCANS, "clean", 0, 5, 200)
     some = sorted(given.case.spec.blades)[:12]
     data = tuple(r for r in given.case.readings if r.blade in some)
-    spec = given.case.spec
-    spec = type(spec)(spec.id, tuple(some), 200, spec.seed)
+    spec = replace(given.case.spec, blades=tuple(some))
     work = Workspace()
     seen = scores(model, update(model, spec, data, workspace=work), data, None, work)
     scan = next(r for r in data if r.quantity == "deformation")
