@@ -8,11 +8,13 @@ clock       the rotor's hours of a reading
 signature   how a cell would move the readings
 scan        every cell and pair against the residuals, with a null of their own
 bayes       what cells by themselves, or some together, gain
+misread     effects of one blade without any one of its readings
 chance      how often chance alone gains as much, over everything that was tried
 hypotheses  cells and pairs with their evidence
 verdict     adequate | effect | not separable | unattributed
 adopt       an effect in the model, as a calibrated amplitude
 diagnose    all of it in turn
+search      what is calibrated, taken and given up again; choice: names first, then courses
 conclude    the word, every name on its own turn
 halves      whether an amplitude holds between halves of blades and readings
 alternatives  what else the readings allow: forecasts by other courses

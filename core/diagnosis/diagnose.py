@@ -36,6 +36,8 @@ from core.diagnosis.densities import leans
 from core.diagnosis.grammar import Cell
 from core.diagnosis.held import leaving_runs
 from core.diagnosis.leaving import without_open, without_unsteady
+from core.diagnosis.left_out import left_out
+from core.diagnosis.misread import slips
 from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.verdict import Verdict, judge
 from core.errors import InputError
@@ -106,6 +108,7 @@ def diagnose(
     first = found = judge(scan, case.seed, dealt=case.dealt)
     nothing = taken = Rival((), model, lambda: state, 0.0)
     if first.word == "adequate":
+        first = _with_slips(first, case, nothing)
         return Diagnosis(first, first, (model, state), (model, state), (), 0.0, ())
     turns: list[Turn] = []
     seen = [frozenset[Cell]()]
@@ -140,7 +143,7 @@ def diagnose(
         later = leaving_runs(taken.model, taken.state, case.present)
         verdict = replace(verdict, reasons=(*verdict.reasons, *later))
     return Diagnosis(
-        verdict,
+        _with_slips(verdict, case, taken),
         first,
         (nothing.model, nothing.state),
         (taken.model, taken.state),
@@ -151,6 +154,12 @@ def diagnose(
         tuple(turns),
         shares(taken, [*search.known.values()], turns, search.prices) if taken.effects else (),
     )
+
+
+def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:
+    """With the readings that may be misread in its reasons."""
+    told = slips(left_out(case.seen(taken.model, taken.state)))
+    return replace(verdict, reasons=(*verdict.reasons, *told))
 
 
 def _end(cell: Cell, before: Model, taken: Rival) -> str | None:

@@ -6,7 +6,7 @@ standard-normal amplitudes, the log Bayes factor of a set of cells S against the
     log BF = ½ U_Sᵀ (1 + I_SS)⁻¹ U_S − ½ log |1 + I_SS|
 
 to second order in the effects. It weighs fit against the room that an effect takes, so that a
-cell which the parameters imitate (I = 0) gains nothing.
+cell which the parameters imitate (I = 0) gains nothing. One of one blade counts as `misread` says.
 
 Blades are the replicates. A common effect must be common: where the blades' contributions to U
 scatter by more than the noise allows (material that creeps in bursts, readings with heavy tails),
@@ -19,8 +19,7 @@ visit, count by the log BF of the whole set. They raise the alarm, and never nam
 The null distribution is made from the residuals themselves (`dealing`). The mean BF of all families
 is compared with that of the dealt sets: family-wise, over everything tried (`chance`).
 
-An effect with a known sign has a half-normal amplitude: its Bayes factor is that of a normal one,
-times 2 Φ(amplitude / its sd).
+An effect with a known sign has a half-normal amplitude: log 2 Φ(amplitude / its sd) is added.
 """
 
 from __future__ import annotations
@@ -38,6 +37,7 @@ from core.diagnosis.bayes import one_by_one, together
 from core.diagnosis.chance import family_wise
 from core.diagnosis.dealing import FEW, dealt_sets
 from core.diagnosis.grammar import Cell
+from core.diagnosis.misread import Spared, alone_of
 from core.diagnosis.scatter import LEAST_BLADES, Scatter
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures
@@ -101,7 +101,7 @@ class Scan:
         c += pull
         information = np.asarray(within - shared.T @ shared)
         concerned = np.any(g != 0, axis=1)  # (B, C)
-        alone = _alone(cells, g.shape[2])
+        alone = alone_of(cells, g.shape[2])
         u = np.einsum("bic,bi->c", g, seen.q) + pull.sum(axis=0)
         phi = Scatter.of(own, concerned, alone).phi(c, u, np.diag(information))
         return Scan(cells, free, seen, g, h, within, u, information, c, own, phi)
@@ -114,7 +114,7 @@ class Scan:
     @cached_property
     def undiscounted(self) -> Scan:
         """With phi = 1 but for cells of one blade: evidence as the particle filter weighs it."""
-        alone = _alone(self.cells, self.g.shape[2])
+        alone = alone_of(self.cells, self.g.shape[2])
         return replace(self, phi=np.where(alone, self.phi, 1.0))
 
     def gain(self, *which: int) -> float:
@@ -142,8 +142,14 @@ class Scan:
 
     @cached_property
     def gains(self) -> Array:
-        """log BF of every single cell, (C,)."""
-        return one_by_one(self.u, np.diag(self.information), self.phi, self._signs)
+        """log BF of every single cell, (C,); of one blade's as `misread` counts them."""
+        own = np.diag(self.information)
+        gains = one_by_one(self.u, own, self.phi, self._signs)
+        return self._spared.least(gains, self.u, self.seen.q, own, self.phi, self._signs)
+
+    @cached_property
+    def _spared(self) -> Spared:
+        return Spared.of(self.seen, self.g, self.h, alone_of(self.cells, self.g.shape[2]))
 
     @cached_property
     def _signs(self) -> NDArray[np.int64]:
@@ -203,22 +209,24 @@ class Scan:
             whole = np.zeros(self.own.shape)
             for b, (at, own) in enumerate(blocks):
                 whole[b, at] = q[k, b] @ own
-            return self._tried(whole - turned[k] @ shared, whole.sum(axis=0))
+            return self._tried(whole - turned[k] @ shared, whole.sum(axis=0), q[k])
 
         return np.array(list(POOL.map(tried, range(count))))
 
     @cached_property
     def _scatter(self) -> Scatter:
         """For the null; of few blades phi is each cell's own that concerns them all."""
-        alone, blades = _alone(self.cells, self.g.shape[2]), len(self.own)
+        alone, blades = alone_of(self.cells, self.g.shape[2]), len(self.own)
         least = blades if blades < FEW else LEAST_BLADES
         return Scatter.of(self.own, np.any(self.g != 0, axis=1), alone, least)
 
-    def _tried(self, c: Array, u: Array) -> Array:
-        """`by_family` of contributions (B, C) and scores (C,)."""
-        information = np.diag(self.information)
-        phi = self._scatter.phi(c, u, information)
-        return self.by_family(one_by_one(u, information, phi, self._signs), u, phi)
+    def _tried(self, c: Array, u: Array, q: Array | None = None) -> Array:
+        """`by_family` of contributions (B, C) and scores (C,); q (B, n): of a dealt set."""
+        own = np.diag(self.information)
+        phi, seen = self._scatter.phi(c, u, own), self.seen.q if q is None else q
+        gains = one_by_one(u, own, phi, self._signs)
+        gains = self._spared.least(gains, u, seen, own, phi, self._signs, q is None)
+        return self.by_family(gains, u, phi)
 
     def chance(self, count: int, seed: int) -> float:
         """Family-wise probability of so large a gain, by `count` dealt sets (`chance`)."""
@@ -240,10 +248,3 @@ class Scan:
         mean, _ = self.amplitudes(*which)
         taken = self.seen.including(self.g[:, :, list(which)], mean)
         return Scan._of(self.cells, self.free, taken, self.g, self.h, self.within)
-
-
-def _alone(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
-    """Columns that concern one blade."""
-    out = np.zeros(columns, bool)
-    out[: len(cells)] = [cell.whom == "blade" for cell in cells]
-    return out

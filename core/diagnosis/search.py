@@ -11,6 +11,7 @@ from core.calibration.start import Start
 from core.calibration.state import RotorState
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.case import Case
+from core.diagnosis.choice import by_name
 from core.diagnosis.conclude import Rival, Turn, apart, reweighed
 from core.diagnosis.expected import joined, without
 from core.diagnosis.grammar import Cell
@@ -143,12 +144,12 @@ class Search:
     def _best(
         self, known: Mapping[tuple[int, ...], Rival], cells: Sequence[Cell]
     ) -> tuple[int, ...]:
-        """The most gained, less the price of each effect: two have to be worth two."""
-
-        def left(which: tuple[int, ...]) -> float:
-            return known[which].gained - sum(self.prices.get(cells[i], 0.0) for i in which)
-
-        return max(known, key=left)
+        """By what was gained less the price of each effect: two have to be worth two."""
+        left = {
+            which: made.gained - sum(self.prices.get(cells[i], 0.0) for i in which)
+            for which, made in known.items()
+        }
+        return by_name(left, cells)
 
     def _owed(
         self, which: tuple[int, ...], found: Sequence[Hypothesis], cells: Sequence[Cell]

@@ -52,7 +52,9 @@ def rotor(seed: int, add: Any = None, noise: str = "normal") -> tuple[Scores, di
             for k, t in enumerate(TIMES)
         ]
         parts.append((design, y - 1.6 - design @ np.array([-1.0, 0.0])))
-    q_b = np.array([np.linalg.inv(0.36 * d @ d.T + SIGMA**2 * np.eye(3)) for d, _ in parts])
+    q_b = np.array(
+        [np.linalg.inv(0.36 * d @ d.T + SIGMA**2 * np.eye(len(TIMES))) for d, _ in parts]
+    )
     miss = np.array([m for _, m in parts])
     slope = np.full((BLADES, len(TIMES), 1), 0.8)
     weighted = np.einsum("bij,bjs->bis", q_b, slope)[:, :, 0]
@@ -63,12 +65,12 @@ def rotor(seed: int, add: Any = None, noise: str = "normal") -> tuple[Scores, di
     seen = Scores(
         tuple(facts),
         rows,
-        np.tile(np.arange(3), (BLADES, 1)),
+        np.tile(np.arange(len(TIMES)), (BLADES, 1)),
         q,
         q_b,
         slope,
         np.array([0.25]),
-        np.array([r.y[:3] for r in rows]) - SIGMA**2 * q,
+        np.array([r.y[: len(TIMES)] for r in rows]) - SIGMA**2 * q,
         SIGMA**2 * q_b - np.eye(len(TIMES)),
         tuple({} for _ in facts),
         np.zeros((BLADES, 1, len(TIMES))),

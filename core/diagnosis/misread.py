@@ -1,0 +1,122 @@
+"""One reading is no evidence of an effect in one blade: it may be misread.
+
+Of a blade that is read a few times, a slip of 0.2 mm looks like a rub at its tip, and where noise
+has heavy tails some blade of a hundred has one. Nothing within the readings tells them apart: what
+a single reading carries would be claimed of the blade, and go on into its forecast. So an effect of
+one blade counts by what is left of it without any one reading, the least of all of them. With
+C = Q⁻¹ the covariance of a blade's rows, of which row i is left out,
+
+    u₍ᵢ₎ = u − a_i q_i / Q_ii − h_i,      I₍ᵢ₎ = I − a_i² / Q_ii,      a = Q g
+
+are score and information of the others (the inverse of a matrix without a row and column). What is
+read at many nodes at once is no slip of one value and stays in. Dealt sets (`dealing`) are asked
+the same, so that the test keeps its size. Such a reading is told in words (`slips`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from core.diagnosis.bayes import one_by_one
+from core.diagnosis.grammar import Cell
+from core.diagnosis.left_out import LeftOut
+from core.diagnosis.scores import Scores
+from core.observation import Inspection
+
+Array = NDArray[np.float64]
+RARE = 0.01  # of rotors with normal noise have a reading so far off
+TOLD = 5
+
+
+@dataclass(frozen=True)
+class Spared:
+    """Cells of one blade without each of its readings in turn, L of both together.
+
+    cell, blade, row  (L,); share: a_i / Q_ii, lost: a_i² / Q_ii, pull: h_i, (L,) each
+    """
+
+    cell: NDArray[np.intp]
+    blade: NDArray[np.intp]
+    row: NDArray[np.intp]
+    share: Array
+    lost: Array
+    pull: Array
+
+    @staticmethod
+    def of(seen: Scores, g: Array, h: Array, alone: NDArray[np.bool_]) -> Spared:
+        """Of signatures g with their covariances h, (B, n, C); alone: cells of one blade, (C,)."""
+        single = np.array(
+            [
+                [place >= 0 and rows.readings[place].values.size == 1 for place in own]
+                for rows, own in zip(seen.rows, seen.place.tolist(), strict=True)
+            ]
+        ).reshape(seen.place.shape)
+        found: list[tuple[int, int, int]] = []
+        part: list[Array] = []
+        for c in np.flatnonzero(alone):
+            for b in np.flatnonzero(np.any(g[:, :, c] != 0, axis=1)):
+                rows_ = np.flatnonzero(single[b])
+                q = seen.information[b]
+                own = np.diag(q)[rows_]
+                sure = own > 0
+                a = (q @ g[b, :, c])[rows_]
+                share = np.where(sure, a / np.where(sure, own, 1.0), 0.0)
+                found += [(int(c), int(b), int(i)) for i in rows_]
+                part.append(np.array([share, share * a, h[b, rows_, c]]))
+        cell, blade, row = np.array(found, dtype=np.intp).reshape(-1, 3).T
+        share, lost, pull = np.concatenate([np.empty((3, 0)), *part], axis=1)
+        return Spared(cell, blade, row, share, lost, pull)
+
+    def least(
+        self,
+        gains: Array,
+        u: Array,
+        q: Array,
+        information: Array,
+        phi: Array,
+        signs: NDArray[np.int64],
+        pulled: bool = True,
+    ) -> Array:
+        """log BF of each cell (C,), of those of one blade the least without a reading.
+
+        u, phi, signs (C,), q (B, n); information: of each cell by itself, (C,); pulled: whether
+        the scores have their covariances in them
+        """
+        without = u[self.cell] - self.share * q[self.blade, self.row] - pulled * self.pull
+        left = np.maximum(information[self.cell] - self.lost, 0.0)
+        own = one_by_one(without, left, phi[self.cell], signs[self.cell])
+        out = gains.copy()
+        np.minimum.at(out, self.cell, own)
+        return out
+
+
+def alone_of(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
+    """Columns that concern one blade, (columns,); cells come first."""
+    out = np.zeros(columns, bool)
+    out[: len(cells)] = [cell.whom == "blade" for cell in cells]
+    return out
+
+
+def slips(read: LeftOut) -> tuple[str, ...]:
+    """Readings that lie too far from what all others say, in words; the farthest first."""
+    if not (count := len(read.readings)):
+        return ()
+    limit = float(norm.isf(0.5 * RARE / count))
+    far = [int(i) for i in np.argsort(-np.abs(read.z), kind="stable") if abs(read.z[i]) > limit]
+    if not far:
+        return ()
+    told = [_told(read.readings[i], float(read.z[i])) for i in far[:TOLD]]
+    told += [f"{len(far) - TOLD} more"] if len(far) > TOLD else []
+    return (
+        f"farther than {limit:.1f} sd from what all others say, and maybe misread: "
+        f"{', '.join(told)}; no effect of a blade is claimed from a single reading",
+    )
+
+
+def _told(reading: Inspection, z: float) -> str:
+    return f"{reading.id} (blade {reading.blade}, {reading.time_h:,.0f} h, {z:+.1f} sd)"

@@ -1,0 +1,124 @@
+"""What a single reading carries is no effect of its blade, and is told in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.diagnosis.bayes import one_by_one
+from core.diagnosis.left_out import left_out
+from core.diagnosis.misread import Spared, slips
+from core.diagnosis.scan import Scan
+from core.diagnosis.verdict import judge
+from tests.core.diagnosis import fleet
+from tests.core.diagnosis.fleet import SIGMA, rotor, scan
+
+DEALT, SETS = 99, 60
+SIX = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+
+RUB = ("tip rub (blade b05)",)
+
+
+def last(b: int, k: int) -> float:
+    """One blade's last reading is short by thirty noises."""
+    return -30 * SIGMA * (b == 5) * (k == 2)
+
+
+def lasting(b: int, k: int) -> float:
+    """The same blade is short from its third reading on."""
+    return -40 * SIGMA * (b == 5) * (k >= 2)
+
+
+def blind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Effects of one blade count by all readings."""
+    monkeypatch.setattr(Spared, "least", lambda self, gains, *rest: gains)
+
+
+def test_a_cell_without_a_reading_is_that_of_the_other_rows() -> None:
+    """Against scores and informations of rows that were never there."""
+    seen, _ = rotor(4)
+    rng = np.random.default_rng(1)
+    g = np.zeros((*seen.q.shape, 2))
+    g[3, :, 0], g[7, :, 1] = rng.normal(size=(2, 3))
+    spared = Spared.of(seen, g, np.zeros_like(g), np.ones(2, bool))
+    u = np.einsum("bic,bi->c", g, seen.q)
+    information = np.einsum("bic,bij,bjc->c", g, seen.information, g)
+    one, none = np.ones(2), np.zeros(2, dtype=np.int64)
+    got = spared.least(np.full(2, np.inf), u, seen.q, information, one, none)
+    for c, b in enumerate((3, 7)):
+        covariance = np.linalg.inv(seen.information[b])
+        off = covariance @ seen.q[b]
+        gains = []
+        for i in range(3):
+            rest = np.arange(3) != i
+            q = np.linalg.inv(covariance[np.ix_(rest, rest)])
+            own = g[b, rest, c]
+            gains.append(
+                one_by_one(
+                    np.array([own @ q @ off[rest]]), np.array([own @ q @ own]), one[:1], none[:1]
+                )[0]
+            )
+        assert got[c] == pytest.approx(min(gains), abs=1e-9)
+
+
+def test_shapes_of_many_nodes_are_no_slip_of_one_value() -> None:
+    seen, _ = rotor(4)
+    wide = tuple(
+        replace(rows, readings=tuple(replace(r, values=np.zeros(6)) for r in rows.readings))
+        for rows in seen.rows
+    )
+    g = np.zeros((*seen.q.shape, 1))
+    g[3, :, 0] = 1.0
+    spared = Spared.of(replace(seen, rows=wide), g, g, np.ones(1, bool))
+    assert len(spared.cell) == 0
+
+
+def verdicts(add: Callable[[int, int], float]) -> list[tuple[str, tuple[str, ...]]]:
+    found = [judge(scan(*rotor(seed, add)), seed, dealt=DEALT) for seed in range(5)]
+    return [(one.word, one.names) for one in found]
+
+
+def test_a_misread_value_is_no_rub_of_a_tip(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert {names for _, names in verdicts(last)} == {()}
+    blind(monkeypatch)
+    claimed = [names for _, names in verdicts(last)]
+    assert claimed == [RUB] * 5, "the control: it would be claimed"
+
+
+def test_what_several_readings_carry_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fleet, "TIMES", SIX)
+    assert verdicts(lasting) == [("effect", RUB)] * 5
+
+
+def alarms_of_one_blade() -> int:
+    """Of clean rotors with heavy tails, those in which a blade alone raises the alarm."""
+    count = 0
+    for seed in range(SETS):
+        one: Scan = scan(*rotor(seed, noise="heavy"))
+        verdict = judge(one, seed, dealt=DEALT)
+        count += any("blade" in name for name in verdict.names)
+    return count
+
+
+def test_heavy_tails_are_no_effect_of_a_blade(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fleet, "TIMES", SIX)
+    assert alarms_of_one_blade() == 0
+    blind(monkeypatch)
+    assert alarms_of_one_blade() > 0, "the control"
+
+
+def test_a_reading_far_from_all_others_is_told() -> None:
+    told = slips(left_out(rotor(3, last)[0]))
+    assert len(told) == 1
+    assert "5-2 (blade b05, 2 h, -" in told[0]
+    assert " sd)" in told[0]
+    assert slips(left_out(rotor(3)[0])) == ()
+
+
+def test_of_many_far_readings_the_farthest_are_told_and_the_rest_counted() -> None:
+    told = slips(left_out(rotor(3, lambda b, k: (20 + b) * SIGMA * (k == b % 3) * (b < 9))[0]))
+    assert "more;" in told[0]
+    assert told[0].count("(blade ") == 5
