@@ -1,6 +1,7 @@
 """Closing the loop: residual → missing effect → better model.
 
-scores      what the calibrated particles say of a shift in the readings; scoring: from a state
+scores      what the calibrated particles say of a shift in the readings; scoring: from a state;
+            information: what a blade's own parameters leave of it
 case        a rotor to be diagnosed
 families    what a model may lack: the built-in effects, by name
 grammar     the cells of such families that readings can tell of
@@ -8,7 +9,8 @@ clock       the rotor's hours of a reading
 signature   how a cell would move the readings
 scan        every cell and pair against the residuals, with a null of their own
 bayes       what cells by themselves, or some together, gain
-misread     effects of one blade without any one of its readings
+misread     effects of one blade without any one of its readings; coherent: beside what the
+            simulation does wrong at all of them
 chance      how often chance alone gains as much, over everything that was tried
 hypotheses  cells and pairs with their evidence
 verdict     adequate | effect | not separable | unattributed

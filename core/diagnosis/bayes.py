@@ -10,6 +10,9 @@ amplitude over its standard deviation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
@@ -39,3 +42,32 @@ def together(u: Array, information: Array, phi: Array) -> float:
     a = information / np.outer(root, root) + np.eye(len(u))
     own = u / phi
     return float(0.5 * own @ np.linalg.solve(a, own) - 0.5 * np.linalg.slogdet(a)[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Grouped:
+    """Cells family by family: their places in that order, where each family begins, its size."""
+
+    order: NDArray[np.int64]
+    first: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+    @staticmethod
+    def of(families: Sequence[Sequence[int]]) -> Grouped:
+        """From the places of each family's cells."""
+        size = np.array([len(own) for own in families], dtype=np.int64)
+        order = np.array([i for own in families for i in own], dtype=np.int64)
+        return Grouped(order, np.cumsum(size) - size, size)
+
+    def log_means(self, gains: Array) -> list[float]:
+        """log of the mean Bayes factor of each family's cells, from those of all (C,).
+
+        >>> [round(v, 3) for v in Grouped.of([[0, 2], [1]]).log_means(np.log([1.0, 5.0, 3.0]))]
+        [0.693, 1.609]
+        """
+        if not len(self.size):
+            return []
+        own = gains[self.order]
+        top = np.maximum.reduceat(own, self.first)
+        total = np.add.reduceat(np.exp(own - np.repeat(top, self.size)), self.first)
+        return list((top + np.log(total / self.size)).tolist())

@@ -33,8 +33,9 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from core.calibration.message import POOL
-from core.diagnosis.bayes import one_by_one, together
+from core.diagnosis.bayes import Grouped, one_by_one, together
 from core.diagnosis.chance import family_wise
+from core.diagnosis.coherent import discount
 from core.diagnosis.dealing import FEW, dealt_sets
 from core.diagnosis.grammar import Cell
 from core.diagnosis.misread import Spared, alone_of
@@ -104,6 +105,7 @@ class Scan:
         alone = alone_of(cells, g.shape[2])
         u = np.einsum("bic,bi->c", g, seen.q) + pull.sum(axis=0)
         phi = Scatter.of(own, concerned, alone).phi(c, u, np.diag(information))
+        phi = phi * discount(seen, g, alone)
         return Scan(cells, free, seen, g, h, within, u, information, c, own, phi)
 
     @cached_property
@@ -114,8 +116,7 @@ class Scan:
     @cached_property
     def undiscounted(self) -> Scan:
         """With phi = 1 but for cells of one blade: evidence as the particle filter weighs it."""
-        alone = alone_of(self.cells, self.g.shape[2])
-        return replace(self, phi=np.where(alone, self.phi, 1.0))
+        return replace(self, phi=np.where(self._alone, self.phi, 1.0))
 
     def gain(self, *which: int) -> float:
         """log BF of a set of cells together; −inf where one of several goes against its sign.
@@ -148,8 +149,16 @@ class Scan:
         return self._spared.least(gains, self.u, self.seen.q, own, self.phi, self._signs)
 
     @cached_property
+    def _alone(self) -> NDArray[np.bool_]:
+        return alone_of(self.cells, self.g.shape[2])
+
+    @cached_property
+    def _discount(self) -> Array:
+        return discount(self.seen, self.g, self._alone)
+
+    @cached_property
     def _spared(self) -> Spared:
-        return Spared.of(self.seen, self.g, self.h, alone_of(self.cells, self.g.shape[2]))
+        return Spared.of(self.seen, self.g, self.h, self._alone)
 
     @cached_property
     def _signs(self) -> NDArray[np.int64]:
@@ -172,21 +181,12 @@ class Scan:
         return found
 
     @cached_property
-    def _grouped(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Cells family by family, where each family begins, and how many it has."""
-        members = list(self.families.values())
-        size = np.array([len(one) for one in members], dtype=np.int64)
-        order = np.concatenate(members).astype(np.int64) if members else size
-        return order, np.cumsum(size) - size, size
+    def _grouped(self) -> Grouped:
+        return Grouped.of(list(self.families.values()))
 
     def by_family(self, gains: Array, u: Array, phi: Array) -> Array:
         """log of the mean Bayes factor of each family's cells, then log BF of each free set."""
-        order, first, size = self._grouped
-        own, found = gains[order], list[float]()
-        if len(size):
-            top = np.maximum.reduceat(own, first)
-            total = np.add.reduceat(np.exp(own - np.repeat(top, size)), first)
-            found = (top + np.log(total / size)).tolist()
+        found = self._grouped.log_means(gains)
         for s in map(list, self.free.values()):
             found.append(together(u[s], self.information[np.ix_(s, s)], phi[s]))
         return np.array(found)
@@ -216,14 +216,14 @@ class Scan:
     @cached_property
     def _scatter(self) -> Scatter:
         """For the null; of few blades phi is each cell's own that concerns them all."""
-        alone, blades = alone_of(self.cells, self.g.shape[2]), len(self.own)
-        least = blades if blades < FEW else LEAST_BLADES
-        return Scatter.of(self.own, np.any(self.g != 0, axis=1), alone, least)
+        least = len(self.own) if len(self.own) < FEW else LEAST_BLADES
+        return Scatter.of(self.own, np.any(self.g != 0, axis=1), self._alone, least)
 
     def _tried(self, c: Array, u: Array, q: Array | None = None) -> Array:
         """`by_family` of contributions (B, C) and scores (C,); q (B, n): of a dealt set."""
         own = np.diag(self.information)
-        phi, seen = self._scatter.phi(c, u, own), self.seen.q if q is None else q
+        phi = self._scatter.phi(c, u, own) * self._discount
+        seen = self.seen.q if q is None else q
         gains = one_by_one(u, own, phi, self._signs)
         gains = self._spared.least(gains, u, seen, own, phi, self._signs, q is None)
         return self.by_family(gains, u, phi)

@@ -63,6 +63,7 @@ class Scores:
     slope    S, (B, n, S), and the prior variances of what it is by, (S,)
     answer   E[f], (B, n); lean: Cov[f_j, r_i] at [b, i, j], (B, n, n)
     points   inputs at K particles, (K,) each, one mapping a blade; answers there, (B, K, n)
+    unsure   sd of what the simulation does not know of each row, (B, n); none: of nothing
     """
 
     blades: tuple[str, ...]
@@ -76,6 +77,7 @@ class Scores:
     lean: Array
     points: tuple[Mapping[str, Array], ...]
     answers: Array
+    unsure: Array | None = None
 
     @property
     def real(self) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ from core.calibration.space import locals_of, nominal, shared_prior
 from core.calibration.state import Posterior, RotorState, blade_posterior
 from core.calibration.target import BladeRows
 from core.calibration.workspace import Workspace
+from core.diagnosis.information import bounded, given, information, made_by_ends
 from core.diagnosis.scores import Scores
 from core.discrepancy import total
 from core.errors import InputError
@@ -31,8 +32,6 @@ Array = NDArray[np.float64]
 POINTS = 32  # particles of a blade at which effects of physics are computed
 SLOPES = 256  # particles of a blade at which slopes by its own parameters are taken
 STEP = 0.05  # of a prior's sd, for them
-FAINT, CUT = 0.25, 3.0
-SURE = 3.0  # standard errors
 
 
 def scores(
@@ -63,7 +62,7 @@ def scores(
         POOL.map(lambda b, r: _blade(model, state, b, r, (known or {}).get(b)), blades, rows)
     )
     shape = (len(made), max(len(one.q) for one in made))
-    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(2)]
+    place, filled = np.full(shape, -1), [np.zeros(shape) for _ in range(3)]
     information, lean = (np.zeros((*shape, shape[1])) for _ in range(2))
     answers = np.zeros((shape[0], POINTS, shape[1]))
     priors = shared_priors_of(model, state)
@@ -71,14 +70,14 @@ def scores(
     for b, one in enumerate(made):
         n = len(one.q)
         place[b, :n] = rows[b].of[:n]
-        own = (one.q, one.answer)
+        own = (one.q, one.answer, one.unsure)
         for array, value in zip(filled, own, strict=True):
             array[b, :n] = value
         information[b, :n, :n] = one.information
         lean[b, :n, :n] = one.lean
         answers[b, :, :n] = one.answers
         slope[b, :n] = one.shared
-    q, answer = filled
+    q, answer, unsure = filled
     return Scores(
         blades,
         rows,
@@ -91,6 +90,7 @@ def scores(
         lean,
         tuple(one.points for one in made),
         answers,
+        unsure,
     )
 
 
@@ -111,7 +111,8 @@ def variance(prior: Prior) -> float:
 
 @dataclass(frozen=True)
 class _Blade:
-    """q (n,), Q (n, n), S (n, s), E[f] (n,), Cov[f_j, r_i] (n, n), inputs and answers (K, n)."""
+    """q (n,), Q (n, n), S (n, s), E[f] (n,), Cov[f_j, r_i] (n, n), inputs and answers (K, n), sd of
+    what the simulation does not know (n,)."""
 
     q: Array
     information: Array
@@ -120,6 +121,7 @@ class _Blade:
     lean: Array
     points: Mapping[str, Array]
     answers: Array
+    unsure: Array
 
 
 def _blade(
@@ -189,52 +191,21 @@ def _blade(
     typical = 1.0 / (w @ (1.0 / v))
     r = (rows.y[:count] - f) / v
     some = _evenly(w, f, POINTS)
+    scanned = np.array([rows.readings[o].values.size > 1 for o in rows.of[:count]])
+    mesh = (rows.relative[:count] * rows.y[:count]) ** 2 + rows.extra[:count] * scanned
     q = w @ r
-    seen = _information(typical, spread, f - answer - off @ slope.T, w)
+    box = any(made_by_ends(p.prior) for p in locals_ if p.population is None)
+    seen = information(typical, spread, given(off, f - answer, w), w)
     return _Blade(
         q,
-        _bounded(seen, typical, q),
+        bounded(seen, typical, q, box),
         slope,
         answer,
         (w[:, None] * r).T @ (f - answer),
         dict(zip(names, x[some].T, strict=True)),
         f[some],
+        np.sqrt(w @ sd**2 + mesh),
     )
-
-
-def _information(typical: Array, spread: Array, off: Array, w: Array) -> Array:
-    """Q (n, n) of one blade, given the shared parameters.
-
-    spread  J P^½ (n, l): change of the rows by a prior sd of each of its own parameters
-    off     the rows at the particles, without their mean and what shared parameters do, (N, n)
-
-    Normal priors would leave (V + J P Jᵀ)⁻¹, and no prior of the same variance leaves less. One
-    with bounds leaves more, in blades that lean on them: by Louis' identity V⁻¹ − V⁻¹ Cov[f] V⁻¹,
-    a small difference of large numbers, which counts where it is `SURE` standard errors above.
-    """
-    root = np.sqrt(typical)
-    scaled = spread / root[:, None]
-    value, vector = np.linalg.eigh(np.linalg.inv(np.eye(len(root)) + scaled @ scaled.T))
-    along = (off / root) @ vector
-    left = 1.0 - w @ along**2
-    error = (1.0 - left) * np.sqrt(2.0 * (w @ w))
-    value = np.where(left > value + SURE * error, np.minimum(left, 1.0), value)
-    return np.asarray((vector * value) @ vector.T / np.outer(root, root))
-
-
-def _bounded(information: Array, typical: Array, q: Array) -> Array:
-    """Q (n, n), but along a direction in which it is faint, at least what `CUT` sds of q say.
-
-    Faint is what is left less than `FAINT` of what it would be without the blade's own parameters,
-    1 / V (typical, (n,)). They imitate nearly all there, by their priors' variances; where a blade
-    leans on a bound they cannot, and q along it is many sds of what Q says (8 in one blade of a
-    hundred, which looked like an effect of that blade, and made the null of all others wide).
-    """
-    root = np.sqrt(typical)
-    value, vector = np.linalg.eigh(information * np.outer(root, root))
-    along = vector.T @ (q * root)
-    value = np.where(value < FAINT, np.maximum(value, (along / CUT) ** 2), value)
-    return np.asarray((vector * value) @ vector.T / np.outer(root, root))
 
 
 def _evenly(w: Array, f: Array, count: int) -> NDArray[np.int64]:

@@ -13,9 +13,10 @@ from scipy.stats import truncnorm
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
 from core.diagnosis.grammar import Cell
+from core.diagnosis.information import CUT, ENDS, bounded, given, information
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
-from core.diagnosis.scoring import _bounded, _information, scores
+from core.diagnosis.scoring import scores
 from core.diagnosis.signature import Signatures
 from core.errors import InputError
 from core.family import Family
@@ -63,7 +64,7 @@ def test_score_and_information_are_the_exact_derivatives_of_the_log_evidence() -
         assert abs(u - flat @ np.linalg.solve(spread, miss)) < 0.05 * np.sqrt(information)
 
 
-def test_what_the_parameters_imitate_has_next_to_no_information() -> None:
+def test_what_the_parameters_imitate_has_next_to_noinformation() -> None:
     """A shift like a shared parameter of sd 0.5, 1,000 times as large: I stays below 1 / 0.4²."""
     seen, _, _ = case()
     g = np.full((BLADES, len(TIMES), 1), 0.8)
@@ -143,7 +144,7 @@ def test_a_bound_tells_more_than_a_normal_prior_of_the_same_variance(beyond: flo
     x = y + sigma * truncnorm.rvs(low, high, size=4000, random_state=rng)
     w = np.full(len(x), 1.0 / len(x))
     spread = np.array([[2.0 * half / np.sqrt(12.0)]])  # sd of the prior
-    found = _information(np.array([sigma**2]), spread, (x - x.mean())[:, None], w)[0, 0]
+    found = information(np.array([sigma**2]), spread, (x - x.mean())[:, None], w)[0, 0]
     exact = (1.0 - truncnorm.var(low, high)) / sigma**2
     least = 1.0 / (sigma**2 + spread[0, 0] ** 2)
     if beyond < -5:  # deep inside a bound says nothing, and what a normal prior says stands
@@ -162,36 +163,53 @@ def test_where_particles_show_nothing_the_information_is_the_normal_ones_bit_by_
     x = rng.multivariate_normal(np.zeros(2), posterior, size=1000)
     w = np.full(1000, 1e-3)
     off = (x - x.mean(axis=0)) @ spread.T
-    assert _information(v, spread, off, w) == pytest.approx(exact, rel=1e-9)
+    assert information(v, spread, off, w) == pytest.approx(exact, rel=1e-9)
     # without a standard error, chance would be taken for bounds
     noisy = np.diag(1 / v) - np.diag(1 / v) @ (off.T @ off / 1000) @ np.diag(1 / v)
     assert not np.allclose(noisy, exact, rtol=0.05)
 
 
+def test_given_the_shared_parameters_answers_scatter_as_the_readings_let_them() -> None:
+    """One shared and one own parameter on a ridge: what one adds the other takes away."""
+    rng = np.random.default_rng(2)
+    n, ridge, sigma = 20_000, 5.0, 0.1
+    shared = ridge * rng.normal(size=(n, 1))
+    f = (shared[:, 0] + (-shared[:, 0] + sigma * rng.normal(size=n)))[:, None]
+    w = np.full(n, 1.0 / n)
+    off = shared - w @ shared
+    left = given(off, f - w @ f, w)
+    assert left.std() == pytest.approx(sigma, rel=0.02)
+    by_slope = f - w @ f - off  # the control: as if the own parameter stayed where it is
+    assert by_slope.std() > 10 * sigma
+
+
 @pytest.mark.parametrize("left", [1e-4, 0.09])  # of 1 / V, where parameters imitate the rest
-def test_where_a_bound_forbids_to_imitate_there_is_information(left: float) -> None:
+def test_where_a_bound_forbids_to_imitate_there_isinformation(left: float) -> None:
     v = 0.4
     seen = np.array([left, 0.9, 1.0]) / v
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-    information = turn @ np.diag(seen) @ turn.T
+    known = turn @ np.diag(seen) @ turn.T
     typical = np.full(3, v)
 
-    def found(*sds: float) -> np.ndarray:
+    def found(*sds: float, box: bool = False) -> np.ndarray:
         q = turn @ (np.array(sds) * np.sqrt(seen))
-        return np.linalg.eigvalsh(_bounded(information, typical, q))
+        return np.linalg.eigvalsh(bounded(known, typical, q, box))
 
-    least = (8.5 / 3.0) ** 2 * left / v
+    least = (8.5 / CUT) ** 2 * left / v
     assert found(8.5, 0.9, -1.5) == pytest.approx(sorted([least, *seen[1:]]), rel=1e-9)
     # 2 sds there, and 9 in a direction that is seen well
     assert found(2.0, 9.0, -1.5) == pytest.approx(seen, rel=1e-9)
+    # under a prior that is a box, what one sd says
+    least = (2.0 / ENDS) ** 2 * left / v
+    assert found(2.0, 9.0, -1.5, box=True) == pytest.approx(sorted([least, *seen[1:]]))
 
 
 def test_directions_that_are_imitated_are_told_by_each_rows_own_variance() -> None:
     """Two rows of noises 10 times apart, neither imitated: nothing is bounded."""
     typical = np.array([1.0, 100.0])
-    information = np.diag(1.0 / typical)
+    known = np.diag(1.0 / typical)
     q = np.array([0.0, 0.9])  # 9 sds of the second row, whose information is the lesser by far
-    assert np.allclose(_bounded(information, typical, q), information, rtol=1e-12)
+    assert np.allclose(bounded(known, typical, q), known, rtol=1e-12)
 
 
 def test_a_state_of_other_readings_is_refused() -> None:
