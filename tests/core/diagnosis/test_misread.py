@@ -37,17 +37,19 @@ def blind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Spared, "least", lambda self, gains, *rest: gains)
 
 
-def test_a_cell_without_a_reading_is_that_of_the_other_rows() -> None:
+@pytest.mark.parametrize("pulled", [False, True])
+def test_a_cell_without_a_reading_is_that_of_the_other_rows(pulled: bool) -> None:
     """Against scores and informations of rows that were never there."""
     seen, _ = rotor(4)
     rng = np.random.default_rng(1)
-    g = np.zeros((*seen.q.shape, 2))
+    g, h = np.zeros((2, *seen.q.shape, 2))
     g[3, :, 0], g[7, :, 1] = rng.normal(size=(2, 3))
-    spared = Spared.of(seen, g, np.zeros_like(g), np.ones(2, bool))
-    u = np.einsum("bic,bi->c", g, seen.q)
+    h[3, :, 0], h[7, :, 1] = rng.normal(size=(2, 3))
+    spared = Spared.of(seen, g, h, np.ones(2, bool))
+    u = np.einsum("bic,bi->c", g, seen.q) + pulled * h.sum(axis=(0, 1))
     information = np.einsum("bic,bij,bjc->c", g, seen.information, g)
     one, none = np.ones(2), np.zeros(2, dtype=np.int64)
-    got = spared.least(np.full(2, np.inf), u, seen.q, information, one, none)
+    got = spared.least(np.full(2, np.inf), u, seen.q, information, one, none, pulled)
     for c, b in enumerate((3, 7)):
         covariance = np.linalg.inv(seen.information[b])
         off = covariance @ seen.q[b]
@@ -55,12 +57,9 @@ def test_a_cell_without_a_reading_is_that_of_the_other_rows() -> None:
         for i in range(3):
             rest = np.arange(3) != i
             q = np.linalg.inv(covariance[np.ix_(rest, rest)])
-            own = g[b, rest, c]
-            gains.append(
-                one_by_one(
-                    np.array([own @ q @ off[rest]]), np.array([own @ q @ own]), one[:1], none[:1]
-                )[0]
-            )
+            own, pull = g[b, rest, c], pulled * h[b, rest, c].sum()
+            score, known = own @ q @ off[rest] + pull, own @ q @ own
+            gains += one_by_one(np.array([score]), np.array([known]), one[:1], none[:1]).tolist()
         assert got[c] == pytest.approx(min(gains), abs=1e-9)
 
 

@@ -20,6 +20,8 @@ from core.diagnosis.scoring import scores
 from core.diagnosis.signature import Signatures
 from core.errors import InputError
 from core.family import Family
+from core.model import rotor_blade
+from core.observation import Inspection
 from tests.core.calibration.test_exact import SLOPES, conjugate, readings
 from tests.core.calibration.test_population import SPEC as POPULATION
 from tests.core.calibration.test_population import hierarchical, off_centre
@@ -204,12 +206,52 @@ def test_where_a_bound_forbids_to_imitate_there_isinformation(left: float) -> No
     assert found(2.0, 9.0, -1.5, box=True) == pytest.approx(sorted([least, *seen[1:]]))
 
 
+@pytest.mark.parametrize("far", [0.02, 0.1, 0.5])
+def test_in_the_corner_of_three_boxes_the_score_tells_the_information(far: float) -> None:
+    """y the sum of three parameters that are uniform on 0 … 1, `far` below their corner at 3.
+
+    p(y) = (3 − y)² / 2, so that the score is −2 / (3 − y) and −d² log p / dy² = 2 / (3 − y)².
+    """
+    noise = 1e-3
+    typical, q = np.array([noise**2]), np.array([-2.0 / far])
+    normal = np.array([[1.0 / (noise**2 + 3.0 / 12.0)]])
+    exact = 2.0 / far**2
+    found = bounded(normal, typical, q, box=True)[0, 0]
+    assert exact <= found <= 2.01 * exact
+    assert bounded(normal, typical, q)[0, 0] < 0.55 * exact, "the control: as of a normal prior"
+
+
 def test_directions_that_are_imitated_are_told_by_each_rows_own_variance() -> None:
     """Two rows of noises 10 times apart, neither imitated: nothing is bounded."""
     typical = np.array([1.0, 100.0])
     known = np.diag(1.0 / typical)
     q = np.array([0.0, 0.9])  # 9 sds of the second row, whose information is the lesser by far
     assert np.allclose(bounded(known, typical, q), known, rtol=1e-12)
+
+
+def test_scores_know_the_ends_of_the_priors_and_what_the_simulation_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A blade longer than any of the priors' corners: nothing of it is an effect's."""
+    model = rotor_blade()
+    lengths = {"b0": (0.5, 0.9, 1.2), "b1": (0.1, 0.2, 0.3), "b2": (0.12, 0.2, 0.31)}
+    data = [
+        Inspection(f"{b}-{k}", b, "elongation", 8000.0 * (k + 1), np.array([y]), sigma=0.02)
+        for b, own in lengths.items()
+        for k, y in enumerate(own)
+    ]
+    state = update(model, RotorSpec("r", tuple(lengths), 400, 5), data)
+
+    def far() -> float:
+        seen = scores(model, state, data)
+        assert seen.unsure is not None
+        assert np.all((seen.unsure > 1e-5) & (seen.unsure < 0.02))
+        value, vector = np.linalg.eigh(seen.information[0] * 0.02**2)
+        return float(abs(vector[:, 0] @ seen.q[0]) * 0.02 / np.sqrt(value[0]))
+
+    assert far() <= 1.01
+    monkeypatch.setattr("core.diagnosis.scoring.made_by_ends", lambda prior: False)
+    assert far() > 1.5, "the control: as of normal priors"
 
 
 def test_a_state_of_other_readings_is_refused() -> None:
