@@ -27,6 +27,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-clean", CLEAN, 134),
         ("effects-fleet-physics", PHYSICS, 6),
         ("effects-scans", ("clean", *PHYSICS, "pulse"), 2),
+        ("effects-scans-clean", ("clean",), 8),
     ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
