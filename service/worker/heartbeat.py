@@ -89,7 +89,7 @@ class Pulse:
         with self._turn:
             self._works.append(work)
             if not self._beating:
-                self._beating = True
+                self._beating, self._wakes = True, work.due
                 name = f"heartbeat of {threading.current_thread().name}"
                 self._thread = threading.Thread(target=self._run, name=name, daemon=True)
                 self._thread.start()
@@ -104,6 +104,7 @@ class Pulse:
     def end(self) -> None:
         """No work is under way: end the thread, if there is one."""
         with self._turn:
+            self._wakes = -math.inf  # it may not sleep yet
             self._turn.notify()
             thread, self._thread = self._thread, None
         if thread is not None:
@@ -112,6 +113,9 @@ class Pulse:
     def _run(self) -> None:
         with self._turn:
             try:
+                # The work that it was begun for may be over by now, and the next one not begun.
+                if (left_s := self._wakes - time.monotonic()) > 0.0:
+                    self._turn.wait(left_s)
                 while self._works:
                     work = min(self._works, key=lambda one: one.due)
                     self._wakes, left_s = work.due, work.due - time.monotonic()

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from service.worker.heartbeat import heartbeats
+from service.worker.heartbeat import heartbeats, rest
 
 PATIENCE_S = 60.0
 LONG_S = 3 * PATIENCE_S
@@ -53,6 +53,17 @@ def test_works_that_follow_one_another_share_a_thread() -> None:
             with heartbeats(lambda: True, LONG_S):
                 found |= beating()
         assert len(found) == 1
+
+    in_thread(works)
+
+
+def test_who_rests_ends_the_thread_though_it_does_not_sleep_yet() -> None:
+    def works() -> None:
+        for _ in range(50):
+            with heartbeats(lambda: True, LONG_S):
+                pass
+            rest()
+            assert not beating()
 
     in_thread(works)
 
@@ -115,17 +126,19 @@ def test_the_thread_ends_where_nothing_is_under_way_and_another_one_begins() -> 
     in_thread(works)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_beat_that_fails_ends_its_own_work_alone() -> None:
-    def failing() -> bool:
-        failed.set()
-        raise RuntimeError("a beat")
+def test_a_beat_that_fails_ends_its_own_work_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[threading.ExceptHookArgs] = []
+    monkeypatch.setattr(threading, "excepthook", told.append)
 
-    failed = threading.Event()
+    def failing() -> bool:
+        raise RuntimeError("a beat")
 
     def works() -> None:
         with heartbeats(failing, 0.03):
-            assert failed.wait(PATIENCE_S)
+            (heart,) = beating()
+            heart.join(PATIENCE_S)
+            assert not heart.is_alive()
+        assert [str(args.exc_value) for args in told] == ["a beat"]
         beaten = threading.Event()
         with heartbeats(beats(beaten), 0.03):
             assert beaten.wait(PATIENCE_S)
