@@ -38,7 +38,7 @@ def in_thread(block: Callable[[], None]) -> None:
         except BaseException as error:
             raised.append(error)
 
-    thread = threading.Thread(target=run)
+    thread = threading.Thread(target=run, daemon=True)
     thread.start()
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
