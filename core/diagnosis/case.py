@@ -143,14 +143,12 @@ class Case:
         seen = self.seen(taken.model, taken.state)
         facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
         noise = self.noise(model, state)
-        physics = _physics(taken.model)
-        more = signatures(taken.model, seen, taken.effects, facts, noise, physics)
 
         def again(cell: Cell, size: float, by: str) -> Held:
             name, origin = amplitude(cell, model.network)
             return self.parted.amplitudes(taken.model, cell.name, name, origin, size, by)
 
-        found = halves(model, taken.state, seen, taken.effects, facts, noise, more, again)
+        found = halves(model, taken.state, seen, taken.effects, facts, noise, again)
         if not any(one.alone and not one.agrees for one in found):
             return found
         less = {

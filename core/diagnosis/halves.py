@@ -8,9 +8,9 @@ the signature
 
 is zero on average if there is one amplitude; what d could be is d = U_d / (I_d + 1/w²), with a
 prior sd w of `WIDE` expected sizes. It is asked at the calibrated amplitude and not at none. df/da
-is the slope on a, in rows that the effect concerns; how it goes with the residual is taken from one
-more effect of the expected size, in proportion. An amplitude of more than w is outside of that
-prior and of that proportion: each half is asked by itself (`parted`).
+is the slope on a, in rows that the effect concerns, and how it goes with the residual is taken over
+the same particles. An amplitude of more than w is outside of that prior, and the answers are far
+from linear so far from none: each half is asked by itself (`parted`).
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ from core.diagnosis.masks import masks
 from core.diagnosis.parted import BLADES, HOURS
 from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
-from core.diagnosis.signature import Signatures
 from core.diagnosis.verdict import WIDE, Held
 from core.model import Model
 
 Array = NDArray[np.float64]
-NOTHING = 1e-9  # of the largest change: what rounding makes of none
+NOTHING = 1e-6  # of the largest slope: what polynomials make of none
 
 
 def halves(
@@ -42,13 +41,11 @@ def halves(
     effects: Sequence[Cell],
     facts: Mapping[str, Facts],
     noise: Mapping[str, float],
-    more: Signatures,
     again: Callable[[Cell, float, str], Held],
 ) -> tuple[Held, ...]:
     """Of the effects in a state's model, each in both ways of halving where it concerns enough.
 
     before  the model without the effects; state, seen: with them
-    more    signatures of the effects once more, in the model that has them
     again   what each half says by itself of an effect: its cell, expected size, how it is halved
     """
     shared = shared_posterior(state.meta, state.arrays.__getitem__)
@@ -59,16 +56,16 @@ def halves(
         name, origin = amplitude(cell, before.network)
         size = expected(cell, noise)
         mean = float(shared.particles.w @ shared.column(name)) - origin
-        once = more.g[:, :, c]
-        told = np.abs(once) > NOTHING * np.max(np.abs(once), initial=0.0)  # of a step: those after
-        g = np.where(concerned[:, :, c] & told, seen.slope[:, :, others.index(name)], 0.0)
-        share = np.where(told, g * size / np.where(told, once, 1.0), 0.0)
-        h = np.where(concerned[:, :, c], share * more.h[:, :, c], 0.0)
+        k = others.index(name)
+        g = np.where(concerned[:, :, c], seen.slope[:, :, k], 0.0)
+        told = np.abs(g) > NOTHING * np.max(np.abs(g), initial=0.0)  # of a step: those after
+        g = np.where(told, g, 0.0)
+        h = np.where(told, seen.pull[:, :, k], 0.0) if seen.pull is not None else 0.0 * g
         for by, half in splits(seen, g):
             if abs(mean) > WIDE * size:
                 found.append(again(cell, size, by))
             else:
-                found.append(between(seen, g * size, h, half, cell, by, mean / size))
+                found.append(between(seen, g * size, h * size, half, cell, by, mean / size))
     return tuple(found)
 
 

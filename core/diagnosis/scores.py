@@ -64,6 +64,7 @@ class Scores:
     answer   E[f], (B, n); lean: Cov[f_j, r_i] at [b, i, j], (B, n, n)
     points   inputs at K particles, (K,) each, one mapping a blade; answers there, (B, K, n)
     unsure   sd of what the simulation does not know of each row, (B, n); none: of nothing
+    pull     Cov[df_i/dθ, r_i] for each shared parameter, (B, n, S); none: slopes do not vary
     """
 
     blades: tuple[str, ...]
@@ -78,6 +79,7 @@ class Scores:
     points: tuple[Mapping[str, Array], ...]
     answers: Array
     unsure: Array | None = None
+    pull: Array | None = None
 
     @property
     def real(self) -> NDArray[np.bool_]:
@@ -199,4 +201,5 @@ class Scores:
             q=self.q - moved[:, :, 0],
             slope=np.concatenate([self.slope, g], axis=2),
             prior=np.append(self.prior, np.ones(g.shape[2])),
+            pull=None,
         )

@@ -66,7 +66,7 @@ def scores(
     information, lean = (np.zeros((*shape, shape[1])) for _ in range(2))
     answers = np.zeros((shape[0], POINTS, shape[1]))
     priors = shared_priors_of(model, state)
-    slope = np.zeros((*shape, len(priors)))
+    slope, pull = (np.zeros((*shape, len(priors))) for _ in range(2))
     for b, one in enumerate(made):
         n = len(one.q)
         place[b, :n] = rows[b].of[:n]
@@ -76,7 +76,7 @@ def scores(
         information[b, :n, :n] = one.information
         lean[b, :n, :n] = one.lean
         answers[b, :, :n] = one.answers
-        slope[b, :n] = one.shared
+        slope[b, :n], pull[b, :n] = one.shared, one.pull
     q, answer, unsure = filled
     return Scores(
         blades,
@@ -91,6 +91,7 @@ def scores(
         tuple(one.points for one in made),
         answers,
         unsure,
+        pull,
     )
 
 
@@ -111,12 +112,13 @@ def variance(prior: Prior) -> float:
 
 @dataclass(frozen=True)
 class _Blade:
-    """q (n,), Q (n, n), S (n, s), E[f] (n,), Cov[f_j, r_i] (n, n), inputs and answers (K, n), sd of
-    what the simulation does not know (n,)."""
+    """q (n,), Q (n, n), S (n, s), Cov[df_i/dθ, r_i] (n, s), E[f] (n,), Cov[f_j, r_i] (n, n), inputs
+    and answers (K, n), sd of what the simulation does not know (n,)."""
 
     q: Array
     information: Array
     shared: Array
+    pull: Array
     answer: Array
     lean: Array
     points: Mapping[str, Array]
@@ -171,13 +173,15 @@ def _blade(
     columns = np.array([posterior.column(n) for n in others]).reshape(len(others), len(w)).T
     answer, off = w @ f, columns - w @ columns
     size = np.sqrt(w @ off**2) + 1e-300
-    slope = np.zeros((count, len(others)))
+    typical, r = 1.0 / (w @ (1.0 / v)), (rows.y[:count] - f) / v
+    slope, pull = (np.zeros((count, len(others))) for _ in range(2))
     for k, name in enumerate(others):
         own = shared_prior(model, name)
         ends = tuple(np.clip(columns[:, k] + e * size[k], own.low, own.high) for e in (1, -1))
         apart = np.maximum(ends[0] - ends[1], 1e-300)
-        change = answered(name, ends[0])[0] - answered(name, ends[1])[0]
-        slope[:, k] = w @ (change / apart[:, None])
+        each = (answered(name, ends[0])[0] - answered(name, ends[1])[0]) / apart[:, None]
+        slope[:, k] = w @ each
+        pull[:, k] = w @ ((each - slope[:, k]) * r)
     some = _evenly(w, f, SLOPES)
     spread = np.zeros((count, len(locals_)))
     for k, p in enumerate(locals_):
@@ -188,8 +192,6 @@ def _blade(
         spread[:, k] = sd_ * by_own
         if (mean := f"mean.{p.name}") in others:  # it moves the blades with it
             slope[:, others.index(mean)] = by_own
-    typical = 1.0 / (w @ (1.0 / v))
-    r = (rows.y[:count] - f) / v
     some = _evenly(w, f, POINTS)
     scanned = np.array([rows.readings[o].values.size > 1 for o in rows.of[:count]])
     mesh = (rows.relative[:count] * rows.y[:count]) ** 2 + rows.extra[:count] * scanned
@@ -200,6 +202,7 @@ def _blade(
         q,
         bounded(seen, typical, q, box),
         slope,
+        pull,
         answer,
         (w[:, None] * r).T @ (f - answer),
         dict(zip(names, x[some].T, strict=True)),
