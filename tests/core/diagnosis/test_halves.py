@@ -40,7 +40,7 @@ def test_slopes_go_with_residuals_as_over_the_particles_of_the_formula() -> None
             exact = w @ ((slope - w @ slope) * r)
             told = seen.pull[b, i, names.index("rate")]
             scale = np.sqrt(w @ (slope - w @ slope) ** 2 * (w @ r**2))
-            assert abs(told - exact) < 0.1 * scale  # the compiled polynomials are up to half a noise off
+            assert abs(told - exact) < 0.1 * scale  # polynomials are up to half a noise off
             most = max(most, abs(exact) / scale)
     assert most > 0.2, "there is something to be told"
 
