@@ -5,6 +5,7 @@ Classes of |z|, told by colour and, from three sds on, by the number in the cell
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -57,9 +58,18 @@ def rows_of(readings: Sequence[Json]) -> dict[str, list[int]]:
     return found
 
 
+def people(name: str) -> list[str | int]:
+    """Names in the order of people: numbers in them by their size.
+
+    >>> sorted(["B10", "B2", "A", "B2-1"], key=people)
+    ['A', 'B2', 'B2-1', 'B10']
+    """
+    return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", name))]
+
+
 def heat(readings: Sequence[Json], *, changed: bool) -> list[Markup]:
     """As few pictures as hold `MOST` blades each, of as many blades as the others but one."""
-    blades = sorted({r["blade"] for r in readings})
+    blades = sorted({r["blade"] for r in readings}, key=people)
     rows, pictures = rows_of(readings), -(-len(blades) // MOST)
     ends = [len(blades) * k // pictures for k in range(pictures + 1)] if pictures else [0]
     return [_map(readings, rows, blades[a:b], changed=changed) for a, b in pairwise(ends)]

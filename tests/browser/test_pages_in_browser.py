@@ -448,6 +448,32 @@ def test_hours_and_ticks_have_the_decimals_that_their_range_needs(watched: Watch
     assert shown == ["12350", "342", "04567", "0.0", "2.5", "5.0"]
 
 
+def test_digits_are_counted_once_a_number_is_rounded(watched: Watched) -> None:
+    page = watched.open("/rotors/r1")
+    told = page.evaluate("""async () => {
+      const { plain, withSd } = await import("/assets/format.js");
+      const alone = [0.996, 1, 0.994, 0, null].map((value) => plain(value, 2));
+      return [...alone, withSd(2, 0.0996)];
+    }""")
+    assert told == ["1.0", "1.0", "0.99", "0", "–", "2.00 ± 0.10"]
+
+
+def test_slots_are_counted_from_nought_or_from_one_and_have_to_be_numbers(watched: Watched) -> None:
+    page = watched.open("/rotors/r1")
+    told = page.evaluate("""async () => {
+      const { slots } = await import("/assets/ring.js");
+      const of = (...given) => slots(given.map((slot) => ({ slot })));
+      const every = [of("0", "2"), of("1", "3"), of("7", "A"), of(null, null)];
+      return every.map((one) => [one.count, one.of, one.order]);
+    }""")
+    assert told == [
+        [3, [0, 2], "by slot, front view"],
+        [3, [0, 2], "by slot, front view"],
+        [2, [0, 1], "by name: slots are not all numbers"],
+        [2, [0, 1], "by name: no slots are given"],
+    ]
+
+
 def test_a_wide_model_s_last_hours_are_shown_where_something_was_read_there(
     watched: Watched,
 ) -> None:

@@ -385,6 +385,13 @@ def test_a_condition_in_which_the_effect_fails_is_told() -> None:
     assert "never read" not in page_of(told("effect"))
 
 
+def test_blades_stand_in_the_order_of_people() -> None:
+    first = told("effect")["pictures"]["readings"][0]
+    readings = [first | {"blade": f"B{i}", "id": str(i)} for i in (10, 2, 1)]
+    (drawn,) = heat(readings, changed=True)
+    assert re.findall(r">(B\d+)</text>", drawn) == ["B1", "B2", "B10"]
+
+
 @pytest.mark.parametrize(
     ("blades", "each"), [(1, [1]), (100, [100]), (103, [51, 52]), (250, [83, 83, 84])]
 )

@@ -18,7 +18,7 @@ export function fixed(value, decimals) {
 
 /** Decimals that show a number to so many significant digits. */
 export const decimals = (value, digits = 2) => {
-  const size = Math.abs(value);
+  const size = Math.abs(Number(Number(value).toPrecision(digits))); // 0.996 is 1.0, not 1.00
   if (!(size > 0)) return 0;
   return Math.min(9, Math.max(0, digits - 1 - Math.floor(Math.log10(size))));
 };

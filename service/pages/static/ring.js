@@ -14,11 +14,16 @@ function sector(from, to) {
   return `M${at(R0, from)} L${at(R1, from)} A${R1} ${R1} 0 ${large} 1 ${at(R1, to)} L${at(R0, to)} A${R0} ${R0} 0 ${large} 0 ${at(R0, from)} Z`;
 }
 
-/** The slot of each blade: its number where all have one of their own, else their order. */
+/** The slot of each blade: its number where all have one of their own, counted from 1 or from 0, else their order. */
 export function slots(blades) {
   const given = blades.map((blade) => (/^\d+$/.test(blade.slot ?? "") ? Number(blade.slot) : null));
-  const fit = given.every((n) => n !== null && n >= 1 && n <= 400) && new Set(given).size === given.length;
-  return { count: fit ? Math.max(...given) : blades.length, of: fit ? given.map((n) => n - 1) : given.map((_, i) => i), fit };
+  const fit = given.every((n) => n !== null && n <= 400) && new Set(given).size === given.length;
+  const first = given.includes(0) ? 0 : 1;
+  return {
+    count: fit ? Math.max(...given) - first + 1 : blades.length, first, fit,
+    of: fit ? given.map((n) => n - first) : given.map((_, i) => i),
+    order: fit ? "by slot, front view" : blades.some((blade) => blade.slot) ? "by name: slots are not all numbers" : "by name: no slots are given",
+  };
 }
 
 /**
@@ -26,12 +31,12 @@ export function slots(blades) {
  * words for it, `sign(blade)` a sign where something is to be seen to.
  */
 export function ring(rotor, blades, { value, span, what, unitName, tell, sign }) {
-  const { count, of, fit } = slots(blades);
+  const { count, first, of, fit, order } = slots(blades);
   const width = (2 * Math.PI) / Math.max(count, 1);
   const gap = Math.min(0.012, width / 8);
   const empty = [];
   for (let i = 0; i < count; i += 1) {
-    if (!of.includes(i)) empty.push(s("path", { class: "none", d: sector(i * width + gap, (i + 1) * width - gap) }, s("title", {}, `slot ${i + 1}: no blade`)));
+    if (!of.includes(i)) empty.push(s("path", { class: "none", d: sector(i * width + gap, (i + 1) * width - gap) }, s("title", {}, `slot ${i + first}: no blade`)));
   }
   const parts = blades.map((blade, k) => {
     const from = of[k] * width + gap;
@@ -60,7 +65,7 @@ export function ring(rotor, blades, { value, span, what, unitName, tell, sign })
     ? [0, 0.25, 0.5, 0.75].map((part) => {
         const slot = Math.round(part * count);
         const a = (slot + 0.5) * width;
-        return s("text", { class: "soft", x: ((R0 - 14) * Math.sin(a)).toFixed(1), y: (4 - (R0 - 14) * Math.cos(a)).toFixed(1) }, fit ? `${slot + 1}` : blades[slot]?.id ?? "");
+        return s("text", { class: "soft", x: ((R0 - 14) * Math.sin(a)).toFixed(1), y: (4 - (R0 - 14) * Math.cos(a)).toFixed(1) }, fit ? `${slot + first}` : blades[slot]?.id ?? "");
       })
     : [];
   const bar = [];
@@ -70,6 +75,6 @@ export function ring(rotor, blades, { value, span, what, unitName, tell, sign })
     s("text", { class: "soft", x: (-90 + 180 * share(at[i], span)).toFixed(1), y: 38 }, text));
   return s("svg", { class: "ring", viewBox: "-205 -205 410 410", role: "group", "aria-label": `${blades.length} blades by ${fit ? "slot" : "name"}, coloured by ${what}` },
     empty, parts, turns,
-    s("text", { y: -30 }, fit ? "by slot, front view" : "by name: no slots are given"),
+    s("text", { y: -30 }, order),
     s("text", { y: 0 }, `${what}${unit(unitName) ? ` [${unit(unitName)}]` : ""}`), bar, marks);
 }
