@@ -149,6 +149,7 @@ class SeriesRow(TypedDict):
     value: float
     lower: float
     upper: float
+    held: bool
 
 
 class Parameter(TypedDict):
@@ -200,6 +201,7 @@ class BladeAtOneHourReadings(TypedDict):
 class BladeAtOneHourPrediction(TypedDict):
     mean: Any
     sd: dict[str, Any]
+    held_from_h: float | None
 
 
 class BladeAtOneHour(TypedDict):
@@ -256,6 +258,7 @@ class Field(TypedDict):
     particles: int
     mean: list[Any]
     sd: list[Any]
+    held_from_h: float | None
     health: Health
     rests_on: RestsOn
 

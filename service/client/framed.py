@@ -37,7 +37,7 @@ BLADES = {
     "blade": TEXT, "slot": TEXT, "lot": TEXT, "coating_lot": TEXT, "installed_at": MOMENT,
     "time_h0": NUMBER, "added_seq": WHOLE, "retired": "bool", "counting": WHOLE,
     "overruled": WHOLE, "last_id": TEXT, "last_time_h": NUMBER, "last_received_at": MOMENT,
-    "mean": NUMBER, "sd": NUMBER,
+    "mean": NUMBER, "sd": NUMBER, "held_from_h": NUMBER,
 }  # fmt: skip
 LISTS = ("time_h", "mean", "sd", "lower", "upper", "quantiles")
 AXES = ("x", "y", "z")
@@ -120,6 +120,7 @@ def blades(answer: Answer) -> DataFrame:
     mean, sd     sd of a reading, in total; `sd_blade`: of the blade itself, without a reading's
                  noise; sd_<source>; of a vector mean_x, mean_y, …
     counting, overruled     how many of its readings count, and do not
+    held_from_h             from when on it has too little of an adopted effect, where it has one
     known_<input>           its known inputs, where it has any
     """
     told: Any = answer
@@ -138,6 +139,7 @@ def _blade(item: Any) -> dict[str, Any]:
     found = {name: item[name] for name in item if name in BLADES} | {"blade": item["id"]}
     found |= {name: item["readings"][name] for name in ("counting", "overruled")}
     found |= {f"last_{name}": value for name, value in last.items()}
+    found["held_from_h"] = item["prediction"]["held_from_h"]
     found |= _of("mean", item["prediction"]["mean"]) | _of("sd", sd.pop("total"))
     for source, value in sd.items():
         found |= _of(f"sd_{source}", value)

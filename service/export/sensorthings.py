@@ -146,7 +146,7 @@ def predicted(told: Mapping[str, Any], computed_at: str) -> Json:
                 "observationType": ANY_RESULT if vector else MEASUREMENT,
                 "unitOfMeasurement": _unit(told["unit"]),
                 "properties": {"kind": PREDICTION}
-                | {name: told[name] for name in ("rotor", "health", "rests_on")},
+                | {name: told[name] for name in ("rotor", "held_from_h", "health", "rests_on")},
                 "Thing": {"@iot.id": blade, "name": blade},
                 "Sensor": {"name": "bladetwin"},
                 "ObservedProperty": {"@iot.id": quantity, "name": quantity},

@@ -117,11 +117,13 @@ def angles(
     """Where blades stand around the rotor's axis [rad]: by slot from 0 on.
 
     everyone   the blades of the rotor, those that left included; None: these are all
-    By the slots' numbers where all blades that run have one of their own, else in their order: a
-    blade stands where it stands, whichever of them are shown.
+    By the slots' numbers, which count from 1 or from 0, where all blades that run have one of
+    their own, else in their order: a blade stands where it stands, whichever of them are shown.
 
     >>> [round(a / np.pi, 3) for a in angles([BladeRecord("A", slot="4"), BladeRecord("B", "2")])]
     [1.5, 0.5]
+    >>> [round(a / np.pi, 3) for a in angles([BladeRecord("A", slot="3"), BladeRecord("B", "0")])]
+    [1.5, 0.0]
     >>> [round(a / np.pi, 3) for a in angles([BladeRecord("A", slot="4"), BladeRecord("B")])]
     [0.0, 1.0]
     """
@@ -132,15 +134,16 @@ def angles(
     fit = fit and len({numbers[b.id] for b in running}) == len(running)
     if not fit:
         numbers = {b.id: i for i, b in enumerate(everyone, start=1)}
-    count = max(numbers.values(), default=1)
-    return [2 * np.pi * (numbers[b.id] - 1) / count for b in blades]
+    first = 0 if 0 in numbers.values() else 1
+    count = max(numbers.values(), default=1) - first + 1
+    return [2 * np.pi * (numbers[b.id] - first) / count for b in blades]
 
 
 def _number(slot: str | None) -> int | None:
     """The slot as a number; None: it is called otherwise."""
     if slot is None or not (slot.isascii() and slot.isdigit() and len(slot) <= 3):
         return None
-    return int(slot) if 1 <= int(slot) <= MOST_SLOTS else None
+    return int(slot) if int(slot) <= MOST_SLOTS else None
 
 
 def turned(values: Array, angle: float) -> Array:

@@ -18,11 +18,12 @@ def prediction_csv(told: Json) -> bytes:
     >>> one = {"rotor": "r1", "blade": "B1", "quantity": "elongation", "unit": "mm", "node": None}
     >>> one |= {"instrument": None, "probability": 0.95, "time_h": [8000.0], "mean": [0.125]}
     >>> one |= {"sd": {"total": [0.5]}, "lower": [-1.0], "upper": [1.0], "quantiles": {}}
+    >>> one |= {"held_from_h": None}
     >>> rests = {"version": 3, "sealed": True}
     >>> print(prediction_csv(one | {"rests_on": rests, "health": {"trusted": True}}).decode())
     rotor,version,blade,quantity,unit,node,instrument,component,sealed,trusted,time_h,\
-probability,mean,sd_total,lower,upper
-    r1,3,B1,elongation,mm,,,,true,true,8000.0,0.95,0.125,0.5,-1.0,1.0
+probability,mean,sd_total,lower,upper,held
+    r1,3,B1,elongation,mm,,,,true,true,8000.0,0.95,0.125,0.5,-1.0,1.0,false
     <BLANKLINE>
     """
     parts = {
@@ -37,11 +38,12 @@ probability,mean,sd_total,lower,upper
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     more = ("component", "sealed", "trusted", "time_h", "probability")
-    writer.writerow([*OF_ALL, *more, *parts])
+    writer.writerow([*OF_ALL, *more, *parts, "held"])
     for i, hour in enumerate(told["time_h"]):
+        held = str(told["held_from_h"] is not None and hour >= told["held_from_h"]).lower()
         for axis, numbers in _rows([values[i] for values in parts.values()]):
             head = [whole[name] for name in OF_ALL]
-            writer.writerow([*head, axis, *state, hour, told["probability"], *numbers])
+            writer.writerow([*head, axis, *state, hour, told["probability"], *numbers, held])
     return out.getvalue().encode()
 
 

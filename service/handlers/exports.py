@@ -182,6 +182,7 @@ def field_vtu(store: Store, science: Science, found: Basis, told: Mapping[str, A
     name, unit = told["quantity"], told["unit"]
     data = {f"{name} {what} [{unit}]": np.array(told[what]) for what in ("mean", "sd")}
     facts = {"blade": told["blade"], "quantity": name, "time_h": told["time_h"]} | facts_of(found)
+    facts["held_from_h"] = json.dumps(told["held_from_h"])
     return vtu(mesh, data, float(told["time_h"]), facts)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from core.errors import InputError, RangeError
 from service.errors import FaultsError, NotFoundError
 from service.handlers.blades import blades_at, blades_of
-from service.handlers.reads import Basis, Question, bands_of, health
+from service.handlers.reads import Basis, Question, bands_of, health, held_from
 from service.moments import moment
 from service.ports import (
     BladeReadings,
@@ -56,7 +56,10 @@ def glance(store: Store, found: Basis, which: Which, after: str, limit: int) -> 
 def at_one_hour(
     store: Store, science: Science, found: Basis, asked: Question, blades: Sequence[BladeRecord]
 ) -> list[Json]:
-    """The prediction of each blade at the one hour asked for, and sd without a reading's noise."""
+    """The prediction of each blade at the one hour asked for, and sd without a reading's noise.
+
+    With it the hour from which it has too little of an effect (`held_from`); None: no such hour.
+    """
     out = []
     with store.read() as tx:
         get = tx.states.reader(found.state)
@@ -69,6 +72,7 @@ def at_one_hour(
                     "mean": np.asarray(bands.mean)[0].tolist(),
                     "sd": {name: np.asarray(part).tolist() for name, part in sd.items()}
                     | {"blade": np.asarray(own).tolist()},
+                    "held_from_h": held_from(science, found, get, blade),
                 }
             )
     return out
@@ -133,12 +137,12 @@ def field_question(
 
 def field(store: Store, science: Science, found: Basis, quantity: str, time_h: float) -> Json:
     """Mean and sd of a field at every node, to seven digits."""
-    blade = found.blade
+    blade, get = found.blade, found.arrays(store)
     assert blade is not None
     bands = science.field(
         found.card,
         found.state.meta,
-        found.arrays(store),
+        get,
         blade.id,
         quantity,
         time_h,
@@ -152,6 +156,7 @@ def field(store: Store, science: Science, found: Basis, quantity: str, time_h: f
         "particles": bands.particles,
         "mean": seven_digits(bands.mean),
         "sd": seven_digits(bands.sd),
+        "held_from_h": held_from(science, found, get, blade),
         "health": health(found.state),
     }
 

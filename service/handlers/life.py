@@ -51,12 +51,12 @@ def life(
     limit: float,
 ) -> Json:
     """The distribution of the time to the limit, as plain lists."""
-    blade = found.blade
+    blade, get = found.blade, found.arrays(store)
     assert blade is not None
     told = science.life(
         found.card,
         found.state.meta,
-        found.arrays(store),
+        get,
         blade.id,
         asked.quantity,
         limit,
@@ -75,6 +75,6 @@ def life(
         "time_h": np.asarray(told.time_h).tolist(),
         "passed": np.asarray(told.passed).tolist(),
         "quantiles": {str(p): hour for p, hour in told.quantiles.items()},
-        "held_from_h": held_from(store, science, found),
+        "held_from_h": held_from(science, found, get, blade),
         "health": health(found.state),
     }

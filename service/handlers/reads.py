@@ -229,9 +229,9 @@ def bands_of(
 
 def predict(store: Store, science: Science, found: Basis, asked: Question) -> Json:
     """Bands by source of the blade that the basis names, as plain lists."""
-    blade = found.blade
+    blade, get = found.blade, found.arrays(store)
     assert blade is not None
-    bands = bands_of(science, found, found.arrays(store), blade, asked)
+    bands = bands_of(science, found, get, blade, asked)
     return {
         "blade": blade.id,
         "quantity": asked.quantity,
@@ -244,14 +244,11 @@ def predict(store: Store, science: Science, found: Basis, asked: Question) -> Js
         "sd": {name: np.asarray(part).tolist() for name, part in bands.sd.items()},
         **{name: np.asarray(getattr(bands, name)).tolist() for name in ("lower", "upper")},
         "quantiles": {str(p): np.asarray(q).tolist() for p, q in bands.quantiles.items()},
-        "held_from_h": held_from(store, science, found),
+        "held_from_h": held_from(science, found, get, blade),
         "health": health(found.state),
     }
 
 
-def held_from(store: Store, science: Science, found: Basis) -> float | None:
-    """The hour from which the basis's blade has too little of an effect (`Science.held_from`)."""
-    blade = found.blade
-    assert blade is not None
-    get = found.arrays(store)
+def held_from(science: Science, found: Basis, get: Get, blade: BladeRecord) -> float | None:
+    """The hour from which a blade has too little of an effect (`Science.held_from`)."""
     return science.held_from(found.card, found.state.meta, get, blade.id, blade.known)

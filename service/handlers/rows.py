@@ -8,7 +8,7 @@ import numpy as np
 
 from core.errors import RangeError
 from service.handlers.blades import blades_at, blades_of
-from service.handlers.reads import Basis, Question, bands_of
+from service.handlers.reads import Basis, Question, bands_of, held_from
 from service.ports import BladeRecord, Json, Science, Store
 
 MOST_ROWS = 20_000
@@ -41,18 +41,22 @@ def rows(
     component: int | None,
     blades: Sequence[BladeRecord],
 ) -> list[Json]:
-    """A row for each blade and hour: ``blade, time, value, lower, upper``.
+    """A row for each blade and hour: ``blade, time, value, lower, upper, held``.
 
     time   operating hours; value: the mean; lower, upper: between which a reading falls with the
            probability asked for
+    held   an adopted effect would take an input out of the model's runs by then, and it is held at
+           their end: there is too little of the effect (`held_from`)
     """
     out: list[Json] = []
     get = found.arrays(store)
     for blade in blades:
         bands = bands_of(science, found, get, blade, asked)
+        start = held_from(science, found, get, blade)
         parts = [np.asarray(part) for part in (bands.mean, bands.lower, bands.upper)]
         along = [(p if component is None else p[:, component]).tolist() for p in parts]
         for time, value, lower, upper in zip(asked.times, *along, strict=True):
             row = {"time": time, "value": value, "lower": lower, "upper": upper}
+            row["held"] = start is not None and time >= start
             out.append({"blade": blade.id} | row)
     return out

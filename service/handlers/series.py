@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from service.export.vtu import vtu
 from service.handlers.blades import blades_at, blades_of
 from service.handlers.exports import facts_of
 from service.handlers.glance import field, field_question
-from service.handlers.reads import Basis
+from service.handlers.reads import Basis, held_from
 from service.ports import BladeRecord, Json, Mesh, Science, Store
 
 Array = NDArray[np.float64]
@@ -141,7 +142,7 @@ def _vtu(mesh: Mesh, told: Json, found: Basis, angle: float | None) -> bytes:
     name, unit = told["quantity"], told["unit"]
     mean, sd = np.array(told["mean"]), np.array(told["sd"])
     facts: dict[str, Any] = {name: told[name] for name in ("blade", "quantity", "time_h")}
-    facts |= facts_of(found)
+    facts |= facts_of(found) | {"held_from_h": json.dumps(told["held_from_h"])}
     if angle is not None:
         facts |= {"turned_rad": angle, "sd_axes": "the blade's own"}
         mean = files.turned(mean, angle) if mean.ndim == 2 else mean
@@ -149,11 +150,18 @@ def _vtu(mesh: Mesh, told: Json, found: Basis, angle: float | None) -> bytes:
     return vtu(mesh, data, float(told["time_h"]), facts)
 
 
+def _facts(store: Store, science: Science, found: Basis, wanted: Series) -> dict[str, Any]:
+    """Of a file of one blade over hours."""
+    (blade,) = wanted.blades
+    held = held_from(science, found, found.arrays(store), blade)
+    facts = {"blade": blade.id, "quantity": wanted.quantity} | facts_of(found)
+    return facts | {"held_from_h": json.dumps(held)}
+
+
 def arrow(store: Store, science: Science, found: Basis, wanted: Series) -> Iterator[bytes]:
     """An Arrow stream with a batch for each hour. Raises NotInstalledError, before it begins."""
-    (blade,) = wanted.blades
     output = found.card.outputs[wanted.quantity]
-    facts = {"blade": blade.id, "quantity": wanted.quantity} | facts_of(found)
+    facts = _facts(store, science, found, wanted)
     stream = ArrowStream(vector=output.kind == "vector", unit=output.unit, facts=facts)
 
     def told() -> Iterator[tuple[float, Array, Array]]:
@@ -166,7 +174,6 @@ def arrow(store: Store, science: Science, found: Basis, wanted: Series) -> Itera
 
 def npz(store: Store, science: Science, found: Basis, wanted: Series) -> Iterator[bytes]:
     """A zip of arrays: `time_h` (T,), `mean` and `sd` (T, N[, 3]); RangeError: too many values."""
-    (blade,) = wanted.blades
     output = found.card.outputs[wanted.quantity]
     each = 2 * found.card.node_count * (3 if output.kind == "vector" else 1)
     if len(wanted.hours) * each > MOST_VALUES:
@@ -176,5 +183,5 @@ def npz(store: Store, science: Science, found: Basis, wanted: Series) -> Iterato
     told = [field(store, science, found, wanted.quantity, hour) for hour in wanted.hours]
     arrays = {"time_h": np.array(wanted.hours)}
     arrays |= {what: np.array([one[what] for one in told]) for what in ("mean", "sd")}
-    facts = {"blade": blade.id, "quantity": wanted.quantity} | facts_of(found)
+    facts = _facts(store, science, found, wanted)
     return files.npz(arrays, output.unit, facts)

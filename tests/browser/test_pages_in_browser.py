@@ -400,6 +400,21 @@ def test_a_blade_whose_input_is_held_at_the_runs_end_is_shown_as_such(watched: W
     expect(notice).to_contain_text("Later hours have too little of the effect.")
 
 
+def test_blades_held_by_the_hour_of_a_rotor_s_table_are_marked_there(watched: Watched) -> None:
+    def held(route: Route) -> None:
+        answer = route.fetch()
+        told = answer.json()
+        told["items"][0]["prediction"]["held_from_h"] = 41_000.0
+        told["items"][1]["prediction"]["held_from_h"] = told["time_h"] + 1.0
+        route.fulfill(response=answer, json=told)
+
+    watched.page.route("**/v1/rotors/r1/blades?*", held)
+    page = watched.open("/rotors/r1?time_h=50000")
+    marked = page.get_by_text(re.compile(r"^▲? ?too little of an effect from 41\s000 h on$"))
+    expect(marked).to_have_count(1)
+    expect(page.locator(".ring .mark")).to_have_text("▲")
+
+
 def test_a_rotor_of_wide_runs_is_shown_at_the_usual_hour(watched: Watched) -> None:
     """Its blades are asked for at 50,000 h, unless an hour was chosen."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 
@@ -104,3 +105,34 @@ def test_prediction_and_life_say_it(
     monkeypatch.setattr(CoreScience, "held_from", lambda *_: 41_000.0)
     later = (f"{BLADE}/prediction?times=24001", f"{BLADE}/life?limit=0.51")
     assert [api.get(one).json()["held_from_h"] for one in later] == [41_000.0] * 2
+
+
+def test_lists_series_and_files_say_it(
+    rotor: str, api: httpx.Client, worker: Worker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of B2 alone, from 41,000 h on."""
+    one = {"id": "i1", "blade": "B1", "quantity": "elongation", "time_h": 8e3, "values": [0.2]}
+    told = api.post(f"/v1/rotors/{rotor}/inspections", json={"inspections": [one]})
+    assert told.status_code == 202
+    worker.drain()
+
+    def of_b2(*given: object) -> float | None:
+        return 41_000.0 if given[4] == "B2" else None
+
+    monkeypatch.setattr(CoreScience, "held_from", of_b2)
+    base, other = f"/v1/rotors/{rotor}", BLADE.replace("B1", "B2")
+    blades = api.get(f"{base}/blades?time_h=50000").json()["items"]
+    assert {b["id"]: b["prediction"]["held_from_h"] for b in blades} == {
+        "B1": None, "B2": 41_000.0, "B3": None
+    }  # fmt: skip
+    rows = api.get(f"{base}/series?times=40000,41000,50000").json()["items"]
+    assert {(r["blade"], r["time"]) for r in rows if r["held"]} == {("B2", 41e3), ("B2", 5e4)}
+    assert len(rows) == 9
+    csv = api.get(f"{other}/prediction?times=40000,41000&format=csv").text.splitlines()
+    assert [line.rpartition(",")[2] for line in csv] == ["held", "false", "true"]
+    (stream,) = api.get(f"{other}/prediction?times=40000&format=sensorthings").json()["value"]
+    assert stream["properties"]["held_from_h"] == 41_000.0
+    assert api.get(f"{other}/field?time_h=50000").json()["held_from_h"] == 41_000.0
+    arrays = np.load(io.BytesIO(api.get(f"{other}/field?times=50000&format=npz").content))
+    assert json.loads(str(arrays["facts"]))["held_from_h"] == "41000.0"
+    assert b"41000.0" in api.get(f"{other}/field?time_h=50000&format=vtu").content

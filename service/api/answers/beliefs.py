@@ -125,7 +125,7 @@ LIFE = having(
     rests_on=RESTS_ON,
 )
 SERIES = having(
-    items=each(having(blade=TEXT, time=NUMBER, value=NUMBER, lower=NUMBER, upper=NUMBER)),
+    items=each(having(blade=TEXT, time=NUMBER, value=NUMBER, lower=NUMBER, upper=NUMBER, held=YES)),
     next=maybe(TEXT),
     rotor=TEXT,
     quantity=TEXT,

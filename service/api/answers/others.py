@@ -62,7 +62,7 @@ AT_ONE_HOUR: Json = {"anyOf": [NUMBER, each(NUMBER)]}
 BLADE_AT_A_GLANCE = having(
     **BLADE["properties"],
     readings=READINGS_OF_BLADE,
-    prediction=having(mean=AT_ONE_HOUR, sd=named(AT_ONE_HOUR)),
+    prediction=having(mean=AT_ONE_HOUR, sd=named(AT_ONE_HOUR), held_from_h=maybe(NUMBER)),
 )
 BLADES = having(
     items=each(BLADE_AT_A_GLANCE),
@@ -103,6 +103,7 @@ FIELD = having(
     particles=WHOLE,
     mean=BAND,
     sd=BAND,
+    held_from_h=maybe(NUMBER),
     health=HEALTH,
     rests_on=RESTS_ON,
 )

@@ -35,6 +35,8 @@ function judged(found, health) {
     if (contradicted.has(blade.id)) alarms.push(["bad", "contradicts the rotor"]);
     if (margin !== null && margin < 0) alarms.push(["bad", "beyond the limit"]);
     else if (margin !== null && margin < 2) alarms.push(["warn", "limit within 2 sd"]);
+    const held = blade.prediction.held_from_h;
+    if (held !== null && held <= found.time_h) alarms.push(["warn", `too little of an effect from ${hours(held)} on`]);
     if (blade.retired) alarms.push(["wait", "retired"]);
     if (blade.readings.counting === 0) alarms.push(["wait", "no readings: what the rotor tells"]);
     return { ...blade, mean, sd, margin, alarms };
