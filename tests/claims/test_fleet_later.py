@@ -10,7 +10,7 @@ import pytest
 
 from core.validation import effects_study as study
 from core.validation.effect_gains import improvement
-from core.validation.effect_sets import CLEAN, PHYSICS
+from core.validation.effect_sets import CLEAN, CONDITIONS, NAMED, PHYSICS
 
 RESULTS = Path(__file__).parent / "results"
 TEXT = (Path(__file__).parent / "README.md").read_text()
@@ -29,6 +29,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-fleet-physics", PHYSICS, 6),
         ("effects-scans", ("clean", *PHYSICS, "pulse"), 2),
         ("effects-scans-clean", ("clean",), 8),
+        ("effects-scans-all", CONDITIONS, 2),
     ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
@@ -96,3 +97,18 @@ def test_in_scans_physics_is_named_where_elongations_left_it_open() -> None:
     assert found["table"]["pulse"]["right"] == found["table"]["clean"]["right"] == 1.0
     errors = [[abs(one[when]["forecast_error"]) for one in named] for when in ("before", "after")]
     assert sum(errors[1]) < 0.3 * sum(errors[0])
+
+
+def test_in_scans_every_kind_with_a_name_gets_it_and_one_outside_gets_a_wrong_one() -> None:
+    found = kept("effects-scans-all")
+    assert found["plan"] == "fleet-scans"
+    assert all(found["table"][kind]["right"] == 1.0 for kind in (*NAMED, *CLEAN))
+    assert "**16 of 16**" in TEXT
+    (wrong,) = [one for one in found["sets"] if one["outcome"] == "wrong"]
+    assert wrong["condition"] == "some blades late"
+    assert wrong["names"][0].startswith("campaign offset")
+    assert found["marks"]["outside, no name"] < 0.9, "missed, and said"
+    nearer = {kind: found["improvement"][kind]["forecast"] for kind in PHYSICS}
+    assert [kind for kind, share in nearer.items() if share > 0.3] == ["fouling"], (
+        "missed, and said"
+    )
