@@ -115,7 +115,14 @@ class Response:
 
     def evaluate(self, x: Array) -> tuple[Array, Array]:
         """Mean and surrogate standard deviation at inputs ``x`` (n, d): two arrays (n, R)."""
-        basis = monomials(self.scale(np.atleast_2d(x)), self.degree)
+        return self.at(self.basis(x))
+
+    def basis(self, x: Array) -> Array:
+        """Monomials at inputs (n, d), (n, M): the same for all rows of a box and a degree."""
+        return monomials(self.scale(np.atleast_2d(x)), self.degree)
+
+    def at(self, basis: Array) -> tuple[Array, Array]:
+        """`evaluate` where the monomials are known."""
         a, e = basis @ self.a.T, np.exp(basis @ self.b.T)
         v = np.exp(basis @ self.log_v.T)
         return a * e, e * np.sqrt(v * (self.ka**2 + (a * self.kb) ** 2))

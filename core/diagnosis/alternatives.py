@@ -25,7 +25,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from core.calibration.message import POOL
 from core.calibration.state import RotorState
 from core.diagnosis.adopt import concerned
 from core.diagnosis.case import Case
@@ -35,6 +37,7 @@ from core.diagnosis.report import foreseen
 from core.model import Model
 from core.smc.particles import log_sum_exp
 
+Array = NDArray[np.float64]
 LEAST = 0.03  # share below which a rival is left out
 MOST = 5
 
@@ -128,10 +131,13 @@ def alternatives(
         return None
     facts = {b: case.facts.get(b, Facts()) for b in case.spec.blades}
     blades = _differing([one for one, _ in rivals], facts, case.present)
+    # a rival's state is drawn when it is first looked at: here, not by several threads
     models = [before, *((one.model, one.state) for one, _ in rivals)]
-    mean, sd = np.array(
-        [foreseen(model, state, case.spec, quantity, hour_h, blades) for model, state in models]
-    ).transpose(1, 0, 2)
+
+    def told_of(one: tuple[Model, RotorState]) -> tuple[Array, Array]:
+        return foreseen(*one, case.spec, quantity, hour_h, blades)
+
+    mean, sd = np.array(list(POOL.map(told_of, models))).transpose(1, 0, 2)
     w = np.array([[share] for _, share in rivals])
     middle = np.sum(w * mean[1:], axis=0)
     spread = np.sum(w * (sd[1:] ** 2 + (mean[1:] - middle) ** 2), axis=0)

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.message import POOL
 from core.diagnosis.separate import Rival, Told, afterwards, scored
 from core.planning.campaigns import Awaited, Campaign, awaited
 
@@ -51,9 +52,15 @@ def of_all(
     found = []
     for one in kinds:
         say(f"what {one.quantity} of all blades would tell")
-        each = [awaited(r.model, r.state, one, known) for r in rivals]
-        found.append((one, told_by(p, each)))
+        found.append((one, told_by(p, _awaited_by(rivals, one, known))))
     return tuple(sorted(found, key=lambda item: -round(item[1].gain, 6)))
+
+
+def _awaited_by(
+    rivals: Sequence[Rival], asked: Campaign, known: Mapping[str, Mapping[str, float]] | None
+) -> list[Awaited]:
+    """What each expects, side by side."""
+    return list(POOL.map(lambda r: awaited(r.model, r.state, asked, known), rivals))
 
 
 def _told_apart(rivals: Sequence[Rival], quantity: str) -> bool:

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from core.calibration.message import POOL
 from core.calibration.state import RotorState
 from core.diagnosis.verdict import NAMED
 from core.errors import InputError
@@ -150,7 +151,7 @@ def separate(
     p = np.array([r.weight for r in rivals], float)
     p = np.maximum(p / p.sum(), 1e-12)
     p /= p.sum()
-    told = [expected(r.model, r.state, asked, known) for r in rivals]
+    told = list(POOL.map(lambda r: expected(r.model, r.state, asked, known), rivals))
     mean, sd = np.array([e.mean for e in told]), np.array([e.sd for e in told])
     gain, share, settled = one_reading(p, mean, sd)
     # Ties (blades that are alike) go by the order of the candidates, whatever the last digits are.

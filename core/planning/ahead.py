@@ -28,6 +28,7 @@ from core.errors import InputError
 from core.model import Model
 from core.network import Quantity
 from core.observation import Inspection
+from core.planning.ready import ready
 from core.smc.particles import Particles, normalised
 
 Array = NDArray[np.float64]
@@ -170,9 +171,11 @@ def expected(
     mean, own_noise = np.zeros(len(asked)), np.zeros(len(asked))
     nodes: list[Array] = [np.zeros(0)] * len(asked)
     place: list[tuple[str, int]] = [("", 0)] * len(asked)
-    blades = {}
+    blades, drawn = {}, {blade: Drawn.of(state, blade, most) for blade in by_blade}
+    fewest = min(len(one.w) for one in drawn.values())
+    ready(model, fewest, ((one.blade, one.quantity, one.time_h) for one in asked))
     for blade, members in by_blade.items():
-        particles = Drawn.of(state, blade, most)
+        particles = drawn[blade]
         own = [asked[c] for c in members]
         f, v = answered(
             model.for_blade(blade), particles.posterior, own, (known or {}).get(blade), noise=noise

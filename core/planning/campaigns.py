@@ -29,6 +29,7 @@ from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
 from core.planning.ahead import AHEAD, TO_COME, Candidate, Drawn, answered, candidates
+from core.planning.ready import modes, ready
 from core.response import Response
 
 Array = NDArray[np.float64]
@@ -148,9 +149,15 @@ def awaited(
     mean, own, given = [], [], []
     node_w: Array = np.zeros(0)
     basis = None if asked.nodes is None else _basis(model, asked)
-    made: dict[tuple[int, float], Response] = {}
+    drawn_of = {blade: Drawn.of(state, blade, MOST) for blade, _ in asked.blades}
+    made: Mapping[tuple[int, float], Response] = {}
+    if basis is None:
+        fewest = min(len(one.w) for one in drawn_of.values())
+        ready(model, fewest, ((b, asked.quantity, hour) for b, hour in asked.blades))
+    else:
+        made = modes(model, asked.quantity, asked.blades, basis[1])
     for blade, hour in asked.blades:
-        drawn = Drawn.of(state, blade, MOST)
+        drawn = drawn_of[blade]
         f, noise = _rows(model.for_blade(blade), drawn, asked, blade, hour, known, basis, made)
         m, off, between = drawn.centred(f)
         node_w = drawn.node_w
@@ -190,11 +197,11 @@ def _rows(
     hour: float,
     known: Mapping[str, Mapping[str, float]] | None,
     basis: tuple[Array, Array] | None,
-    made: dict[tuple[int, float], Response],
+    made: Mapping[tuple[int, float], Response],
 ) -> tuple[Array, Array]:
     """A blade's rows at its particles (N, c), and E S, (c, c).
 
-    made  rows of scans, by blades that have the same effects and by hour; filled
+    made  rows of scans, by blades that have the same effects and by hour
     """
     posterior, fixed = drawn.posterior, (known or {}).get(blade)
     if basis is None:
@@ -203,10 +210,7 @@ def _rows(
         return f, np.diag(drawn.w @ v)
     (q, r), declared = basis, model.network.quantity(asked.quantity)
     part, reader = model.part(asked.quantity), (asked.instrument, TO_COME)
-    key = (id(model), hour)  # models of blades are kept by their model
-    if key not in made:
-        made[key] = part.mode_response(hour, r)
-    f, sd = made[key].evaluate(inputs_of(model, posterior, asked.quantity, fixed))
+    f, sd = made[id(model), hour].evaluate(inputs_of(model, posterior, asked.quantity, fixed))
     at, axes = np.array([hour]), range(len(AXES))
     wrong = [corrected(model, posterior, declared, at, axis, reader) for axis in axes]
     gain, off = wrong[0][0], np.concatenate([one[1] for one in wrong], axis=1)

@@ -32,13 +32,12 @@ from numpy.typing import NDArray
 
 from core.errors import InputError
 from core.surrogate.followed import Followed
-from core.surrogate.history import follow
+from core.surrogate.history import constant
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
 Answer = tuple[Array, Array, Array]
-FROM_START = np.zeros(1)
 
 
 @dataclass(frozen=True)
@@ -119,8 +118,8 @@ class Anchor:
         held = np.minimum(times, self.fine.horizon_h)
         names = [i.name for i in wide.inputs]
         own = start[:, [names.index(i.name) for i in self.fine.inputs]]
-        y0, _, e0 = _constant(wide, start, held, what[0], False)
-        yf, sdf, ef = _constant(self.fine, own, held, what[1], doubt)
+        y0, _, e0 = constant(wide, start, held, what[0], doubt=False)
+        yf, sdf, ef = constant(self.fine, own, held, what[1], doubt=doubt)
         share = self._share(wide, start, middle)[:, :, None] if doubt else np.ones((1, 1, 1))
         if what[0].per_ceeq:
             grown = (ef / e0)[:, :, None]
@@ -133,15 +132,6 @@ class Anchor:
 
     def _share(self, wide: Surrogate, start: Array, middle: Array) -> Array:
         """Root of the share of the wide one's variance that counts, (n, T)."""
-        n, t, d = middle.shape
-        here = np.repeat(wide.scaled(start), t, axis=0)
-        there = wide.scaled(middle.reshape(n * t, d))
-        v, v0, c = wide.process.covariance(there, here)
-        left = np.maximum((v + v0 - 2.0 * c) / v, 0.0)
-        return np.asarray(np.sqrt(left).reshape(n, t))
-
-
-def _constant(surrogate: Surrogate, x: Array, times: Array, what: Followed, doubt: bool) -> Answer:
-    """Under inputs x (n, d) that do not change."""
-    at = np.repeat(x[:, None, :], len(times), axis=1)
-    return follow(surrogate, FROM_START, at[:, :0], times, at, what, 0.0, doubt=doubt)
+        there = np.stack([wide.scaled(one) for one in np.moveaxis(middle, 1, 0)], axis=1)
+        v0, v, c = wide.process.covariance(wide.scaled(start), there)
+        return np.asarray(np.sqrt(np.maximum((v + v0[:, None] - 2.0 * c) / v, 0.0)))

@@ -18,7 +18,7 @@ with the relative variance of the rule's result as a polynomial, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from itertools import pairwise
@@ -34,6 +34,7 @@ from core.surrogate.anchor import Anchor
 from core.surrogate.compile import fitting
 from core.surrogate.followed import Followed
 from core.surrogate.history import FOLLOWED, follow
+from core.surrogate.kept import Kept, each
 from core.surrogate.model import Surrogate
 from core.surrogate.reach import check_reach, missed, run
 from core.surrogate.targets import DEFORMATION
@@ -42,7 +43,6 @@ Array = NDArray[np.float64]
 Rows = tuple[Followed, Followed | None]
 PARTS = 8
 MANY = 200  # inputs from which polynomials answer
-KEPT = 512  # of them
 FEWER = 4  # of the points of the fit one has a sd, where inputs are held
 TINY = 1e-12
 
@@ -64,9 +64,6 @@ class Driven:
     ranges: Mapping[str, tuple[float, float]]
     fixed: Mapping[str, float]
     anchor: Anchor | None = None
-    _answers: dict[tuple[str, float, tuple[int, ...] | None], Response] = field(
-        default_factory=dict, repr=False, compare=False
-    )
 
     def __post_init__(self) -> None:
         known = {i.name: i for i in self.base.inputs}
@@ -205,24 +202,31 @@ class Driven:
         tail = {"scalar": (), "field": (-1,), "vector field": (-1, 3)}[kind]
         return rows.reshape((*rows.shape[:2], *tail))
 
+    def ready(
+        self, count: int, quantity: str, times: Sequence[float], nodes: Sequence[int] | None = None
+    ) -> None:
+        """Say that `count` inputs will be asked for at these hours, by and by.
+
+        What has to be compiled for them is compiled together: later calls of `predict` answer the
+        same to the last bit, and sooner.
+        """
+        if count >= MANY:
+            self.base.check_times(times)
+            self._kept.at(quantity, times, nodes)
+
+    @cached_property
+    def _kept(self) -> Kept:
+        return Kept(self.response)
+
     def _compiled_answers(
         self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None
     ) -> tuple[Array, Array]:
         """`predict` by polynomials, compiled once for each time; 0 at the start."""
-        which = None if nodes is None else tuple(nodes)
-        asked = [float(t) for t in times]
-        # taken out once: another thread may clear what is kept meanwhile
-        rows_at = {t: self._answers.get((quantity, t, which)) for t in asked if t > 0}
-        new = sorted(t for t, rows in rows_at.items() if rows is None)
-        if new:
-            self.base.check_times(new)
-            if len(self._answers) > KEPT:
-                self._answers.clear()
-            made = self.response(quantity, new, nodes)
-            for t, rows in zip(new, np.split(np.arange(len(made)), len(new)), strict=True):
-                rows_at[t] = self._answers[quantity, t, which] = made.rows(rows)
-        ready = {t: rows.evaluate(x) for t, rows in rows_at.items() if rows is not None}
-        found = [ready.get(t) for t in asked]
+        self.base.check_times(times)
+        rows_at = self._kept.at(quantity, times.tolist(), nodes)
+        basis = next((rows.basis(x) for rows in rows_at.values()), np.empty(0))
+        ready = {t: rows.at(basis) for t, rows in rows_at.items()}
+        found = [ready.get(float(t)) for t in times]
         width = len(self.base.rows(quantity, nodes))
         nothing = np.zeros((len(x), width))
         mean, sd = (
@@ -296,9 +300,15 @@ class Driven:
 
     def mode_response(self, time_h: float, mixing: Array, degree: int = 5) -> Response:
         """The Q rows T c(t) E(t) for mixing T (Q, B) of the deformation's modes."""
+        return self.mode_responses([time_h], mixing, degree)[0]
+
+    def mode_responses(
+        self, times: Sequence[float], mixing: Array, degree: int = 5
+    ) -> list[Response]:
+        """`mode_response` of each time, to the last bit; cheaper than one by one."""
         width = self.base.parts[DEFORMATION].factors.space.shape[1]
         if mixing.ndim != 2 or mixing.shape[1] != width:
             raise InputError("T", mixing.shape, "does not fit the modes", f"give (Q, {width})")
         fine = None if self.anchor is None else self.anchor.mixed(self.base, mixing)
         what = (Followed.mixed(self.base, mixing), fine)
-        return self._compiled(np.array([time_h]), what, degree)
+        return each(self._compiled(np.array(times, float), what, degree), len(times))

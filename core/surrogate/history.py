@@ -81,6 +81,11 @@ class _Memory:
     total: Array
     doubt: Array
 
+    @staticmethod
+    def of(n: int, rows: int) -> _Memory:
+        """Of n histories that begin."""
+        return _Memory(np.zeros((n, 1)), *(np.zeros((n, rows)) for _ in range(3)))
+
 
 def follow(
     surrogate: Surrogate,
@@ -110,23 +115,43 @@ def follow(
     fits = inputs.shape[1] == len(edges) - 1 and at_marks.shape[1] == len(marks)
     if edges[0] != 0 or np.any(np.diff(edges) <= 0) or not fits or np.any(marks <= 0):
         raise InputError("edges", edges.tolist(), "do not fit the inputs", "one piece per interval")
-    part, one = surrogate.parts[MEAN_CEEQ], np.zeros(1, dtype=np.int64)
-    time = part.factors.time_h
-    k_memory = Scales(np.log(time), part.scale(time, one, surrogate.v_typical))
-    walk = _Walk(
-        surrogate, Curves.of(part, part.factors.space.astype(float)), k_memory, what, doubt, late
-    )
-    n, many = len(inputs), what.curves.forms.shape[2]
-    now = _Memory(np.zeros((n, 1)), *(np.zeros((n, many)) for _ in range(3)))
-    mean, sd, path = (np.empty((n, len(marks), width)) for width in (many, many, 1))
+    walk, many = _Walk.of(surrogate, what, doubt, late), what.curves.forms.shape[2]
+    now = _Memory.of(len(inputs), many)
+    mean, sd, path = (np.empty((len(inputs), len(marks), width)) for width in (many, many, 1))
     last = np.searchsorted(edges, marks, side="left") - 1  # the edge strictly before
     for p in range(int(last.max(initial=-1)) + 1):
         for m in np.flatnonzero(last == p):
-            seen = walk.on(now, at_marks[:, m], float(marks[m] - edges[p]))
+            seen = walk.on(now, walk.known(at_marks[:, m]), float(marks[m] - edges[p]))
             mean[:, m], sd[:, m], path[:, m] = seen.total, seen.doubt, seen.mean_ceeq
         if p < last.max() and p < len(edges) - 1:
-            now = walk.on(now, inputs[:, p], float(edges[p + 1] - edges[p]))
+            now = walk.on(now, walk.known(inputs[:, p]), float(edges[p + 1] - edges[p]))
     return mean, np.hypot(sd, rule * np.abs(mean)), path[:, :, 0]
+
+
+def constant(
+    surrogate: Surrogate, x: Array, marks: Array, what: Followed, *, doubt: bool = True
+) -> tuple[Array, Array, Array]:
+    """`follow` under inputs x (n, d) that do not change, to the last bit.
+
+    The process is asked for them once, not at every mark.
+    """
+    walk, nothing = _Walk.of(surrogate, what, doubt), _Memory.of(len(x), what.curves.forms.shape[2])
+    known = walk.known(x)
+    seen = [walk.on(nothing, known, float(hour)) for hour in marks]
+    mean, sd, path = (
+        np.stack([getattr(one, name) for one in seen], axis=1)
+        for name in ("total", "doubt", "mean_ceeq")
+    )
+    return mean, np.abs(sd), path[:, :, 0]
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What the process says of inputs: weights of memory (n, A, 1) and rows (n, A, R), v (n,)."""
+
+    memory: Array
+    own: Array
+    v: Array
 
 
 @dataclass(frozen=True)
@@ -140,16 +165,29 @@ class _Walk:
     doubt: bool
     late: bool = False
 
-    def on(self, now: _Memory, x: Array, hours: float) -> _Memory:
-        """After some hours under inputs x (n, d)."""
-        what, own, memory = self.what, self.what.curves, self.memory
-        z = self.surrogate.scaled(x)
+    @staticmethod
+    def of(surrogate: Surrogate, what: Followed, doubt: bool, late: bool = False) -> _Walk:
+        """With the memory that the surrogate has."""
+        part, one = surrogate.parts[MEAN_CEEQ], np.zeros(1, dtype=np.int64)
+        time = part.factors.time_h
+        k_memory = Scales(np.log(time), part.scale(time, one, surrogate.v_typical))
+        memory = Curves.of(part, part.factors.space.astype(float))
+        return _Walk(surrogate, memory, k_memory, what, doubt, late)
+
+    def known(self, x: Array) -> _Known:
+        """Of inputs x (n, d)."""
+        z, own, memory = self.surrogate.scaled(x), self.what.curves, self.memory
         process, columns = self.surrogate.process, [memory.columns, own.columns]
         if self.doubt:
             (c_memory, c_own), v = process.mean_and_variance(z, columns)
         else:
             (c_memory, c_own), v = process.mean(z, columns), np.zeros(len(z))
-        e, y = memory.weights(c_memory), own.weights(c_own)
+        return _Known(memory.weights(c_memory), own.weights(c_own), v)
+
+    def on(self, now: _Memory, known: _Known, hours: float) -> _Memory:
+        """After some hours under inputs of which so much is known."""
+        what, own, memory = self.what, self.what.curves, self.memory
+        e, y, v = known.memory, known.own, known.v
         begun, before = now.mean_ceeq, _clock(memory, e, now.mean_ceeq, self.late)
         after = np.log(np.exp(before) + hours)
         mean_ceeq, strain = np.exp(after + memory(e, after)), now.strain

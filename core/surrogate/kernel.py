@@ -171,21 +171,27 @@ class SharedGP:
         v = 1.0 - _along(half, half) + _along(u, u)
         return np.asarray(np.maximum(v, 0.0) + self.hyper.nugget)
 
-    def covariance(self, z: Array, other: Array) -> tuple[Array, Array, Array]:
-        """v(z), v(z'), (m,), and the posterior covariance of the errors at each pair (z, z').
+    def covariance(self, z: Array, others: Array) -> tuple[Array, Array, Array]:
+        """At z (m, d) v, (m,), and of each of T others (m, T, d) v' and the posterior covariance
+        of its error with that at z, (m, T) each.
 
         The nugget, what the kernel cannot follow, is taken for alike where inputs are nearly so.
         """
         lengths = np.array(self.hyper.lengths)
 
-        def work(z: Array, other: Array) -> tuple[Array, ...]:
-            (half, u), (half1, u1) = (self._errors(*self._seen(at)) for at in (z, other))
-            prior = 1.0 / (1.0 + 0.5 * np.sum(((z - other) / lengths) ** 2, axis=1))
-            alike = (1.0 + self.hyper.nugget) * prior
-            both = alike - _along(half, half1) + _along(u, u1)
-            return self._variance(half, u), self._variance(half1, u1), both
+        def work(z: Array, others: Array) -> tuple[Array, ...]:
+            half, u = self._errors(*self._seen(z))
+            told = []
+            for other in np.moveaxis(others, 1, 0):
+                half1, u1 = self._errors(*self._seen(other))
+                prior = 1.0 / (1.0 + 0.5 * np.sum(((other - z) / lengths) ** 2, axis=1))
+                alike = (1.0 + self.hyper.nugget) * prior
+                both = alike - _along(half1, half) + _along(u1, u)
+                told.append((self._variance(half1, u1), both))
+            v1, c = (np.stack(column, axis=1) for column in zip(*told, strict=True))
+            return self._variance(half, u), v1, c
 
-        v, v1, c = by_rows(work, z, other)
+        v, v1, c = by_rows(work, z, others)
         return v, v1, c
 
     def cross_covariance(self, z: Array, other: Array) -> Array:

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from core.calibration.online import RotorSpec, update
+from core.diagnosis.adopt import with_effects
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.of_all import of_all, told_by
 from core.diagnosis.separate import Separation, a_set
-from core.model import rotor_blade
+from core.model import rotor_blade, rotor_blade_wide
 from core.observation import Inspection
-from core.planning.ahead import ANOTHER, Candidate, Drawn
+from core.planning.ahead import ANOTHER, Candidate, Drawn, candidates, expected
 from core.planning.campaigns import SCANNED, Awaited, Campaign, awaited, campaigns
+from core.surrogate.driven import Driven
 from core.validation.simulate import scan
 from tests.core.calibration.test_exact import conjugate
 from tests.core.diagnosis.test_separate import (
@@ -130,6 +135,33 @@ def test_a_scan_is_expected_as_it_is_simulated() -> None:
     sd = np.sqrt(np.diag(whole))
     assert (z.mean(axis=0) - told.mean[0]) / sd == pytest.approx(0.0, abs=0.1)
     assert np.cov(z.T) / np.outer(sd, sd) == pytest.approx(whole / np.outer(sd, sd), abs=0.12)
+
+
+def test_blades_of_several_ages_are_compiled_for_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One reading or a campaign, a worn lot or the others: once a model and a quantity."""
+    hours = {"B1": 8e3, "B2": 16e3, "B3": 16e3}
+    data = [Inspection(b, b, "elongation", h, np.array([0.2])) for b, h in hours.items()]
+    wear = Cell(next(f for f in FAMILIES if f.name == "coating wear"), "linear", "coating_lot", "C")
+    facts = {b: Facts(coating_lot="C" if b == "B3" else "D") for b in hours}
+    model = with_effects(rotor_blade_wide(), [wear], facts, {"elongation": 0.02}, hours)
+    state = update(model, RotorSpec("r", tuple(hours), 400, 3), data)
+    made, whole = [], Driven._compiled
+
+    def counted(self: Driven, times: np.ndarray, *what: Any) -> Any:
+        made.append(times.tolist())
+        return whole(self, times, *what)
+
+    monkeypatch.setattr(Driven, "_compiled", counted)
+    asked = [c for c in candidates(model, tuple(hours), data, [0.0]) if c.quantity == "elongation"]
+    several = expected(model, state, asked)
+    assert sorted(made) == [[8e3, 16e3], [16e3]]
+    assert expected(model, state, asked[1:2]).mean[0] == several.mean[1]
+    made.clear()
+    for one in campaigns(model, tuple(hours), data):
+        if one.quantity != "ceeq" and one.ahead_h > 0:
+            awaited(model, state, one)
+    later = [h + one.ahead_h for h in (8e3, 16e3)]
+    assert made == [later, later[1:], later, later[1:]], "elongations, then scans"
 
 
 def test_every_quantity_is_read_by_everybody_and_of_a_formula_there_are_no_shapes() -> None:

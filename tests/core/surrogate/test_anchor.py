@@ -141,13 +141,18 @@ def test_the_covariance_of_errors_is_what_a_further_run_takes_away() -> None:
     z, targets = rng.uniform(-1, 1, (30, 3)), rng.normal(size=(30, 2))
     hyper = Hyper((0.8, 1.1, 2.0), 1e-12, 1)
     here, there = rng.uniform(-1, 1, (1, 3)), rng.uniform(-1, 1, (1, 3))
-    v, v0, c = SharedGP.condition(z, targets, hyper).covariance(here, there)
+    known = SharedGP.condition(z, targets, hyper)
+    v, (v0,), (c,) = known.covariance(here, there[:, None])
     more = SharedGP.condition(np.vstack([z, there]), np.vstack([targets, [[0.3, 1.0]]]), hyper)
     (_, after) = more.mean_and_variance(here)
     assert c[0] ** 2 / v0[0] > 0.01 * v[0]
     assert after[0] == pytest.approx(v[0] - c[0] ** 2 / v0[0], rel=1e-6)
-    same = SharedGP.condition(z, targets, replace(hyper, nugget=1e-3)).covariance(here, here)
-    assert same[0] == pytest.approx(same[2], rel=1e-12)
+    rough = SharedGP.condition(z, targets, replace(hyper, nugget=1e-3))
+    (same,), _, ((alike,),) = rough.covariance(here, here[:, None])
+    assert same == pytest.approx(alike, rel=1e-12)
+    several = known.covariance(here, np.stack([there, here], axis=1))
+    assert (several[1][0, 0], several[2][0, 0]) == (v0[0], c[0])
+    assert several[1][0, 1] == pytest.approx(v[0], rel=1e-12)
 
 
 def test_the_anchor_is_part_of_the_models_name() -> None:
@@ -176,7 +181,7 @@ def test_a_correction_that_has_nothing_to_do_with_the_place_adds_its_own_error()
     middle = wide.low + rng.random((400, 1, len(wide.low))) * (wide.high - wide.low)
     assert ANCHOR is not None
     share = ANCHOR._share(wide, start, middle)[:, 0]
-    v, v0, c = wide.process.covariance(wide.scaled(middle[:, 0]), wide.scaled(start))
-    np.testing.assert_allclose(share**2, (v + v0 - 2 * c) / v, rtol=1e-9)
+    v0, v, c = wide.process.covariance(wide.scaled(start), wide.scaled(middle[:, 0])[:, None])
+    np.testing.assert_allclose(share**2, (v[:, 0] + v0 - 2 * c[:, 0]) / v[:, 0], rtol=1e-9)
     assert np.mean(share > 1) > 0.5
     np.testing.assert_allclose(ANCHOR._share(wide, start, start[:, None]), 0.0, atol=1e-5)

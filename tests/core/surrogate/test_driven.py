@@ -20,7 +20,7 @@ from core.model import Model
 from core.network import Network, Parameter, rotor_blade_network
 from core.observation import Inspection
 from core.prior import Prior
-from core.surrogate import driven
+from core.surrogate import driven, kept
 from core.surrogate.driven import Driven
 from core.surrogate.formula import FormulaInput, FormulaModel
 
@@ -48,12 +48,46 @@ def test_many_are_answered_whatever_is_still_kept(monkeypatch: pytest.MonkeyPatc
     """An hour that is kept and one that is new, where the new one makes all that is kept go."""
     x, worn = points(WORN, driven.MANY), replace(WORN)
     whole = worn.predict(x, "elongation", np.array([9e3, 5e4]))
-    monkeypatch.setattr(driven, "KEPT", 0)
+    monkeypatch.setattr(kept, "MOST", 0)
     worn = replace(WORN)
     worn.predict(x, "elongation", np.array([5e4]))
     again = worn.predict(x, "elongation", np.array([9e3, 5e4]))
     assert np.array_equal(again[0], whole[0])
     assert np.array_equal(again[1], whole[1])
+
+
+def test_hours_asked_for_together_answer_to_the_last_bit_as_one_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And are compiled once: what follows a call of `ready` compiles nothing."""
+    hours, made = [9e3, 2e4, 5e4], []
+    x, whole = points(WORN, driven.MANY), Driven._compiled
+
+    def counted(self: Driven, times: np.ndarray, *what: Any) -> Any:
+        made.append(times.tolist())
+        return whole(self, times, *what)
+
+    monkeypatch.setattr(Driven, "_compiled", counted)
+    together, alone = replace(WORN), replace(WORN)
+    together.ready(driven.MANY - 1, "elongation", hours)
+    assert made == [], "so few are followed one by one"
+    together.ready(driven.MANY, "elongation", [0.0, *hours, 9e3])
+    assert made == [hours]
+    got = [together.predict(x, "elongation", np.array([t])) for t in hours]
+    assert made == [hours]
+    for t, (mean, sd) in zip(hours, got, strict=True):
+        own = alone.predict(x, "elongation", np.array([t]))
+        assert np.array_equal(own[0], mean)
+        assert np.array_equal(own[1], sd)
+    assert made == [hours, *([t] for t in hours)]
+    mixing = np.eye(3, BLADE.parts["deformation"].factors.space.shape[1])
+    for t, several in zip(hours, WORN.mode_responses(hours, mixing), strict=True):
+        for a, b in zip(
+            several.evaluate(x), WORN.mode_response(t, mixing).evaluate(x), strict=True
+        ):
+            assert np.array_equal(a, b)
+    with pytest.raises(RangeError, match="9000000000"):
+        together.ready(driven.MANY, "elongation", [9e9])
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,27 @@ def follow(
     return history.follow(BLADE, edges, inputs, edges[1:], inputs, rows, late=late)[:2]
 
 
+@pytest.mark.parametrize(("quantity", "nodes"), ROWS)
+@pytest.mark.parametrize("doubt", [True, False])
+def test_inputs_that_never_change_are_asked_about_once(
+    quantity: str, nodes: list[int] | None, doubt: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And answer to the last bit as `follow` does, which asks at every mark."""
+    rows, marks = Followed.of(BLADE, quantity, nodes), np.array([1e3, 2e4, 7e4])
+    at = np.repeat(X[:, None], len(marks), axis=1)
+    whole = history.follow(BLADE, np.zeros(1), at[:, :0], marks, at, rows, 0.0, doubt=doubt)
+    asked, known = [], history._Walk.known
+
+    def counted(self: Any, x: np.ndarray) -> Any:
+        asked.append(len(x))
+        return known(self, x)
+
+    monkeypatch.setattr(history._Walk, "known", counted)
+    got = history.constant(BLADE, X, marks, rows, doubt=doubt)
+    assert asked == [len(X)]
+    assert all(np.array_equal(a, b) for a, b in zip(got, whole, strict=True))
+
+
 def followed(run: dict[str, Any], quantity: str, nodes: list[int] | None, parts: int = 8) -> Any:
     """Mean and sd (T, R) at the instants after 0 by the rule."""
     courses = {name: Course.of(given) for name, given in run["inputs"].items()}
