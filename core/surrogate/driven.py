@@ -17,7 +17,7 @@ with the relative variance of the rule's result as a polynomial, too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -190,7 +190,21 @@ class Driven:
         times = np.atleast_1d(np.asarray(times, float))
         if len(x) >= MANY:
             return self._compiled_answers(x, quantity, times, nodes)
-        what, later = self._rows(quantity, nodes), times > 0
+        return self._followed(x, quantity, times, self._rows(quantity, nodes))
+
+    def in_blocks(
+        self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None, size: int
+    ) -> Iterator[tuple[Array, Array]]:
+        """`predict` of so many inputs at a time, each followed: for rows too many to compile.
+
+        What the rows are is worked out once.
+        """
+        times, what = np.atleast_1d(np.asarray(times, float)), self._rows(quantity, nodes)
+        for start in range(0, len(x), size):
+            yield self._followed(x[start : start + size], quantity, times, what)
+
+    def _followed(self, x: Array, quantity: str, times: Array, what: Rows) -> tuple[Array, Array]:
+        later = times > 0
         mean, sd = (np.zeros((len(x), len(times), what[0].curves.forms.shape[2])) for _ in range(2))
         if later.any():  # at the start nothing has grown
             mean[:, later], sd[:, later], _ = self._along(x, times[later], what)

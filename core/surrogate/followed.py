@@ -77,10 +77,20 @@ class Scales:
     k: Array
 
     def __call__(self, log_t: Array) -> Array:
-        """k (n, R) at log times (n, R) or (n, 1)."""
-        at = np.broadcast_to(log_t, (len(log_t), self.k.shape[1]))
-        rows = [np.interp(at[:, r], self.log_t, self.k[:, r]) for r in range(self.k.shape[1])]
-        return np.stack(rows, axis=1)
+        """k (n, R) at log times (n, R) or (n, 1): linear in between, held beyond both ends.
+
+        >>> double = Scales(np.array([0.0, 1.0, 3.0]), np.array([[0.0], [2.0], [6.0]]))
+        >>> double(np.array([[-1.0], [0.25], [1.0], [2.0], [9.0]])).ravel().tolist()
+        [0.0, 0.5, 2.0, 4.0, 6.0]
+        """
+        begin = np.searchsorted(self.log_t, log_t, side="right") - 1
+        begin = np.clip(begin, 0, len(self.log_t) - 2)
+        start, rows = self.log_t[begin], np.arange(self.k.shape[1])
+        k = self.k[begin, rows]
+        slope = (self.k[begin + 1, rows] - k) / (self.log_t[begin + 1] - start)
+        k = slope * (log_t - start) + k
+        k = np.where(log_t < self.log_t[0], self.k[0], k)
+        return np.asarray(np.where(log_t >= self.log_t[-1], self.k[-1], k))
 
 
 @dataclass(frozen=True)

@@ -187,25 +187,32 @@ class _Walk:
     def on(self, now: _Memory, known: _Known, hours: float) -> _Memory:
         """After some hours under inputs of which so much is known."""
         what, own, memory = self.what, self.what.curves, self.memory
-        e, y, v = known.memory, known.own, known.v
+        e, y = known.memory, known.own
         begun, before = now.mean_ceeq, _clock(memory, e, now.mean_ceeq, self.late)
+        first = not np.any(begun > 0)  # nothing has grown: what was there before is not asked for
         after = np.log(np.exp(before) + hours)
         mean_ceeq, strain = np.exp(after + memory(e, after)), now.strain
         if self.late:  # what was not reached is carried along
             mean_ceeq += _short(begun, np.exp(before + memory(e, before)))
         if what.per_ceeq:
-            g0, g1 = own(y, before), own(y, after)
-            change = g1 * mean_ceeq - g0 * begun
-            k = np.hypot(what.scales(after), g1 * self.k_memory(after)) * (mean_ceeq - begun)
+            g1 = own(y, after)
+            change = g1 * mean_ceeq - (0.0 if first else own(y, before) * begun)
         else:
             if what.own_clock:
                 before = _clock(own, y, strain, self.late)
                 after = np.log(np.exp(before) + hours)
-            y0, y1 = (np.exp(at + own(y, at)) for at in (before, after))
+            y1 = np.exp(after + own(y, after))
+            y0 = 0.0 * y1 if first else np.exp(before + own(y, before))
             change = y1 - np.where(begun > 0, y0, 0.0)
-            k = what.scales(after) * np.abs(change)
             strain = y1 + _short(strain, y0) if self.late and what.own_clock else y1
-        doubt = now.doubt + np.abs(k) * np.sqrt(v)[:, None]
+        doubt = now.doubt
+        if self.doubt:
+            k = what.scales(after)
+            if what.per_ceeq:
+                k = np.hypot(k, g1 * self.k_memory(after)) * (mean_ceeq - begun)
+            else:
+                k = k * np.abs(change)
+            doubt = doubt + np.abs(k) * np.sqrt(known.v)[:, None]
         beyond = np.clip((np.exp(after) - np.exp(memory.last)) / hours, 0.0, 1.0)
         doubt = doubt + EXTRAPOLATED * np.abs(change) * beyond
         return _Memory(mean_ceeq, strain, now.total + change, doubt)

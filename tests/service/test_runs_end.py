@@ -107,6 +107,7 @@ def test_prediction_and_life_say_it(
     assert [api.get(one).json()["held_from_h"] for one in later] == [41_000.0] * 2
 
 
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)  # fields are no database's
 def test_lists_series_and_files_say_it(
     rotor: str, api: httpx.Client, worker: Worker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

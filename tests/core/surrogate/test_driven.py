@@ -90,6 +90,24 @@ def test_hours_asked_for_together_answer_to_the_last_bit_as_one_by_one(
         together.ready(driven.MANY, "elongation", [9e9])
 
 
+def test_blocks_are_answered_as_if_each_were_asked_for_and_rows_are_worked_out_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    x, nodes, times = points(WORN, 7), list(range(40)), np.array([0.0, 2e4])
+    whole = [WORN.predict(x[k : k + 3], "deformation", times, nodes) for k in (0, 3, 6)]
+    asked, rows = [], Driven._rows
+
+    def counted(self: Driven, *what: Any) -> Any:
+        asked.append(what)
+        return rows(self, *what)
+
+    monkeypatch.setattr(Driven, "_rows", counted)
+    got = list(WORN.in_blocks(x, "deformation", times, nodes, 3))
+    assert len(asked) == 1
+    for mine, own in zip(got, whole, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(mine, own, strict=True))
+
+
 @pytest.mark.parametrize(
     ("quantity", "nodes", "shape"),
     [("elongation", None, ()), ("ceeq", [CRITICAL], (1,)), ("deformation", [TIP, 7], (2, 3))],

@@ -15,7 +15,7 @@ from core.builtin import rotor_blade
 from core.course import Course, pieces
 from core.errors import InputError, RangeError
 from core.surrogate import history
-from core.surrogate.followed import Followed
+from core.surrogate.followed import Followed, Scales
 
 KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
 TIMES = np.array(KEPT["time_h"])
@@ -54,6 +54,16 @@ def test_inputs_that_never_change_are_asked_about_once(
     got = history.constant(BLADE, X, marks, rows, doubt=doubt)
     assert asked == [len(X)]
     assert all(np.array_equal(a, b) for a, b in zip(got, whole, strict=True))
+
+
+def test_scales_of_all_rows_at_once_are_those_of_one_row_to_the_last_bit() -> None:
+    """By numpy's own interpolation; at instants, between, before and after them."""
+    clock, k = np.sort(RNG.normal(size=9)), RNG.normal(size=(9, 5))
+    own = RNG.normal(size=(40, 5)) * 2.0
+    for at in (own, own[:, :1], clock[:, None]):
+        each = np.broadcast_to(at, (len(at), 5))
+        rows = [np.interp(each[:, r], clock, k[:, r]) for r in range(5)]
+        assert np.array_equal(Scales(clock, k)(at), np.stack(rows, axis=1))
 
 
 def followed(run: dict[str, Any], quantity: str, nodes: list[int] | None, parts: int = 8) -> Any:
