@@ -7,12 +7,7 @@ an effect is (coating lost by 50,000 h, gas hotter by so much), and a = 0 is the
 was. What the blade makes of it goes through its creep (`core.surrogate.history`), so elongation,
 deformation, CEEQ and damage change together, as physics has it.
 
-For the calibration the rows are compiled to polynomials like any other (`core.response`),
-
-    y = A exp(B),   B = log E, A = y / E        (elongation, deformation; E the mean CEEQ)
-    y = exp(B)                                  (CEEQ, damage)
-
-with the relative variance of the rule's result as a polynomial, too.
+For the calibration the rows are compiled to polynomials like any other (`core.surrogate.fit`).
 """
 
 from __future__ import annotations
@@ -31,20 +26,18 @@ from core.drift import Drift
 from core.errors import InputError
 from core.response import Response
 from core.surrogate.anchor import Anchor
-from core.surrogate.compile import fitting
+from core.surrogate.fit import FEWER, Fit
 from core.surrogate.followed import Followed
 from core.surrogate.history import FOLLOWED, follow
 from core.surrogate.kept import Kept, each
 from core.surrogate.model import Surrogate
-from core.surrogate.reach import check_reach, missed, run
+from core.surrogate.reach import check_reach, run
 from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
 Rows = tuple[Followed, Followed | None]
 PARTS = 8
 MANY = 200  # inputs from which polynomials answer
-FEWER = 4  # of the points of the fit one has a sd, where inputs are held
-TINY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -93,11 +86,6 @@ class Driven:
         free = [i for i in self.base.inputs if i.name not in self.fixed]
         kept = [Input(i.name, *self._range(i)) for i in free]
         return (*kept, *(Input(d.name, *self.ranges[d.name]) for d in self.drifts))
-
-    @property
-    def _holds(self) -> bool:
-        """Whether an input is held at the runs' end."""
-        return any(d.held for d in self.drifts)
 
     @property
     def horizon_h(self) -> float:
@@ -251,49 +239,21 @@ class Driven:
     def _compiled(self, times: Array, what: Rows, degree: int) -> Response:
         """Rows in the order of (time, row)."""
         self.base.check_times(times)
-        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
-        z, factor = fitting(len(low), degree)
+        fit = Fit(self.inputs, degree, any(d.held for d in self.drifts))
         # at the start nothing has grown
-        parts = [self._nothing(what[0].curves.forms.shape[2], factor, degree)] * len(times)
+        parts = [fit.nothing(what[0].curves.forms.shape[2])] * len(times)
         later = np.flatnonzero(times > 0)
         if later.size:
-            x = low + 0.5 * (z + 1.0) * (high - low)
-            if self._holds:  # an error runs smoothly, and costs more than the mean
+            x = fit.points
+            if fit.bends:  # an error runs smoothly, and costs more than the mean
                 mean, _, ceeq = self._along(x, times[later], what, doubt=False)
                 sd = self._along(x[: len(x) // FEWER], times[later], what)[1]
             else:
                 mean, sd, ceeq = self._along(x, times[later], what)
         # time by time: rows are the same to the last bit whatever else is asked for with them
         for t, at in enumerate(later):
-            parts[at] = self._fitted(
-                mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq, degree
-            )
+            parts[at] = fit.fitted(mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq)
         return Response.stack(parts)
-
-    def _nothing(self, rows: int, factor: Array, degree: int) -> Response:
-        """So many rows that are 0, without an error."""
-        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
-        names, zero = tuple(i.name for i in self.inputs), np.zeros((rows, len(factor)))
-        none = np.zeros(rows)
-        return Response(names, low, high, degree, zero, zero, none, none, zero)
-
-    def _fitted(self, y: Array, sd: Array, ceeq: Array, per_ceeq: bool, degree: int) -> Response:
-        """Rows (S, R) at one time as polynomials; sd (S', R) at the first points, or at all."""
-        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
-        z, factor = fitting(len(low), degree)
-        scale = np.repeat(ceeq, y.shape[1], axis=1) if per_ceeq else y
-        v = np.log((sd / (np.abs(scale[: len(sd)]) + TINY)) ** 2 + TINY**2)
-        if not self._holds:
-            fitted = factor @ np.hstack([y / scale, np.log(scale), v])
-        else:
-            fitted = factor @ np.hstack([y / scale, np.log(scale)])
-            beside = np.log(missed(z, degree, fitted, y, scale) + TINY**2)
-            few = fitting(len(low), degree, len(y) // len(v))[1]
-            fitted = np.hstack([fitted, few @ np.logaddexp(v, beside)])
-        p_a, p_b, p_v = np.split(np.ascontiguousarray(fitted.T), 3)
-        ones = np.ones(y.shape[1])
-        names = tuple(i.name for i in self.inputs)
-        return Response(names, low, high, degree, p_a, p_b, ones, 0.0 * ones, p_v)
 
     def response(
         self,

@@ -14,7 +14,7 @@ from core.course import Course
 from core.drift import Drift
 from core.errors import InputError
 from core.model import rotor_blade_wide
-from core.surrogate import driven
+from core.surrogate import driven, fit
 from core.surrogate.driven import Driven
 from core.surrogate.reach import check_reach, missed, run
 
@@ -132,7 +132,7 @@ def test_polynomials_of_what_is_not_held_are_as_they_were(monkeypatch: pytest.Mo
     def never(*_: object) -> np.ndarray:
         raise AssertionError("asked for how far they miss")
 
-    monkeypatch.setattr(driven, "missed", never)
+    monkeypatch.setattr(fit, "missed", never)
     free.response("elongation", TIMES[:1])
     with pytest.raises(AssertionError, match="asked for"):
         replace(MODEL).response("elongation", TIMES[:1])

@@ -1,0 +1,78 @@
+"""Rows followed through time, fitted by polynomials over a box of inputs (`core.response`).
+
+    y = A exp(B),   B = log E, A = y / E        (elongation, deformation; E the mean CEEQ)
+    y = exp(B)                                  (CEEQ, damage)
+
+and the variance relative to E, or to y, as exp of a polynomial: an error that runs smoothly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.answers import Input
+from core.response import Response
+from core.surrogate.compile import fitting
+from core.surrogate.reach import missed
+
+Array = NDArray[np.float64]
+FEWER = 4  # of the points of the fit one has a sd, where inputs are held
+TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Polynomials of a degree over the box of some inputs.
+
+    bends  whether inputs are held at the runs' end: what polynomials miss of the bend is added to
+           the variance, which is known at some of the points alone (`core.surrogate.reach`)
+    """
+
+    inputs: Sequence[Input]
+    degree: int
+    bends: bool
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper bounds, (d,) each."""
+        low, high = np.array([(i.low, i.high) for i in self.inputs]).T
+        return low, high
+
+    @property
+    def points(self) -> Array:
+        """Inputs (S, d) at which rows have to be known; their sd at the first of `FEWER` parts of
+        them, where inputs bend."""
+        low, high = self.box
+        return np.asarray(low + 0.5 * (fitting(len(low), self.degree)[0] + 1.0) * (high - low))
+
+    def nothing(self, rows: int) -> Response:
+        """So many rows that are 0, without an error."""
+        (low, high), none = self.box, np.zeros(rows)
+        zero = np.zeros((rows, len(fitting(len(low), self.degree)[1])))
+        return Response(self._names, low, high, self.degree, zero, zero, none, none, zero)
+
+    def fitted(self, y: Array, sd: Array, ceeq: Array, per_ceeq: bool) -> Response:
+        """Rows (S, R) at one time, mean CEEQ (S, 1) there; sd (S', R) at the first points, or at
+        all."""
+        low, high = self.box
+        z, factor = fitting(len(low), self.degree)
+        scale = np.repeat(ceeq, y.shape[1], axis=1) if per_ceeq else y
+        v = np.log((sd / (np.abs(scale[: len(sd)]) + TINY)) ** 2 + TINY**2)
+        if not self.bends:
+            fitted = factor @ np.hstack([y / scale, np.log(scale), v])
+        else:
+            fitted = factor @ np.hstack([y / scale, np.log(scale)])
+            beside = np.log(missed(z, self.degree, fitted, y, scale) + TINY**2)
+            few = fitting(len(low), self.degree, len(y) // len(v))[1]
+            fitted = np.hstack([fitted, few @ np.logaddexp(v, beside)])
+        p_a, p_b, p_v = np.split(np.ascontiguousarray(fitted.T), 3)
+        ones = np.ones(y.shape[1])
+        return Response(self._names, low, high, self.degree, p_a, p_b, ones, 0.0 * ones, p_v)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(i.name for i in self.inputs)
