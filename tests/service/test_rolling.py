@@ -314,7 +314,10 @@ def test_ingest_goes_on_while_a_database_is_migrated(
 def test_who_holds_a_table_for_too_long_is_named_and_nothing_is_changed(
     busy: Engine, url: str
 ) -> None:
-    """A backup, say; meanwhile posts go through, and the next attempt after it does as well."""
+    """A backup, say; meanwhile posts go through, and the next attempt after it does as well.
+
+    Were tables held all the while, the first post would wait for the end, and be the only one.
+    """
     with transaction(busy, write=True) as connection:
         connection.execute(text("SET LOCAL application_name = 'nightly backup'"))
         connection.execute(text("LOCK TABLE blade IN ACCESS SHARE MODE"))
@@ -337,7 +340,7 @@ def test_who_holds_a_table_for_too_long_is_named_and_nothing_is_changed(
     assert migrations.current(busy) == "0003"
     assert migrations.migrate(busy) == migrations.newest()
     with transaction(busy, write=False) as connection:
-        assert connection.execute(text("SELECT count(*) FROM event")).scalar() == len(names) > 5
+        assert connection.execute(text("SELECT count(*) FROM event")).scalar() == len(names) > 2
 
 
 def test_an_attempt_that_holds_a_table_ends_before_deadlocks_are_looked_for(busy: Engine) -> None:
