@@ -14,34 +14,30 @@ A pilot sample tells which nodes a proposal carries, and how many points are wan
 then averaged over points of its own, so that its estimate is unbiased whatever the pilot led to.
 Points are quasi-random and common to the nodes, so most of what error is left cancels between
 them. They come in `REPLICATES` independently scrambled sets, whose scatter is the error that the
-state reports: of log m, and of its differences between nodes, which is all that the posterior
-feels. Everything is seeded by the blade's rows and the nodes. The broad parameters may have several
-modes; the thin ones are assumed to have one at each f, a second narrow one would be missed.
+state reports (`collapsed_fit`). Everything is seeded by the blade's rows and the nodes. The broad
+parameters may have several modes; the thin ones are assumed to have one at each f, a second narrow
+one would be missed.
 """
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration import collapsed_kernels as kernels
+from core.calibration.collapsed_fit import REPLICATES, Fit, Plan, average
 from core.calibration.collapsed_split import Split, pivots, split_of
-from core.calibration.direct import DirectMessage
 from core.calibration.layout import monomials_of
 from core.calibration.message import PARTS, BladeMessage, natural, prior_draws
-from core.calibration.space import SharedSpace, locals_of
-from core.calibration.target import BladeRows
+from core.calibration.space import locals_of
 from core.errors import CalibrationError
-from core.model import Model
 from core.rng import seed_of
 from core.smc.placement import sobol
 from core.smc.tempered import Kernels, effective, tempered
-from core.surrogate.closed_form import FormulaRows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -49,7 +45,6 @@ PILOT = 512  # points of the pilot sample, which is all that a rough message tak
 LEAST, MOST = 1024, 2048  # points of a message
 WANTED = 0.01  # error of the differences between nodes [nat]
 GAIN = 0.75  # the error falls at least as n^−GAIN
-REPLICATES = 8
 SCOUTS = 256  # points of each round of tempering
 MEMBERS = 8  # nodes that the tempering looks at
 OFF_BELL = 0.4  # nats by which its profile may miss a bell's at `REACH` standard deviations
@@ -57,42 +52,6 @@ REACH = 2.5
 CARRIED = 0.05  # share of effective points below which a node gets a proposal of its own
 TURNS, ROUGH_TURNS = 6, 2  # proposals at most
 _ERRORS: OrderedDict[tuple[str, bytes], tuple[float, float]] = OrderedDict()
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """How the nodes `members` of a column are integrated."""
-
-    members: Index
-    split: Split
-    proposal: Kernels
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """A column (K,), the scatter of its replicates, relative, (K, REPLICATES), and the plans."""
-
-    column: Array
-    scatter: Array
-    plans: tuple[Plan, ...]
-
-    @property
-    def error(self) -> tuple[float, float]:
-        """Root mean square error of the column, and of its differences between nodes [nat]."""
-        own = self.scatter - self.scatter.mean(axis=0)
-        return _of_mean(self.scatter), _of_mean(own)
-
-
-def _of_mean(scatter: Array) -> float:
-    return float(np.sqrt(np.mean(scatter.var(axis=1, ddof=1)) / scatter.shape[1]))
-
-
-def _average(log_w: Array) -> tuple[Array, Array]:
-    """log of the mean of weights (K, n), and each replicate's share of it less one."""
-    top = log_w.max(axis=1, keepdims=True)
-    parts = np.exp(log_w - top).reshape(len(log_w), REPLICATES, -1).mean(axis=2)
-    mean = parts.mean(axis=1)
-    return top[:, 0] + np.log(mean), parts / mean[:, None] - 1.0
 
 
 class CollapsedMessage(BladeMessage):
@@ -249,7 +208,7 @@ class CollapsedMessage(BladeMessage):
                 carried[:] = True
             done = todo[carried]
             if len(done):
-                column[done], scatter[done] = _average(log_w[carried])
+                column[done], scatter[done] = average(log_w[carried])
                 plans.append(Plan(done, split, proposal))
             todo = todo[~carried]
             if not len(todo):
@@ -274,21 +233,5 @@ class CollapsedMessage(BladeMessage):
         column, scatter = np.empty(column.shape), np.empty(scatter.shape)
         for plan in plans:
             log_w = self._log_weights(unit[plan.members], plan.split, plan.proposal, base)
-            column[plan.members], scatter[plan.members] = _average(log_w)
+            column[plan.members], scatter[plan.members] = average(log_w)
         return Fit(column, scatter, pilot.plans)
-
-
-MANY = 4  # local parameters from which particles take the quadrature's place
-
-
-def message_of(
-    model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]
-) -> BladeMessage:
-    """The message of these rows: by quadrature up to three local parameters, else by particles;
-    of a closed form, from the formula itself.
-    """
-    if isinstance(rows.response, FormulaRows):
-        return DirectMessage(model, rows, space, fixed)
-    many = len(locals_of(model, rows.response.names)) >= MANY
-    kind = CollapsedMessage if many else BladeMessage
-    return kind(model, rows, space, fixed)

@@ -1,15 +1,12 @@
 """Compiled parts of `collapsed`: likelihoods of many local parameters, and the thin ones drawn.
 
 The local parameters are split into broad ones f, given, and thin ones t. At each f the rows
-collapse to polynomials of t,
-
-    y_r(t) = a_r(t) exp(b_r(t)),      polynomials as C = 3 R rows of coefficients (a; b; log v),
-
-whose bell in t is found by Gauss–Newton steps inside the box [−1, 1] and drawn from coordinate by
-coordinate, each a normal cut at the box (the sampler of Geweke, Hajivassiliou and Keane). Where the
-mode sits at a bound with the slope pointing outwards, that coordinate is drawn first, with the
-slope and curvature of its profile; the others follow given it. The weight L / q(t) is exact and
-nearly constant where the bell is nearly normal.
+collapse to polynomials of t (`collapsed_rows`), whose bell in t is found by Gauss–Newton steps
+inside the box [−1, 1] and drawn from coordinate by coordinate, each a normal cut at the box
+(`cut_normal`; the sampler of Geweke, Hajivassiliou and Keane). Where the mode sits at a bound with
+the slope pointing outwards, that coordinate is drawn first, with the slope and curvature of its
+profile; the others follow given it. The weight L / q(t) is exact and nearly constant where the bell
+is nearly normal.
 """
 
 from __future__ import annotations
@@ -18,104 +15,19 @@ import math
 
 import numpy as np
 
-from core.compiled import compiled, contracted
+from core.calibration.collapsed_rows import (
+    constant,
+    fix_broad,
+    gather,
+    log_likelihood,
+    raise_powers,
+    rows_at,
+)
+from core.calibration.cut_normal import cut_normal
+from core.compiled import compiled
 
 WIDER = 1.1  # draws are a little wider than the bell, so that weights stay bounded
 RIDGE = 0.1  # curvature of a direction that no row sees: wider than the box
-FAR = 30.0  # standard deviations beyond which a normal's tail is drawn as an exponential
-
-
-@compiled
-def normal_quantile(p):  # type: ignore[no-untyped-def]
-    """Inverse of the normal distribution function, to 1e-9 (P. J. Acklam's rational functions)."""
-    if p < 0.02425 or p > 0.97575:
-        tail = p if p < 0.5 else 1.0 - p
-        q = math.sqrt(-2.0 * math.log(max(tail, 1e-300)))
-        top = -7.784894002430293e-03 * q - 3.223964580411365e-01
-        top = ((top * q - 2.400758277161838) * q - 2.549732539343734) * q + 4.374664141464968
-        top = top * q + 2.938163982698783
-        under = 7.784695709041462e-03 * q + 3.224671290700398e-01
-        under = ((under * q + 2.445134137142996) * q + 3.754408661907416) * q + 1.0
-        return top / under if p < 0.5 else -top / under
-    q = p - 0.5
-    r = q * q
-    top = -3.969683028665376e01 * r + 2.209460984245205e02
-    top = ((top * r - 2.759285104469687e02) * r + 1.383577518672690e02) * r
-    top = (top - 3.066479806614716e01) * r + 2.506628277459239
-    under = -5.447609879822406e01 * r + 1.615858368580409e02
-    under = ((under * r - 1.556989798598866e02) * r + 6.680131188771972e01) * r
-    under = (under - 1.328068155288572e01) * r + 1.0
-    return top * q / under
-
-
-@compiled
-def cut_normal(centre, sd, low, high, u):  # type: ignore[no-untyped-def]
-    """Draw of a normal cut at [low, high], at the quantile u, and its log density."""
-    a, b, sign = (low - centre) / sd, (high - centre) / sd, 1.0
-    if a + b > 0.0:  # work in the lower tail, where small probabilities are exact
-        a, b, sign, u = -b, -a, -1.0, 1.0 - u
-    if b < -FAR:
-        rate = -b
-        left = math.exp(-rate * (b - a)) if rate * (b - a) < 700.0 else 0.0
-        drop = math.log(max(left + u * (1.0 - left), 1e-300))
-        z = b + drop / rate
-        log_q = math.log(rate) + drop - math.log1p(-left)
-    else:
-        below = 0.5 * math.erfc(-a / math.sqrt(2.0))
-        mass = 0.5 * math.erfc(-b / math.sqrt(2.0)) - below
-        z = min(max(normal_quantile(below + u * mass), a), b)
-        log_q = -0.5 * z * z - 0.5 * math.log(2.0 * math.pi) - math.log(mass)
-    x = centre + sd * sign * z
-    return min(max(x, low), high), log_q - math.log(sd)
-
-
-@compiled
-def raise_powers(x, parent, var, out):  # type: ignore[no-untyped-def]
-    """All monomials of x, each from a lower one: out[q] = out[parent[q]] · x[var[q]]."""
-    out[0] = 1.0
-    for q in range(1, out.shape[0]):
-        out[q] = out[parent[q]] * x[var[q]]
-
-
-@contracted
-def fix_broad(pairs, starts, flat, z, out):  # type: ignore[no-untyped-def]
-    """Coefficients in t at given broad parameters: (C, P) and monomials z (F,) → out (C, T)."""
-    for c in range(pairs.shape[0]):
-        if flat[c]:
-            out[c, 0] = pairs[c, 0]
-            continue
-        for q in range(out.shape[1]):
-            first = starts[q]
-            total = 0.0
-            for i in range(starts[q + 1] - first):
-                total += pairs[c, first + i] * z[i]
-            out[c, q] = total
-
-
-@contracted
-def rows_at(coef, flat, z, out):  # type: ignore[no-untyped-def]
-    """Every polynomial of coef (C, T) at monomials z (T,)."""
-    for c in range(coef.shape[0]):
-        total = coef[c, 0] * z[0]
-        if not flat[c]:
-            for q in range(1, z.shape[0]):
-                total += coef[c, q] * z[q]
-        out[c] = total
-
-
-@compiled
-def log_likelihood(value, y, s2, ka2, kb2):  # type: ignore[no-untyped-def]
-    """−½ Σ ((y_r − y_obs,r)² / var_r + log var_r) from the polynomials' values (3 R,)."""
-    rows, total = y.shape[0], 0.0
-    for r in range(rows):
-        e = math.exp(min(value[rows + r], 300.0))
-        var = s2[r]
-        if ka2[r] > 0.0 or kb2[r] > 0.0:
-            scale = ka2[r] + value[r] * value[r] * kb2[r]
-            var += e * e * math.exp(min(value[2 * rows + r], 50.0)) * scale
-        d = value[r] * e - y[r]
-        total -= 0.5 * (d * d / var + math.log(var))
-    return total
 
 
 @compiled
@@ -260,30 +172,6 @@ def draw_bell(t, g, order, inside, root, u, out):  # type: ignore[no-untyped-def
         out[j] = x
         total += log_q
     return total
-
-
-@compiled
-def gather(a, b, v, place, factor, pairs):  # type: ignore[no-untyped-def]
-    """Fix all but the local inputs: coefficients (R, M) → pairs (3 R, P) of broad × thin powers."""
-    rows = a.shape[0]
-    pairs[:] = 0.0
-    for q in range(place.shape[0]):
-        p, scale = place[q], factor[q]
-        for r in range(rows):
-            pairs[r, p] += a[r, q] * scale
-            pairs[rows + r, p] += b[r, q] * scale
-            pairs[2 * rows + r, p] += v[r, q] * scale
-
-
-@compiled
-def constant(pairs, flat):  # type: ignore[no-untyped-def]
-    """Which polynomials do not depend on any local parameter."""
-    for c in range(pairs.shape[0]):
-        flat[c] = True
-        for p in range(1, pairs.shape[1]):
-            if pairs[c, p] != 0.0:
-                flat[c] = False
-                break
 
 
 @compiled

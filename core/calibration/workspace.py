@@ -1,4 +1,7 @@
-"""What updates of one process keep between them: rows, messages, columns, particle sets."""
+"""What updates of one process keep between them: rows, messages, columns, particle sets.
+
+Which kind of message a blade's rows get is told here as well (`message_of`).
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,33 @@ from collections import OrderedDict
 from collections.abc import Mapping, MutableMapping, Sequence
 from typing import Any
 
-from core.calibration.collapsed import message_of
+from core.calibration.collapsed import CollapsedMessage
 from core.calibration.columns import KeptColumns
+from core.calibration.direct import DirectMessage
 from core.calibration.message import BladeMessage
 from core.calibration.sets import ParticleSets
-from core.calibration.space import SharedSpace, nominal
+from core.calibration.space import SharedSpace, locals_of, nominal
 from core.calibration.target import BladeRows, assemble
 from core.model import Model
 from core.observation import Inspection
 from core.readings import digest_of
+from core.surrogate.closed_form import FormulaRows
 
 KEPT = 2000  # blades' rows and messages
+MANY = 4  # local parameters from which particles take the quadrature's place
+
+
+def message_of(
+    model: Model, rows: BladeRows, space: SharedSpace, fixed: dict[str, float]
+) -> BladeMessage:
+    """The message of these rows: by quadrature up to three local parameters, else by particles;
+    of a closed form, from the formula itself.
+    """
+    if isinstance(rows.response, FormulaRows):
+        return DirectMessage(model, rows, space, fixed)
+    many = len(locals_of(model, rows.response.names)) >= MANY
+    kind = CollapsedMessage if many else BladeMessage
+    return kind(model, rows, space, fixed)
 
 
 class Workspace:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.collapsed import message_of
 from core.calibration.draws import SHARE
 from core.calibration.lead import start_of
 from core.calibration.message import BladeMessage
@@ -21,6 +20,7 @@ from core.calibration.space import SharedSpace, locals_of, shared_space
 from core.calibration.state import Arrays, Posterior, RotorSpec, RotorState
 from core.calibration.stored import StoredPosterior
 from core.calibration.target import assemble
+from core.calibration.workspace import message_of
 from core.model import Model
 from core.observation import Inspection
 from core.rng import seed_of, stream

@@ -7,12 +7,14 @@ import pytest
 from scipy.stats import norm
 
 from core.calibration import collapsed
-from core.calibration.collapsed import CollapsedMessage, message_of
+from core.calibration.collapsed import CollapsedMessage
+from core.calibration.collapsed_fit import average
 from core.calibration.message import BladeMessage
 from core.calibration.online import update
 from core.calibration.space import shared_space
 from core.calibration.state import RotorSpec, blade_posterior, shared_posterior
 from core.calibration.target import assemble
+from core.calibration.workspace import message_of
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
@@ -128,7 +130,7 @@ def test_an_estimate_is_unbiased_over_seeds(monkeypatch: pytest.MonkeyPatch) -> 
     ratio = np.array(
         [
             np.exp(
-                collapsed._average(
+                average(
                     message._log_weights(
                         unit, plan.split, plan.proposal, message._base(64, 1000 * k)
                     )

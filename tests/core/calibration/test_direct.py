@@ -17,13 +17,13 @@ from core.answers import Stacked
 from core.builtin import creep_specimens as built
 from core.builtin.creep_specimens import QUANTITY, strain
 from core.calibration import boxes, windows
-from core.calibration.collapsed import message_of
 from core.calibration.direct import DirectMessage
 from core.calibration.online import update
 from core.calibration.space import nominal, shared_space
 from core.calibration.state import RotorSpec, blade_posterior
 from core.calibration.target import assemble
 from core.calibration.windows import Readings, narrowed
+from core.calibration.workspace import message_of
 from core.errors import CalibrationError, InputError, ModelError
 from core.model import Model
 from core.network import Level, Network, Parameter, Quantity
