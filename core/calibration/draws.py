@@ -27,8 +27,9 @@ from core.calibration.modes import plane_modes
 from core.calibration.planes import AT, BEND, BOUND, MODE, STEEP, TOP, profile, scan
 from core.calibration.planes import FIELDS as PLANE_FIELDS
 from core.calibration.planes import STATIONS as PLANE_STATIONS
+from core.calibration.survey import IXX, STATIONS
 from core.calibration.vector import LANES, fast_exp
-from core.calibration.volumes import IXX, STATIONS, laplace, near, volume_glances
+from core.calibration.volumes import laplace, near, volume_glances
 from core.compiled import compiled
 
 SHARE = 10

@@ -7,7 +7,7 @@ polynomials over all inputs are first collapsed to the local ones at each s. Par
 not exist take the outer places with no dependence, and are not integrated. `LANES` values of s go
 through the quadrature together; their neighbourhood decides how well they keep step, never what
 comes out. Only a glance and the draws' survey, which need not be exact, are led: within a
-chain of blocks, each starts from the one before it (`volumes.survey`).
+chain of blocks, each starts from the one before it (`survey`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from core.calibration.panels import MOST
 from core.calibration.planes import FIELDS as PLANE_FIELDS
 from core.calibration.planes import STATIONS as PLANE_STATIONS
 from core.calibration.planes import plane_sums
+from core.calibration.survey import FIELDS, STATIONS
 from core.calibration.vector import LANES
-from core.calibration.volumes import FIELDS, STATIONS, volume_glances, volume_sums
+from core.calibration.volumes import volume_glances, volume_sums
 from core.compiled import compiled, contracted
 
 

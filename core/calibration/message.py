@@ -29,7 +29,7 @@ from core.prior import cut_quantile
 
 Array = NDArray[np.float64]
 MESSAGE_ERROR = 0.002  # nat, rms against a dense reference; more only far from what blades do
-CHAIN = 8  # blocks in a row of which each leads the next, at most (`volumes.survey`)
+CHAIN = 8  # blocks in a row of which each leads the next, at most (`survey`)
 PARTS = max(1, os.cpu_count() or 1)
 POOL = ThreadPoolExecutor(max_workers=PARTS)
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from core.builtin import inspection_plan
-from core.calibration import kernel, message, volumes
+from core.calibration import kernel, message, survey, volumes
 from core.calibration.message import BladeMessage
 from core.calibration.space import shared_space
 from core.calibration.target import assemble
@@ -80,13 +80,13 @@ def narrowed(ends: Callable[[Array], Array], messages: list[BladeMessage]) -> Ar
     blocks, p = one.blocks(nodes(one, 0.5, 0.6)), one.packed
     size = 216 * len(p.ka2) * LANES
     ca, cb, cv = np.empty(size), np.empty(size), np.empty(size)
-    seen, plan = np.empty((volumes.FIELDS, volumes.STATIONS, LANES)), np.empty((3, LANES))
+    seen, plan = np.empty((survey.FIELDS, survey.STATIONS, LANES)), np.empty((3, LANES))
     out = np.empty((2, LANES))
     kernel.collapsed(*p.rows, blocks.factors[0], p.ka2, p.marked, ca, cb, cv)
     given = (ca, cb, cv, blocks.y[0].ravel(), blocks.s2[0].ravel(), p.ka2, p.marked, seen, plan)
     volumes.volume_glances(*given, False, out[0])
-    assert np.all(plan[volumes.HIGH] - plan[volumes.LOW] < 2.0), "its range is a part of the box"
-    plan[: volumes.BEST] = ends(plan[: volumes.BEST].copy())
+    assert np.all(plan[survey.HIGH] - plan[survey.LOW] < 2.0), "its range is a part of the box"
+    plan[: survey.BEST] = ends(plan[: survey.BEST].copy())
     volumes.volume_glances(*given, True, out[1])
     return np.asarray(out[1] - out[0])
 
