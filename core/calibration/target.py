@@ -1,9 +1,10 @@
 """The joint target, blade by blade: readings packed as rows for the compiled messages.
 
-A blade's rows are polynomials of the model's inputs (`core.response`), scaled to the boxes of the
-priors; each row has a reading and a noise, which is a shared parameter sigma_obs of its quantity
-or, where the inspection says so, known. A normal prior of a local parameter is one more row,
-linear in it; with a population its reading and noise are the shared mean and sd.
+A blade's rows are polynomials of the model's inputs, scaled to the boxes of the priors
+(`core.calibration.responses`); each row has a reading and a noise, which is a shared parameter
+sigma_obs of its quantity or, where the inspection says so, known. A normal prior of a local
+parameter is one more row, linear in it; with a population its reading and noise are the shared mean
+and sd.
 
 A closed form's rows stay formulas (`core.surrogate.closed_form`), its messages are those of
 `core.calibration.direct`. A 3-D scan becomes a few rows and a remainder
@@ -15,29 +16,25 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.answers import Input, Stacked
+from core.calibration.responses import Rows, answer, inputs_of, scanned
 from core.calibration.scans import Dense, Mixing, scan_rows
 from core.discrepancy import NONE, Affine, affine
-from core.errors import InputError, ModelError
+from core.errors import ModelError
 from core.model import Model
 from core.network import Parameter
 from core.observation import Inspection
 from core.readings import digest_of
-from core.response import CALIBRATED, Response
-from core.surrogate.closed_form import ClosedForm, FormulaRows
-from core.surrogate.driven import Driven
+from core.response import Response
+from core.surrogate.closed_form import FormulaRows
 
 Array = NDArray[np.float64]
-Rows = Response | FormulaRows
-DEGREE = CALIBRATED
-MOST_ROWS = 8192  # compiled ones that a model keeps
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,76 +97,6 @@ class BladeRows:
         return frozenset(noises.union(*(one.names for one in self.discrepancy)))
 
 
-def _box(model: Model, inputs: Iterable[Input]) -> tuple[Array, Array]:
-    """Bounds of inputs, (d,) each: the priors', or the surrogate's where nothing is calibrated."""
-    bounds = []
-    for i in inputs:
-        p = model.network.parameter(i.name)
-        calibrated = p.level in ("local", "shared")
-        bounds.append((p.prior.low, p.prior.high) if calibrated else (i.low, i.high))
-    low, high = np.array(bounds).T
-    return low, high
-
-
-def _linear(parameter: Parameter, remedy: str) -> None:
-    """Refuse an input with a prior in log x: it is integrated over in x."""
-    if parameter.prior.log_scale:
-        raise InputError(
-            f"prior of {parameter.name}",
-            "log_uniform",
-            "cannot be calibrated as an input",
-            f"{remedy} and declare that, uniform",
-        )
-
-
-def _boxed(model: Model, response: Response) -> Response:
-    """Rows on the boxes of the priors (known and dormant inputs keep the surrogate's)."""
-    low, high = response.low.copy(), response.high.copy()
-    for j, name in enumerate(response.names):
-        parameter = model.network.parameter(name)
-        if parameter.level in ("local", "shared"):
-            _linear(parameter, "train the surrogate on its logarithm")
-            low[j], high[j] = parameter.prior.low, parameter.prior.high
-    return response.reboxed(low, high)
-
-
-def _rows(model: Model, key: tuple[object, ...], make: object) -> Response:
-    """Responses are asked for again and again at the same outages: keep them with the model."""
-    if key not in model._rows:
-        if sum(map(len, model._rows.values())) > MOST_ROWS:
-            model._rows.clear()
-        model._rows[key] = _boxed(model, make())  # type: ignore[operator]
-    return model._rows[key]
-
-
-def prepare(model: Model, readings: Iterable[Inspection]) -> None:
-    """Compile the rows of all readings of inputs that run in time at once: they share pieces."""
-    asked: dict[tuple[int, str, tuple[int, ...] | None], tuple[Model, set[float]]] = {}
-    for reading in readings:
-        own = model.for_blade(reading.blade)
-        quantity = model.network.quantity(reading.quantity)
-        if isinstance(own.surrogate, Driven) and quantity.kind != "vector" and reading.time_h > 0:
-            nodes = _node_of(own, reading)
-            key = (id(own), reading.quantity, None if nodes is None else tuple(nodes))
-            asked.setdefault(key, (own, set()))[1].add(reading.time_h)
-    for (_, what, at), (own, hours) in asked.items():
-        missing = sorted(h for h in hours if (what, h, at) not in own._rows)
-        if len(missing) > 1:
-            made = own.part(what).response(what, np.array(missing), at, degree=DEGREE)
-            for k, hour in enumerate(missing):
-                one = made.rows(np.array([k]))
-                _rows(own, (what, hour, at), lambda one=one: one)
-
-
-def _node_of(model: Model, reading: Inspection) -> list[int] | None:
-    quantity = model.network.quantity(reading.quantity)
-    if quantity.kind == "scalar":
-        return None
-    if reading.nodes is not None:
-        return [int(n) for n in reading.nodes]
-    return [quantity.node_among(model.part(reading.quantity).named)]
-
-
 def _gaussian_prior_rows(model: Model, like: Rows) -> list[tuple[Rows, Parameter, float | str]]:
     """A row (response, parameter, sd) for each local parameter with a normal prior."""
     found: list[tuple[Rows, Parameter, float | str]] = []
@@ -180,49 +107,6 @@ def _gaussian_prior_rows(model: Model, like: Rows) -> list[tuple[Rows, Parameter
             sd = f"sd.{name}" if parameter.population is not None else parameter.prior.sd
             found.append((like.of_input(name), parameter, sd))
     return found
-
-
-def _inputs(
-    model: Model, readings: Sequence[Inspection]
-) -> tuple[tuple[str, ...], Array, Array] | None:
-    """Inputs that a component's readings depend on, and their boxes; None where that is all."""
-    if not isinstance(model.surrogate, Stacked):
-        return None
-    met = {i.name for r in readings for i in model.part(r.quantity).inputs}
-    inputs = [i for i in model.surrogate.inputs if i.name in met]
-    names = tuple(i.name for i in inputs)
-    model.few_locals(names, f"component {readings[0].blade}")
-    return names, *_box(model, inputs)
-
-
-def _answer(model: Model, reading: Inspection) -> Rows:
-    """The row of a scalar reading or of one at a node."""
-    part, times = model.part(reading.quantity), np.array([reading.time_h])
-    if isinstance(part, ClosedForm):
-        if model.network.quantity(reading.quantity).kind != "scalar":
-            raise InputError(
-                "quantity",
-                reading.quantity,
-                "has nodes, a closed form has none",
-                "declare a scalar",
-            )
-        for i in part.inputs:
-            parameter = model.network.parameter(i.name)
-            if parameter.level == "local":  # a shared one enters exactly
-                _linear(parameter, "write the formula in its logarithm")
-        own = part.rows(reading.quantity, times)
-        return own.over(own.names, *_box(model, part.inputs))
-    nodes = _node_of(model, reading)
-    key = (reading.quantity, reading.time_h, None if nodes is None else tuple(nodes))
-    return _rows(model, key, lambda: part.response(reading.quantity, times, nodes, degree=DEGREE))
-
-
-def _scanned(model: Model, reading: Inspection, modes: Array) -> Response:
-    """The rows of a scan's modes at its nodes, R (Q, B)."""
-    assert reading.nodes is not None
-    key = (reading.quantity, reading.time_h, "scan", reading.nodes.tobytes())
-    part = model.part(reading.quantity)
-    return _rows(model, key, lambda: part.mode_response(reading.time_h, modes, degree=DEGREE))
 
 
 def _stacked(parts: Sequence[Rows]) -> Rows:
@@ -243,7 +127,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
     if not readings:
         return None
     model = model.for_blade(readings[0].blade)
-    names = _inputs(model, readings)
+    names = inputs_of(model, readings)
     parts: list[Rows] = []
     y: list[Array] = []
     sigma: list[str | float] = []
@@ -266,7 +150,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         quantity = model.network.quantity(reading.quantity)
         name = reading.sigma if reading.sigma is not None else quantity.sigma_of(reading.instrument)
         if quantity.kind == "vector":
-            scan = scan_rows(model, reading, name, partial(_scanned, model, reading))
+            scan = scan_rows(model, reading, name, partial(scanned, model, reading))
             response: Rows = scan.response
             values = scan.y
             dense.append(scan.dense)
@@ -275,7 +159,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
             wrong += scan.discrepancy
             mixings[place] = scan.mixing
         else:
-            response, values = _answer(model, reading), reading.values
+            response, values = answer(model, reading), reading.values
             reader = (reading.instrument, reading.campaign)
             one = affine(model, quantity, reading.time_h, None, reader)
             extra.append(np.array([one.sigma**2]))

@@ -17,8 +17,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.responses import DEGREE
 from core.calibration.state import Posterior, RotorSpec, RotorState, blade_posterior
-from core.calibration.target import DEGREE
 from core.curves import inputs_of
 from core.errors import InputError
 from core.model import Model

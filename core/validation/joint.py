@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.answers import Stacked
+from core.calibration.responses import DEGREE
 from core.calibration.scans import Dense
 from core.calibration.space import locals_of, shared_space
 from core.calibration.state import RotorSpec
-from core.calibration.target import DEGREE, BladeRows, assemble
+from core.calibration.target import BladeRows, assemble
 from core.discrepancy import Term
 from core.errors import InputError
 from core.model import Model

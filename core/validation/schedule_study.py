@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from core.builtin import inspection_plan
 from core.builtin.inspection_plan import Plan
 from core.calibration.online import update
+from core.calibration.responses import DEGREE
 from core.calibration.schedule import Schedule, calibrate, instants
 from core.calibration.space import locals_of
 from core.calibration.state import Posterior, RotorSpec, blade_posterior, shared_posterior
-from core.calibration.target import DEGREE
 from core.discrepancy import parameters
 from core.model import Model, rotor_blade
 from core.network import Discrepancy

@@ -23,8 +23,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from core.calibration.responses import DEGREE
 from core.calibration.scans import doubt
-from core.calibration.target import DEGREE
 from core.discrepancy import NONE, affine, parameters, total
 from core.model import Model
 from core.observation import Inspection

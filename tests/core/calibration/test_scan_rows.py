@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.calibration import scans
-from core.calibration.target import DEGREE, _scanned
+from core.calibration import responses, scans
+from core.calibration.responses import DEGREE
 from core.model import Model
 from core.observation import Inspection
 from core.validation.coverage import model_of
@@ -73,7 +73,9 @@ def off(rotor: int) -> tuple[Array, Array]:
     All four inputs are unknown; points from a wide Student-t around the whole scans' posterior.
     """
     model, readings, sigma = scanned(rotor)
-    kept = [scans.scan_rows(model, r, sigma, partial(_scanned, model, r)) for r in readings]
+    kept = [
+        scans.scan_rows(model, r, sigma, partial(responses.scanned, model, r)) for r in readings
+    ]
     box = np.array([model.network.parameter(name).prior.box for name in model.input_names])
     low, high = box.T
     rng = np.random.default_rng(rotor)
@@ -132,7 +134,7 @@ def test_with_the_turn_of_its_rows_a_scan_s_density_is_that_of_its_readings() ->
     low, high = box.T
     x = low + np.random.default_rng(1).random((20_000, len(low))) * (high - low)
     for reading in readings:
-        rows = scans.scan_rows(model, reading, sigma, partial(_scanned, model, reading))
+        rows = scans.scan_rows(model, reading, sigma, partial(responses.scanned, model, reading))
         in_full, told = whole(model, reading, x, sigma), by_rows(rows, x, sigma)
         w = np.exp(in_full - in_full.max())
         left = float(w @ (in_full - told) / w.sum())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.calibration.target import DEGREE
+from core.calibration.responses import DEGREE
 from core.errors import InputError
 from core.model import Model
 from core.validation.fe_rotors import scan_nodes
