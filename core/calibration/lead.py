@@ -15,7 +15,7 @@ from core.calibration.space import SharedSpace
 from core.response import monomials
 from core.rng import seed_of
 from core.smc.particles import normalised, tempering_exponent
-from core.smc.placement import Proposal
+from core.smc.proposal import Proposal
 
 Array = NDArray[np.float64]
 PANEL = 12  # blades of a kind whose exact messages place the nodes

@@ -34,16 +34,8 @@ from core.calibration.space import SharedSpace
 from core.calibration.start import Start
 from core.calibration.tried import Tried, judged, of_all, pool
 from core.smc.particles import ess, normalised
-from core.smc.placement import (
-    Proposal,
-    descend,
-    finely_rounded,
-    improved,
-    moments,
-    pooled,
-    rounded,
-    sobol,
-)
+from core.smc.placement import descend, improved, moments, pooled, sobol
+from core.smc.proposal import Proposal, finely_rounded, rounded
 
 Array = NDArray[np.float64]
 

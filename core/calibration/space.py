@@ -51,7 +51,7 @@ class SharedSpace:
 
     joint  prior of several of them together
     tails  64 nodes so many times, at least: a population's sd has a long tail
-    heavy  numbers of the noises that few readings tell (`core.smc.placement`)
+    heavy  numbers of the noises that few readings tell (`core.smc.proposal`)
     """
 
     names: tuple[str, ...]

@@ -26,7 +26,8 @@ from core.calibration.space import SharedSpace, shared_prior
 from core.calibration.state import RotorState
 from core.model import Model
 from core.smc.particles import normalised
-from core.smc.placement import Proposal, moments, rounded
+from core.smc.placement import moments
+from core.smc.proposal import Proposal, rounded
 
 Array = NDArray[np.float64]
 LEAST = 1e-6  # of the box: no spread is smaller

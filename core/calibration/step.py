@@ -30,7 +30,7 @@ from core.calibration.workspace import Workspace
 from core.model import Model
 from core.rng import seed_of
 from core.smc.particles import log_sum_exp
-from core.smc.placement import Proposal
+from core.smc.proposal import Proposal
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,8 @@ from core.errors import InputError
 from core.model import Model
 from core.prior import Prior
 from core.smc.particles import normalised
-from core.smc.placement import WIDEN, Proposal, moments, sobol
+from core.smc.placement import moments, sobol
+from core.smc.proposal import WIDEN, Proposal
 
 Array = NDArray[np.float64]
 INNER = 64  # points at which parameters that are not passed on are integrated out

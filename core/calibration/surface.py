@@ -35,7 +35,8 @@ from core.calibration.space import SharedSpace
 from core.errors import InputError
 from core.response import monomials
 from core.smc.particles import ess, log_sum_exp, normalised
-from core.smc.placement import Proposal, moments, rounded, sobol
+from core.smc.placement import moments, sobol
+from core.smc.proposal import Proposal, rounded
 
 Array = NDArray[np.float64]
 DEPTH = 25.0  # nats below the best node that still shape the surface

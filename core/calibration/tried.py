@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from core.calibration.surface import foreseen
 from core.errors import InputError
 from core.smc.particles import ess, normalised, tempering_exponent
-from core.smc.placement import Proposal, finely_rounded, floored, moments
+from core.smc.placement import floored, moments
+from core.smc.proposal import Proposal, finely_rounded
 
 Array = NDArray[np.float64]
 DOUBTED = 0.02  # share that a surface has to believe in, or it is taken for none

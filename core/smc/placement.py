@@ -5,152 +5,31 @@ readings arrive. Its particles are nodes drawn from a proposal q and weighted ex
 
     w_k ∝ p(u_k | D) / q(u_k),      evidence = mean of p(u_k, D) / q(u_k),
 
-so q decides only how evenly the weights fall, never what is right. q is found by a descent that
-starts from the whole box and looks at nothing but the target itself: on each level the target is
-known at a few nodes; where their weights collapse, a quadratic through them gives the next centre
-and spread, in steps bounded in every direction of its own, and where no quadratic fits, the
-spread shrinks about the best node (a trust region: Powell, Acta Numerica 15, 2006). Centres and
+so q (`proposal`) decides only how evenly the weights fall, never what is right. q is found by a
+descent that starts from the whole box and looks at nothing but the target itself: on each level the
+target is known at a few nodes; where their weights collapse, a quadratic through them gives the
+next centre and spread, in steps bounded in every direction of its own, and where no quadratic fits,
+the spread shrinks about the best node (a trust region: Powell, Acta Numerica 15, 2006). Centres and
 spreads are rounded to a coarse lattice, so that one more reading mostly leaves the nodes where they
 are and the work done at them stays valid. Two event sets that are equal give bit-identical nodes,
 whatever the order of arrival; no earlier state is looked at.
-
-q is a product of normal distributions, each conditional on the coordinates before it and cut at
-the box (so that a posterior leaning on a bound is proposed exactly there). Where a coordinate is
-known to have long tails it is a t-distribution in place of the normal: the logarithm of a noise
-that n readings tell falls off as exp(−n log sigma), and with three readings half of its variance in
-natural units lies beyond its 99 % quantile, where a normal has no node.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
 from scipy.stats import qmc
 
 from core.smc.particles import ess, normalised, tempering_exponent
+from core.smc.proposal import WIDEN, Proposal, finely_rounded, rounded
 
 Array = NDArray[np.float64]
-WIDEN = 1.4  # proposals are wider than what they propose for: tails are longer than a normal's
-POOLED_WIDEN = 1.2  # where the moments are those of many more nodes
 EXPLAINED = 0.3  # of log p's spread that a quadratic may miss and still be followed
-FREEDOM = 4.0  # of the t-distribution of coordinates with long tails
 STEP, SCALES, SHRINK = 2.0, (0.15, 2.0), 0.55  # of a proposal's spread, from level to level
-
-
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """Normal on the unit box: u = mean + chol z, cut coordinate by coordinate.
-
-    mean (d,), chol (d, d) lower triangular. A `chol` of None stands for the uniform box.
-    heavy  coordinates in which z has a t-distribution
-    """
-
-    mean: Array
-    chol: Array | None
-    heavy: tuple[int, ...] = ()
-
-    def nodes(self, base: Array) -> tuple[Array, Array]:
-        """Nodes (n, d) from points of the unit cube (n, d), and log q at each."""
-        return self._walk(base, base)
-
-    def log_density(self, u: Array) -> Array:
-        """log q at places of the unit box (n, d)."""
-        return self._walk(None, u)[1]
-
-    def _walk(self, base: Array | None, u: Array) -> tuple[Array, Array]:
-        """Coordinate by coordinate: places from points `base`, or given ones, and log q there."""
-        n, d = u.shape
-        if self.chol is None:
-            return u.copy(), np.zeros(n)
-        u, z, log_q = u.copy(), np.empty((n, d)), np.zeros(n)
-        for i in range(d):
-            sd = self.chol[i, i]
-            centre = self.mean[i] + z[:, :i] @ self.chol[i, :i]
-            shape = _HEAVY if i in self.heavy else _NORMAL
-            f0, f1 = shape.below((0.0 - centre) / sd), shape.below((1.0 - centre) / sd)
-            mass = np.maximum(f1 - f0, 1e-300)
-            if base is not None:
-                step = shape.quantile(f0 + base[:, i] * mass)
-                u[:, i] = np.clip(centre + sd * step, 0.0, 1.0)
-            z[:, i] = (u[:, i] - centre) / sd
-            log_q += shape.log_density(z[:, i]) - np.log(sd * mass)
-        return u, log_q
-
-    def spread(self, factor: float) -> Proposal:
-        """So many times as wide."""
-        return replace(self, chol=None if self.chol is None else factor * self.chol)
-
-    def told(self) -> dict[str, Any]:
-        """As JSON, from which `of` makes it again bit by bit.
-
-        >>> one = Proposal(np.array([0.1, 1 / 3]), np.diag([0.1, 0.2]), (1,))
-        >>> Proposal.of(one.told()).key == one.key
-        True
-        """
-        chol = None if self.chol is None else self.chol.tolist()
-        return {"mean": self.mean.tolist(), "chol": chol, "heavy": list(self.heavy)}
-
-    @staticmethod
-    def of(told: Mapping[str, Any]) -> Proposal:
-        """The proposal that was told."""
-        chol = None if told["chol"] is None else np.array(told["chol"], dtype=np.float64)
-        return Proposal(np.array(told["mean"], dtype=np.float64), chol, tuple(told["heavy"]))
-
-    @property
-    def key(self) -> bytes:
-        """Equal for equal nodes."""
-        shape = b"" if self.chol is None else self.chol.tobytes() + bytes(self.heavy)
-        return self.mean.tobytes() + shape
-
-
-@dataclass(frozen=True, slots=True)
-class _Shape:
-    """A standard distribution of z."""
-
-    below: Callable[[Array], Array]
-    quantile: Callable[[Array], Array]
-    log_density: Callable[[Array], Array]
-
-
-_NORMAL = _Shape(
-    ndtr,
-    lambda p: np.clip(ndtri(p), -9.0, 9.0),
-    lambda z: -0.5 * z**2 - np.log(np.sqrt(2 * np.pi)),
-)
-_PEAK = gammaln((FREEDOM + 1) / 2) - gammaln(FREEDOM / 2) - 0.5 * np.log(FREEDOM * np.pi)
-_HEAVY = _Shape(
-    lambda z: stdtr(FREEDOM, z),
-    lambda p: stdtrit(FREEDOM, p),
-    lambda z: _PEAK - 0.5 * (FREEDOM + 1) * np.log1p(z**2 / FREEDOM),
-)
-
-
-def rounded(mean: Array, covariance: Array, heavy: tuple[int, ...] = ()) -> Proposal:
-    """The proposal for these moments on the coarse lattice.
-
-    Spreads are rounded to powers of sqrt 2, centres to half a spread, correlations to quarters, of
-    two parameters to halves: single readings move those back and forth, and hardly any weight.
-    """
-    d = len(mean)
-    parts = 2 if d <= 2 else 4
-    covariance = covariance + 1e-14 * np.eye(d)
-    chol = np.linalg.cholesky(covariance)
-    out = np.zeros((d, d))
-    for i in range(d):
-        spread = 2.0 ** (np.round(2 * np.log2(WIDEN * chol[i, i])) / 2)
-        out[i, i] = min(spread, 1.0)
-        for j in range(i):
-            turn = np.round(parts * chol[i, j] / chol[i, i]) / parts + 0.0  # never -0
-            out[i, j] = turn * out[i, i]
-    total = np.sqrt(np.sum(out**2, axis=1))
-    step = 2.0 ** np.floor(np.log2(total)) / 2
-    return Proposal(np.clip(np.round(mean / step) * step, 0.0, 1.0), out, heavy)
 
 
 def sobol(n: int, d: int, seed: int) -> Array:
@@ -299,14 +178,3 @@ def pooled(
         if effective < wanted:
             log_w = tempering_exponent(log_w, wanted) * log_w
         proposals.append(finely_rounded(*moments(every, normalised(log_w)), start.heavy))
-
-
-def finely_rounded(mean: Array, covariance: Array, heavy: tuple[int, ...]) -> Proposal:
-    """The proposal for these moments, but for last bits that differ between machines."""
-    chol = POOLED_WIDEN * np.linalg.cholesky(covariance + 1e-18 * np.eye(len(mean)))
-    step = 2.0 ** np.floor(np.log2(np.diag(chol))) / 64
-    return Proposal(
-        np.clip(np.round(mean / step) * step, 0.0, 1.0),
-        np.round(chol / step[:, None]) * step[:, None],
-        heavy,
-    )

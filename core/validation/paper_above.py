@@ -25,7 +25,8 @@ from core.model import Model
 from core.observation import Inspection
 from core.rng import seed_of, stream
 from core.smc.particles import Particles, ess, log_sum_exp
-from core.smc.placement import Proposal, descend, pooled, sobol
+from core.smc.placement import descend, pooled, sobol
+from core.smc.proposal import Proposal
 
 Array = NDArray[np.float64]
 LEVELS = {"multi": "elongation", "scanned": "deformation", "destroyed": "ceeq"}

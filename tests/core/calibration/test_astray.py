@@ -10,7 +10,7 @@ import pytest
 from core.calibration import rotor
 from core.calibration.online import RotorSpec, begun
 from core.calibration.step import Step
-from core.smc.placement import Proposal
+from core.smc.proposal import Proposal
 from core.validation.coverage import model_of
 from core.validation.simulate import simulate
 from core.validation.variants import plan

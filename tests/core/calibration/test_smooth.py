@@ -23,7 +23,8 @@ from core.calibration.space import shared_space
 from core.calibration.target import assemble
 from core.model import rotor_blade
 from core.observation import Inspection
-from core.smc.placement import Proposal, sobol
+from core.smc.placement import sobol
+from core.smc.proposal import Proposal
 from core.validation.simulate import simulate
 from core.validation.variants import plan
 

@@ -11,7 +11,8 @@ from core.calibration.surface import Surface, evening, tilt
 from core.errors import InputError
 from core.prior import Prior
 from core.smc.particles import ess, log_sum_exp, normalised
-from core.smc.placement import Proposal, rounded, sobol
+from core.smc.placement import sobol
+from core.smc.proposal import Proposal, rounded
 
 MEAN, COV = np.array([0.45, 0.6]), np.array([[0.0016, 0.0006], [0.0006, 0.0009]])
 SPACE = SharedSpace(("a", "b"), (Prior("uniform", 0.0, 1.0), Prior("uniform", -2.0, 2.0)))

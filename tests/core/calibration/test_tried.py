@@ -7,7 +7,8 @@ import pytest
 
 from core.calibration.tried import Tried, judged, of_all, pool
 from core.smc.particles import ess
-from core.smc.placement import Proposal, improved, moments, sobol
+from core.smc.placement import improved, moments, sobol
+from core.smc.proposal import Proposal
 
 Array = np.ndarray
 

@@ -9,7 +9,8 @@ from scipy.stats import t as t_distribution
 
 from core.calibration.surface import foreseen
 from core.smc.particles import ess
-from core.smc.placement import FREEDOM, Proposal, descend, improved, moments, pooled, sobol
+from core.smc.placement import descend, improved, moments, pooled, sobol
+from core.smc.proposal import FREEDOM, Proposal
 
 
 def ridge(d: int) -> tuple[np.ndarray, np.ndarray]:

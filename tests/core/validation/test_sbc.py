@@ -10,7 +10,8 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 from core.smc.particles import weighted_quantile
-from core.smc.placement import WIDEN, Proposal, sobol
+from core.smc.placement import sobol
+from core.smc.proposal import WIDEN, Proposal
 from core.validation.sbc import (
     CONTROLS,
     PROBABILITIES,
