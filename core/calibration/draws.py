@@ -1,7 +1,7 @@
 """Weighted draws of a blade's local parameters at 16 values of the shared ones at once.
 
 The filter's move: particles are not pushed around but drawn anew from the tube that the message
-was integrated over, with exact weights. A particle's outer parameter is drawn from the chords of
+was integrated over, with exact weights. A particle's outer parameter is drawn from the `chords` of
 the log of a rough integral over the plane there, the middle one from those of a rough inner
 integral along the plane, the inner one from the chords of log L along its line. With q the density
 of that draw the weight is L / q. The average of the weights estimates the message, independently
@@ -22,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration import lines, modes
+from core.calibration.chords import along, chords, pick, uneven_chords
 from core.calibration.lines import LEFT, RIGHT, TV, G, T, X, line_ranges, line_values
 from core.calibration.modes import plane_modes
 from core.calibration.planes import AT, BEND, BOUND, MODE, STEEP, TOP, profile, scan
 from core.calibration.planes import FIELDS as PLANE_FIELDS
 from core.calibration.planes import STATIONS as PLANE_STATIONS
 from core.calibration.survey import IXX, STATIONS
-from core.calibration.vector import LANES, fast_exp
+from core.calibration.vector import LANES
 from core.calibration.volumes import laplace, near, volume_glances
 from core.compiled import compiled
 
@@ -62,48 +63,6 @@ def even_points(
     for k in range(1, dim):
         u[:, :, 3 - dim + k] = (shift[k] + count * PLASTIC[k - 1]) % 1.0
     return u
-
-
-@compiled
-def pick(mass, count, i, u):  # type: ignore[no-untyped-def]
-    """The cell of lane i that holds the quantile u of mass (cells, LANES), and u's place in it."""
-    total = 0.0
-    for q in range(count):
-        total += mass[q, i]
-    left = u * total
-    for q in range(count):
-        if left <= mass[q, i]:
-            return q, left / (mass[q, i] + 1e-300)
-        left -= mass[q, i]
-    return count - 1, 1.0
-
-
-@compiled
-def chords(edge, count, i, h, mass):  # type: ignore[no-untyped-def]
-    """Masses of exp(chord) between `count` + 1 even values of lane i; (log of their sum, peak)."""
-    peak = edge[0, i]
-    for q in range(1, count + 1):
-        peak = max(peak, edge[q, i])
-    total, before = 0.0, fast_exp(edge[0, i] - peak)
-    for q in range(count):
-        after, d = fast_exp(edge[q + 1, i] - peak), edge[q + 1, i] - edge[q, i]
-        mass[q, i] = h * ((after - before) / d if abs(d) > 1e-6 else before)
-        total += mass[q, i]
-        before = after
-    return math.log(total) + peak
-
-
-@compiled
-def along(edge, cell, i, u):  # type: ignore[no-untyped-def]
-    """A draw inside a cell under its chord: (place in the cell 0 … 1, log value there)."""
-    d = edge[cell + 1, i] - edge[cell, i]
-    if abs(d) <= 1e-6:
-        t = u
-    elif d > 0.0:  # from the high end, so that exp() stays below 1
-        t = 1.0 + math.log1p(u * math.expm1(-d)) / d
-    else:
-        t = math.log1p(u * math.expm1(d)) / d
-    return t, edge[cell, i] + d * t
 
 
 @compiled
@@ -171,21 +130,6 @@ def draw_planes(  # type: ignore[no-untyped-def]
             log_w[i, n] -= value - total[i]
         profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv)
         draw_lines(la, lb, lv, y, s2, ka2, kb2, w, edge, share, u, out, log_w, n)
-
-
-@compiled
-def uneven_chords(at, edge, count, i, mass):  # type: ignore[no-untyped-def]
-    """`chords` between `count` + 1 places at[:, i]."""
-    peak = edge[0, i]
-    for q in range(1, count + 1):
-        peak = max(peak, edge[q, i])
-    total = 0.0
-    for q in range(count):
-        before, after = math.exp(edge[q, i] - peak), math.exp(edge[q + 1, i] - peak)
-        d, h = edge[q + 1, i] - edge[q, i], at[q + 1, i] - at[q, i]
-        mass[q, i] = h * ((after - before) / d if abs(d) > 1e-6 else before)
-        total += mass[q, i]
-    return math.log(total) + peak
 
 
 @compiled
