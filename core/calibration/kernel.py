@@ -2,12 +2,12 @@
 
     m_b(s) = ∫ p(l) Π_i N(y_i | Y_m(l, s), sigma_i² + s_i²) dl
 
-over the box of one, two or three local parameters l (`lines`, `planes`, `volumes`). The rows'
-polynomials over all inputs are first collapsed to the local ones at each s. Parameters that do
-not exist take the outer places with no dependence, and are not integrated. `LANES` values of s go
-through the quadrature together; their neighbourhood decides how well they keep step, never what
-comes out. Only a glance and the draws' survey, which need not be exact, are led: within a
-chain of blocks, each starts from the one before it (`survey`).
+over the box of one, two or three local parameters l (`line_integrals`, `planes`, `volumes`). The
+rows' polynomials over all inputs are first collapsed to the local ones at each s. Parameters that
+do not exist take the outer places with no dependence, and are not integrated. `LANES` values of s
+go through the quadrature together; their neighbourhood decides how well they keep step, never what
+comes out. Only a glance and the draws' survey, which need not be exact, are led: within a chain of
+blocks, each starts from the one before it (`survey`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from core.calibration import lines, modes
 from core.calibration.draws import draw_block, draw_volumes
+from core.calibration.line_integrals import line_sums
 from core.calibration.panels import MOST
 from core.calibration.planes import FIELDS as PLANE_FIELDS
 from core.calibration.planes import STATIONS as PLANE_STATIONS
@@ -109,7 +110,7 @@ def line_messages(a, b, v, exponents, factors, y, s2, ka2, kb2, out):  # type: i
             w[lines.G + i] = 0.0
         lines.line_modes(la, lb, lv, yn, sn, ka2, kb2, w)
         lines.line_ranges(la, lb, lv, yn, sn, ka2, kb2, w, ends)
-        lines.line_sums(la, lb, lv, yn, sn, ka2, kb2, w, ends)
+        line_sums(la, lb, lv, yn, sn, ka2, kb2, w, ends)
         for i in range(LANES):
             out[n, i] = w[lines.SUM + i]
 

@@ -1,6 +1,6 @@
 """Middle integral of a blade's message: two parameters free, the outer one fixed; 16 at a time.
 
-For each value of the middle parameter, `lines` gives the inner integral I. Over the middle
+For each value of the middle parameter, `line_integrals` gives the inner integral I. Over the middle
 parameter I is a bell, or a plateau that falls off where the inner mode runs into a bound of the
 box: the width of that fall is the bell's own width, often a thousandth of the box. ``scan`` looks
 at the profile (the mode's log L along the way) at even places over the support and
@@ -19,18 +19,8 @@ import math
 import numpy as np
 
 from core.calibration import modes
-from core.calibration.lines import (
-    SIDE,
-    SUM,
-    B,
-    G,
-    S,
-    V,
-    X,
-    line_modes,
-    line_ranges,
-    line_sums,
-)
+from core.calibration.line_integrals import line_sums
+from core.calibration.lines import SIDE, SUM, B, G, S, V, X, line_modes, line_ranges
 from core.calibration.panels import GL_X, POINTS, laid_out, next_panels, take
 from core.calibration.vector import LANES
 from core.compiled import compiled, contracted
