@@ -23,9 +23,9 @@ which z varies around x*, and S as it is at x*, moved the posterior of T1T from 
 half its sd; twelve directions widen it by a tenth where the scan is a poor one.) The errors of a
 simulation at two scans of one blade are taken as independent.
 
-A discrepancy (`core.discrepancy`) joins the best fit: a constant offset c adds Q^T D c to z (D
-repeats x, y, z) and makes the remainder a quadratic, RSS(c) = RSS_0 + (c − c_0)^T A (c − c_0); a
-gain leaves the remainder alone and moves z along itself.
+A discrepancy (`core.discrepancy`) joins the best fit (`scan_fit`): a constant offset c adds Q^T D c
+to z (D repeats x, y, z) and makes the remainder a quadratic, RSS(c) = RSS_0 +
+(c − c_0)^T A (c − c_0); a gain leaves the remainder alone and moves z along itself.
 """
 
 from __future__ import annotations
@@ -36,10 +36,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.special import ndtri
-from scipy.stats import qmc
 
+from core.calibration.scan_fit import Shift, best_fit
 from core.discrepancy import AXES, Affine, Term, affine, parameters, total
 from core.model import Model
 from core.observation import Inspection
@@ -47,7 +45,6 @@ from core.prior import Prior
 from core.response import Response, monomials
 
 Array = NDArray[np.float64]
-STARTS = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,32 +111,6 @@ class ScanRows:
     mixing: Mixing
 
 
-@dataclass(frozen=True, slots=True)
-class _Shift:
-    """The discrepancy of z in standard-normal eta: z = gain(eta) Y_m + offset(eta).
-
-    gain          mean and sd of the gain under the priors; sd 0: no gain
-    mean, column  of the offset, (J,) and (J, 0 or 3)
-    told, miss    what the remainder says of eta: told @ eta − miss ~ N(0, noise² I)
-    """
-
-    gain: tuple[float, float]
-    mean: Array
-    column: Array
-    told: Array
-    miss: Array
-
-    @property
-    def dim(self) -> int:
-        return int(self.gain[1] > 0) + int(self.column.shape[1])
-
-    def at(self, eta: Array) -> tuple[Array, Array]:
-        """Gain (n, 1) and offset (n, J) at eta (n, dim)."""
-        free = eta[:, : int(self.gain[1] > 0)].sum(axis=1, keepdims=True)
-        offset = eta[:, eta.shape[1] - self.column.shape[1] :]
-        return self.gain[0] + self.gain[1] * free, self.mean + offset @ self.column.T
-
-
 def scan_rows(
     model: Model,
     reading: Inspection,
@@ -166,7 +137,7 @@ def scan_rows(
     def share_of(z: Array) -> Array:
         return np.asarray(quantity.numerical**2 * (z**2 + np.mean(z**2)) + dense.extra)
 
-    best, eta = _best_fit(response, shift, y, noise, share_of(y))
+    best, eta = best_fit(response, shift, y, noise, share_of(y))
     (gain,), (offset,) = shift.at(eta[None])
     numerical = share_of(y - offset)
     _, sd = response.evaluate(best[None])
@@ -221,7 +192,7 @@ def _scale(response: Response, x: Array) -> float:
 
 def _split(
     model: Model, reading: Inspection, sigma: str | float, q: Array, seen: Sequence[Affine]
-) -> tuple[Dense, _Shift, Array]:
+) -> tuple[Dense, Shift, Array]:
     """The remainder, the discrepancy of z under its priors, and Q^T D (J, 0 or 3)."""
     quantity = model.network.quantity(reading.quantity)
     readings = reading.values.reshape(-1)
@@ -233,7 +204,7 @@ def _split(
     none = np.zeros((len(y), 0))
     if not seen[0].offset:
         gain = _moments(seen[0].gain, priors)
-        shift = _Shift((1 + gain[0], gain[1]), zero, none, np.zeros((0, 0)), np.zeros(0))
+        shift = Shift((1 + gain[0], gain[1]), zero, none, np.zeros((0, 0)), np.zeros(0))
         return Dense(sigma, rss, dof, extra), shift, none
     names = tuple(name for one in seen for _, (name,) in one.offset)
     mean, sd = np.array([_moments(one.offset, priors) for one in seen]).T
@@ -245,7 +216,7 @@ def _split(
     rss = float(np.sum((readings - q @ y - across @ centre) ** 2))
     value, vector = np.linalg.eigh(bend)
     root = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T
-    shift = _Shift((1.0, 0.0), moved @ mean, moved * sd, root * sd, root @ (centre - mean))
+    shift = Shift((1.0, 0.0), moved @ mean, moved * sd, root * sd, root @ (centre - mean))
     return Dense(sigma, rss, dof, extra, names, centre, bend), shift, moved
 
 
@@ -264,34 +235,3 @@ def _noise_guess(model: Model, reading: Inspection, dense: Dense) -> float:
     if dense.dof > 20:
         return math.sqrt(max(dense.rss / dense.dof, 1e-12))
     return float(model.network.quantity(reading.quantity).sigma_obs.quantile(np.array(0.5)))
-
-
-def _best_fit(
-    response: Response, shift: _Shift, y: Array, noise: float, unknown: Array
-) -> tuple[Array, Array]:
-    """Inputs, and eta of the discrepancy, that fit best: least squares from the best of many."""
-    d = len(response.names)
-    start = qmc.Sobol(d + shift.dim, scramble=True, rng=np.random.default_rng(0)).random(STARTS)
-    x = response.low + start[:, :d] * (response.high - response.low)
-    eta = ndtri(np.clip(start[:, d:], 1e-6, 1 - 1e-6))
-    mean, sd = response.evaluate(x)
-    gain, offset = shift.at(eta)
-    variance = noise**2 + unknown + sd**2
-    score = np.sum((gain * mean + offset - y) ** 2 / variance + np.log(variance), axis=1)
-    weights = 1.0 / np.sqrt(noise**2 + unknown)
-
-    def miss(at: Array) -> Array:
-        x, eta = response.low + at[:d] * (response.high - response.low), at[d:]
-        gain, offset = shift.at(eta[None])
-        fit = (gain[0] * response.evaluate(x[None])[0][0] + offset[0] - y) * weights
-        told = eta[len(eta) - shift.column.shape[1] :]
-        return np.concatenate([fit, eta, (shift.told @ told - shift.miss) / noise])
-
-    low, high = np.r_[np.zeros(d), np.full(shift.dim, -6.0)], np.r_[np.ones(d), [6.0] * shift.dim]
-    begin = np.hstack([np.clip(start[:, :d], 1e-6, 1 - 1e-6), eta])
-    fits = [
-        least_squares(miss, begin[i], bounds=(low, high), max_nfev=40)
-        for i in np.argsort(score)[:3]
-    ]
-    best = min(fits, key=lambda f: f.cost).x
-    return np.asarray(response.low + best[:d] * (response.high - response.low)), best[d:]
