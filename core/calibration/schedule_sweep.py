@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.schedule_filter import Belief, LogDensity, Readings, carried
+from core.calibration.schedule_filter import Belief, LogDensity, carried
+from core.calibration.schedule_readings import Readings
 from core.calibration.space import SharedSpace, locals_of, shared_prior
 from core.calibration.state import RotorSpec
 from core.model import Model

@@ -12,7 +12,7 @@ from core.builtin import inspection_plan
 from core.calibration.layout import readings_at
 from core.calibration.online import update
 from core.calibration.schedule import Schedule, calibrate, instants
-from core.calibration.schedule_filter import Readings
+from core.calibration.schedule_readings import Readings
 from core.calibration.space import shared_space
 from core.calibration.state import RotorSpec, shared_posterior
 from core.calibration.target import assemble
