@@ -7,7 +7,8 @@ A window (`windows`) is halved until, on each box, every row is a·exp(b) with p
 
 must stay below `TOLERANCE` (log L is then known to `TOLERANCE` times its own depth), and widens the
 noise: var_r (1 + e_r²). Boxes that the readings exclude are dropped on the way. The integral over
-the window is the sum over the boxes.
+the window is the sum over the boxes, and draws come from the boxes in proportion to their shares of
+it (`picked`).
 """
 
 from __future__ import annotations
@@ -45,6 +46,17 @@ class Boxes:
     a: Array
     b: Array
     error: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Pieces:
+    """A column in pieces: the boxes of all nodes, log ∫ L dl over each, and (y, s2, rest)."""
+
+    boxes: Boxes
+    sums: Array
+    y: Array
+    s2: Array
+    rest: Array
 
 
 @lru_cache(maxsize=8)
@@ -131,6 +143,24 @@ def boxes(readings: Readings, low: Array, high: Array) -> Boxes:
     parts = [np.concatenate(v) for v in zip(*found, strict=True)]
     order = np.lexsort((*parts[1].T, parts[0]))
     return Boxes(*(v[order] for v in parts))
+
+
+def picked(found: Pieces, u: Array) -> tuple[Index, Array, Array]:
+    """For points u (n, m): the box of each, the place inside its share, its log share; (n, m)."""
+    node, sums = found.boxes.node, found.sums
+    n = len(u)
+    first = np.searchsorted(node, np.arange(n + 1))
+    box, inside, log_share = np.empty(u.shape, dtype=np.int64), np.empty(u.shape), np.empty(u.shape)
+    for k in range(n):
+        own = sums[first[k] : first[k + 1]]
+        share = np.exp(own - own.max())
+        share /= share.sum()
+        edge = np.concatenate([[0.0], np.cumsum(share)])
+        at = np.clip(np.searchsorted(edge, u[k], side="right") - 1, 0, len(own) - 1)
+        box[k] = first[k] + at
+        inside[k] = np.clip((u[k] - edge[at]) / share[at], 0.0, 1.0 - 1e-12)
+        log_share[k] = np.log(share[at])
+    return box, inside, log_share
 
 
 def laid_out(made: Boxes, which: Index, y: Array, s2: Array) -> tuple[Array, ...]:

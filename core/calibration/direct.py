@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from core.calibration import draws as drawing
 from core.calibration import kernel
-from core.calibration.boxes import Boxes, boxes, laid_out
+from core.calibration.boxes import Boxes, Pieces, boxes, laid_out, picked
 from core.calibration.layout import cut_offset
 from core.calibration.message import PARTS, BladeMessage, prior_draws, side_by_side, split
 from core.calibration.space import locals_of
@@ -34,17 +33,6 @@ from core.surrogate.closed_form import FormulaRows
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 MOST_LOCAL = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Pieces:
-    """A column in pieces: the boxes of all nodes, log ∫ L dl over each, and (y, s2, rest)."""
-
-    boxes: Boxes
-    sums: Array
-    y: Array
-    s2: Array
-    rest: Array
 
 
 class DirectMessage(BladeMessage):
@@ -125,7 +113,7 @@ class DirectMessage(BladeMessage):
             return prior_draws(self.model, self.space, unit, per_node, rng)[0], log_w
         share = drawing.SHARE if dim == 3 else 1
         u = drawing.even_points(rng, n, per_node, share, dim)
-        box, inside, log_share = _picked(found, u[:, :, 3 - dim])
+        box, inside, log_share = picked(found, u[:, :, 3 - dim])
         u[:, :, 3 - dim] = inside
         used, place = np.unique(box, return_inverse=True)
         out, weight = self._drawn(found, used, box, u, dim, parts)
@@ -237,21 +225,3 @@ class DirectMessage(BladeMessage):
 
         side_by_side(work, split(n, parts))
         return out.reshape(-1, per_node, 3), log_w.reshape(-1, per_node)
-
-
-def _picked(found: Pieces, u: Array) -> tuple[Index, Array, Array]:
-    """For points u (n, m): the box of each, the place inside its share, and the log share."""
-    node, sums = found.boxes.node, found.sums
-    n = len(u)
-    first = np.searchsorted(node, np.arange(n + 1))
-    box, inside, log_share = np.empty(u.shape, dtype=np.int64), np.empty(u.shape), np.empty(u.shape)
-    for k in range(n):
-        own = sums[first[k] : first[k + 1]]
-        share = np.exp(own - own.max())
-        share /= share.sum()
-        edge = np.concatenate([[0.0], np.cumsum(share)])
-        at = np.clip(np.searchsorted(edge, u[k], side="right") - 1, 0, len(own) - 1)
-        box[k] = first[k] + at
-        inside[k] = np.clip((u[k] - edge[at]) / share[at], 0.0, 1.0 - 1e-12)
-        log_share[k] = np.log(share[at])
-    return box, inside, log_share
