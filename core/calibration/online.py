@@ -22,12 +22,12 @@ from dataclasses import replace
 
 from core.calibration.quick import provisional, reweighted
 from core.calibration.responses import prepare
-from core.calibration.rotor import node_count
 from core.calibration.space import shared_space
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, RotorSpec, RotorState
 from core.calibration.step import Step
 from core.calibration.stored import StoredPosterior
+from core.calibration.weighed import node_count
 from core.calibration.workspace import Workspace
 from core.errors import InputError
 from core.model import Model

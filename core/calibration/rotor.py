@@ -22,7 +22,6 @@ posterior is nearly known from another (`start`), the nodes are tried there firs
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,46 +32,12 @@ from core.calibration.message import BladeMessage
 from core.calibration.space import SharedSpace
 from core.calibration.start import Start
 from core.calibration.tried import Tried, judged, of_all, pool
+from core.calibration.weighed import Weighed, node_count
 from core.smc.particles import ess, normalised
 from core.smc.placement import descend, improved, moments, pooled, sobol
 from core.smc.proposal import Proposal, finely_rounded, rounded
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Weighed:
-    """Shared nodes on the unit box with their weights.
-
-    unit (K, d), log_q (K,), columns {blade: (K,)}, log_prior (K,).
-    """
-
-    unit: Array
-    log_q: Array
-    log_prior: Array
-    columns: Mapping[str, Array]
-    proposal: Proposal
-
-    @property
-    def key(self) -> bytes:
-        return self.proposal.key
-
-    @property
-    def log_p(self) -> Array:
-        total = self.log_prior.copy()
-        for blade in sorted(self.columns):
-            total = total + self.columns[blade]
-        return total
-
-    @property
-    def log_w(self) -> Array:
-        return self.log_p - self.log_q
-
-    @property
-    def ess_ratio(self) -> float:
-        return ess(self.log_w) / len(self.log_w)
-
-
 MISLED = 1.0  # nat that the quadratic which mends rough messages may leave
 CARRIES = 0.15  # share of effective nodes from which a surface through them tells where to go
 MOMENTS = 8  # effective nodes, beside d², from which the moments of what was tried are one more way
@@ -90,11 +55,6 @@ PASSABLE = 0.1  # share from which no other place is looked for there: 0.27 nat 
 LED, LED_MANY = 3, 8  # placements tried from where mended rough messages lead; with more than four
 FEW_TURNS = 4  # of the search after that, where no placement there was enough
 ASTRAY = 0.05  # share of effective nodes below which a placement is given up for another
-
-
-def node_count(dim: int, heavy: bool = False) -> int:
-    """Shared nodes for `dim` shared parameters; twice as many where one has long tails."""
-    return (64 if dim <= 2 else 128 if dim <= 4 else 256) * (2 if heavy else 1)
 
 
 def weigh(

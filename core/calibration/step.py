@@ -19,13 +19,14 @@ from core.calibration.alike import family_key
 from core.calibration.draws import SHARE
 from core.calibration.health import contradictions, verdict
 from core.calibration.message import BladeMessage
-from core.calibration.rotor import Weighed, weigh
+from core.calibration.rotor import weigh
 from core.calibration.sets import Nodes
 from core.calibration.smooth import NEARLY
 from core.calibration.space import SharedSpace, locals_of
 from core.calibration.start import Start
 from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
 from core.calibration.surface import evening
+from core.calibration.weighed import Weighed
 from core.calibration.workspace import Workspace
 from core.model import Model
 from core.rng import seed_of

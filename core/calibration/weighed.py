@@ -1,0 +1,60 @@
+"""The shared nodes with their weights: what the rotor knows of its shared parameters.
+
+At K nodes s_k of the unit box, drawn from a proposal q (`core.smc.proposal`), a blade says log m_b
+(a column), and
+
+    log p(s_k, D) = log p(s_k) + Σ_b log m_b(s_k),      log w_k = log p(s_k, D) − log q(s_k).
+
+The mean of the w_k is the evidence. How even they are is told by the share of effective nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.smc.particles import ess
+from core.smc.proposal import Proposal
+
+Array = NDArray[np.float64]
+
+
+def node_count(dim: int, heavy: bool = False) -> int:
+    """Shared nodes for `dim` shared parameters; twice as many where one has long tails."""
+    return (64 if dim <= 2 else 128 if dim <= 4 else 256) * (2 if heavy else 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """Shared nodes on the unit box with their weights.
+
+    unit (K, d), log_q (K,), columns {blade: (K,)}, log_prior (K,).
+    """
+
+    unit: Array
+    log_q: Array
+    log_prior: Array
+    columns: Mapping[str, Array]
+    proposal: Proposal
+
+    @property
+    def key(self) -> bytes:
+        return self.proposal.key
+
+    @property
+    def log_p(self) -> Array:
+        total = self.log_prior.copy()
+        for blade in sorted(self.columns):
+            total = total + self.columns[blade]
+        return total
+
+    @property
+    def log_w(self) -> Array:
+        return self.log_p - self.log_q
+
+    @property
+    def ess_ratio(self) -> float:
+        return ess(self.log_w) / len(self.log_w)
