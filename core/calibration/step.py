@@ -1,7 +1,8 @@
 """One update at work: messages of all blades at hand, and the way from them to a state (`online`).
 
-A step knows what it rests on, and is sealed at nodes that follow from the readings alone. The quick
-way, at the nodes of the state before, is `quick`; what both take is kept in a `Workspace`.
+A step knows what it rests on (`basis`), and is sealed at nodes that follow from the readings alone.
+The quick way, at the nodes of the state before, is `quick`; what both take is kept in a
+`Workspace`.
 """
 
 from __future__ import annotations
@@ -9,26 +10,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from hashlib import sha256
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.alike import family_key
-from core.calibration.draws import SHARE
+from core.calibration.basis import Basis
 from core.calibration.health import contradictions, verdict
-from core.calibration.message import BladeMessage
 from core.calibration.rotor import weigh
 from core.calibration.sets import Nodes
 from core.calibration.smooth import NEARLY
-from core.calibration.space import SharedSpace, locals_of
-from core.calibration.start import Start
-from core.calibration.state import ALGORITHM, Arrays, RotorSpec, RotorState, health
+from core.calibration.space import locals_of
+from core.calibration.state import ALGORITHM, Arrays, RotorState, health
 from core.calibration.surface import evening
 from core.calibration.weighed import Weighed
-from core.calibration.workspace import Workspace
-from core.model import Model
 from core.rng import seed_of
 from core.smc.particles import log_sum_exp
 from core.smc.proposal import Proposal
@@ -37,58 +33,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Step:
-    """One update at work: what it rests on, and its sealed state.
-
-    start  where the posterior is expected, if it is (`start`)
-    """
-
-    model: Model
-    rotor: RotorSpec
-    space: SharedSpace
-    messages: Mapping[str, BladeMessage]
-    work: Workspace
-    events_digest: str
-    events: int
-    start: Start | None = None
-
-    @property
-    def prior(self) -> dict[str, Any] | None:
-        """The stored posterior that is the prior, if one is."""
-        joint = self.space.joint
-        return dict(joint.summary) if joint is not None else None
-
-    @cached_property
-    def readings(self) -> dict[str, str]:
-        return {b: m.digest for b, m in self.messages.items()}
-
-    def per_node(self, nodes: int, particles: int) -> int:
-        """Draws at each node: whole groups, so that every stratum counts alike."""
-        return SHARE * -(-particles // (nodes * SHARE))
-
-    def unread(self, previous: RotorState) -> set[str]:
-        """Blades whose readings are those of the state before."""
-        before: Mapping[str, str] = previous.meta["readings"]
-        blades = set(self.rotor.blades)
-        return {
-            b for b in previous.meta["blades"]
-            if b in blades and before.get(b) == self.readings.get(b)
-        }  # fmt: skip
-
-    def fits(self, previous: RotorState) -> bool:
-        """True where the state before speaks of the same rotor, model and shared parameters."""
-        same = {"model": self.model.digest, "rotor": self.rotor.id, "seed": self.rotor.seed}
-        same |= {"shared": list(self.space.names), "local": [p.name for p in locals_of(self.model)]}
-        same |= {"prior": self.prior}
-        return all(previous.meta.get(name) == value for name, value in same.items())
-
-    def told_by(self, previous: RotorState) -> bool:
-        """True where the state before is sealed and rests on the same readings: it is this one."""
-        same = {"sealed": True, "events_digest": self.events_digest, "events": self.events}
-        same |= {"readings": self.readings, "blades": list(self.rotor.blades)}
-        nodes = len(previous.arrays["shared/unit"])
-        same |= {"particles": self.per_node(nodes, self.rotor.particles) * nodes}
-        return self.fits(previous) and all(previous.meta.get(k) == v for k, v in same.items())
+class Step(Basis):
+    """One update at work: what it rests on, and its sealed state."""
 
     @cached_property
     def weighed(self) -> Weighed:
@@ -103,21 +49,6 @@ class Step:
         )
         places[key] = made.proposal.told()
         return made
-
-    @cached_property
-    def question(self) -> str:
-        """Digest of all that the nodes' places follow from: readings, model, seed and start."""
-        start = self.start
-        told = [(b, self.messages[b].name) for b in sorted(self.messages)]
-        same = (ALGORITHM, self.rotor.id, self.rotor.seed, self.space.names, told, self.prior)
-        parts = [repr(same)]
-        if start is not None:
-            parts += [
-                repr(start.names),
-                start.mean.tobytes().hex(),
-                start.covariance.tobytes().hex(),
-            ]
-        return sha256("\n".join(parts).encode()).hexdigest()
 
     @property
     def log_evidence(self) -> float:
