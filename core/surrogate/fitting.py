@@ -11,7 +11,8 @@ from scipy.stats import qmc
 
 from core.response import multi_indices
 from core.rng import stream
-from core.surrogate.kernel import Hyper, SharedGP, carries, fit_hyper
+from core.surrogate.kernel import Hyper, SharedGP, carries
+from core.surrogate.likelihood import fit_hyper
 from core.surrogate.part import Part
 from core.surrogate.targets import ELASTIC, Target
 from core.surrogate.tucker import Factors, Ranks, factorise

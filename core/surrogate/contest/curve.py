@@ -19,7 +19,8 @@ from core.archive import Archive
 from core.errors import ModelError
 from core.response import monomials, multi_indices
 from core.rng import seed_of, stream
-from core.surrogate.kernel import SharedGP, fit_hyper
+from core.surrogate.kernel import SharedGP
+from core.surrogate.likelihood import fit_hyper
 
 if TYPE_CHECKING:
     from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor

@@ -7,7 +7,7 @@ and boosters learn slowly enough for theirs.
 
     polynomial chaos    degree and norm of the terms; searched or least squares (`chaos`)
     gaussian process    degree of the trend, and which features its likelihood looks at; length
-                        scales and nugget by maximum likelihood (`core.surrogate.kernel`)
+                        scales and nugget by maximum likelihood (`core.surrogate.likelihood`)
     extra trees         inputs tried at a split, runs in a leaf at least
     random forest       the same
     LightGBM, XGBoost, CatBoost     see `boosters`
@@ -33,7 +33,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 
 from core.response import multi_indices
 from core.surrogate.contest.chaos import Chaos
-from core.surrogate.kernel import SharedGP, fit_hyper
+from core.surrogate.kernel import SharedGP
+from core.surrogate.likelihood import fit_hyper
 
 Array = NDArray[np.float64]
 Setting = Mapping[str, Any]

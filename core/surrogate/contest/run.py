@@ -107,7 +107,7 @@ def _sources() -> Iterator[Path]:
     own = Path(__file__).parent
     yield from (own / f"{n}.py" for n in ("boosters", "chaos", "features", "kept", "regressors"))
     yield from (own / f"{n}.py" for n in ("run", "score", "trial"))
-    yield from (own.parent / f"{n}.py" for n in ("kernel", "targets", "tucker"))
+    yield from (own.parent / f"{n}.py" for n in ("kernel", "likelihood", "targets", "tucker"))
 
 
 def digest(kept: Kept, training: int, plan: Plan, seed: int) -> str:

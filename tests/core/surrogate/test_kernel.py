@@ -9,7 +9,8 @@ from scipy.linalg import null_space
 
 from core.errors import ModelError
 from core.response import monomials
-from core.surrogate.kernel import Hyper, SharedGP, correlation, fit_hyper, log_likelihood
+from core.surrogate.kernel import Hyper, SharedGP, correlation
+from core.surrogate.likelihood import fit_hyper, log_likelihood
 
 Array = NDArray[np.float64]
 HYPER = Hyper((0.9, 2.3), 1e-4, 1)
