@@ -19,6 +19,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.answers",
         "core.quantity",
         "core.prior",
+        "core.monomials",
         "core.response",
         "core.mixture",
         "core.observation",

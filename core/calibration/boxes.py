@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from core.calibration.vector import LANES
 from core.calibration.windows import MOST, NEGLIGIBLE, Readings, narrowed
 from core.errors import CalibrationError
-from core.response import monomials, multi_indices
+from core.monomials import monomials, multi_indices
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

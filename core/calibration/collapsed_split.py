@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from core.response import multi_indices
+from core.monomials import multi_indices
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -19,9 +19,9 @@ from core.calibration.target import BladeRows
 from core.calibration.vector import LANES
 from core.discrepancy import total
 from core.model import Model
+from core.monomials import multi_indices
 from core.network import Parameter
 from core.prior import cut_mass
-from core.response import multi_indices
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from core.calibration.message import BladeMessage
 from core.calibration.space import SharedSpace
-from core.response import monomials
+from core.monomials import monomials
 from core.rng import seed_of
 from core.smc.particles import normalised, tempering_exponent
 from core.smc.proposal import Proposal

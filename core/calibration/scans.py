@@ -40,9 +40,10 @@ from numpy.typing import NDArray
 from core.calibration.scan_fit import Shift, best_fit
 from core.discrepancy import AXES, Affine, Term, affine, parameters, total
 from core.model import Model
+from core.monomials import monomials
 from core.observation import Inspection
 from core.prior import Prior
-from core.response import Response, monomials
+from core.response import Response
 
 Array = NDArray[np.float64]
 

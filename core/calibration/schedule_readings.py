@@ -23,8 +23,8 @@ from core.calibration.space import locals_of, nominal
 from core.calibration.target import assemble
 from core.discrepancy import total
 from core.model import Model
+from core.monomials import multi_indices
 from core.observation import Inspection
-from core.response import multi_indices
 
 Array = NDArray[np.float64]
 

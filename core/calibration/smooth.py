@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.vector import LANES
-from core.response import monomials
+from core.monomials import monomials
 
 Array = NDArray[np.float64]
 TOLERANCE = 0.003  # nat of leave-one-out error; at the nodes left out it is a tenth of that

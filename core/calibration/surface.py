@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from core.calibration.message import POOL
 from core.calibration.space import SharedSpace
 from core.errors import InputError
-from core.response import monomials
+from core.monomials import monomials
 from core.smc.particles import ess, log_sum_exp, normalised
 from core.smc.placement import moments, sobol
 from core.smc.proposal import Proposal, rounded

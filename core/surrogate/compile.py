@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import qmc
 
-from core.response import Response, monomials, multi_indices
+from core.monomials import monomials, multi_indices
+from core.response import Response
 from core.surrogate.kernel import SharedGP
 from core.surrogate.part import Part, Rows
 from core.surrogate.targets import DEFORMATION, ELASTIC, MEAN_CEEQ, invert

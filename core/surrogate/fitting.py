@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from core.response import multi_indices
+from core.monomials import multi_indices
 from core.rng import stream
 from core.surrogate.kernel import Hyper, SharedGP, carries
 from core.surrogate.likelihood import fit_hyper

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import InputError, RangeError
-from core.response import Response, multi_indices
+from core.monomials import multi_indices
+from core.response import Response
 
 Array = NDArray[np.float64]
 Formula = Callable[..., Array]

@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from core.errors import ModelError
+from core.monomials import monomials
 from core.pools import by_rows
-from core.response import monomials
 
 Array = NDArray[np.float64]
 

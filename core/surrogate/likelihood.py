@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
-from core.response import monomials
+from core.monomials import monomials
 from core.surrogate.kernel import Hyper, correlation
 
 Array = NDArray[np.float64]

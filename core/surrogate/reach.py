@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from core.archive import Input
 from core.drift import Drift
 from core.errors import InputError
-from core.response import monomials
+from core.monomials import monomials
 
 Array = NDArray[np.float64]
 

@@ -32,9 +32,9 @@ from core.calibration.target import BladeRows, assemble
 from core.discrepancy import Term
 from core.errors import InputError
 from core.model import Model
+from core.monomials import multi_indices
 from core.observation import Inspection
 from core.prior import cut_mass
-from core.response import multi_indices
 from core.validation.tables import powers, products, split
 
 Array = NDArray[np.float64]

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.response import Response, multi_indices
+from core.monomials import multi_indices
+from core.response import Response
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from core.calibration.state import RotorState
-from core.response import multi_indices
+from core.monomials import multi_indices
 from core.smc.particles import normalised
 from core.validation.joint import Target
 from core.validation.tables import products

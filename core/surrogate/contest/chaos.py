@@ -24,7 +24,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from core.response import multi_indices
+from core.monomials import multi_indices
 
 Array = NDArray[np.float64]
 Table = NDArray[np.int64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from core.archive import Archive
 from core.errors import ModelError
-from core.response import monomials, multi_indices
+from core.monomials import monomials, multi_indices
 from core.rng import seed_of, stream
 from core.surrogate.kernel import SharedGP
 from core.surrogate.likelihood import fit_hyper

@@ -31,7 +31,7 @@ from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 
-from core.response import multi_indices
+from core.monomials import multi_indices
 from core.surrogate.contest.chaos import Chaos
 from core.surrogate.kernel import SharedGP
 from core.surrogate.likelihood import fit_hyper

@@ -27,7 +27,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from core.errors import InputError
-from core.response import multi_indices
+from core.monomials import multi_indices
 from core.surrogate.compile import fitting
 from core.surrogate.model import DEGREE, Surrogate
 

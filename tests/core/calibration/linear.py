@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.model import Model
+from core.monomials import multi_indices
 from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior
-from core.response import Response, multi_indices
+from core.response import Response
 from core.surrogate.formula import FormulaInput, FormulaModel
 
 SHARED = 0.8

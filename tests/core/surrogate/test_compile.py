@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.response import monomials
+from core.monomials import monomials
 from core.surrogate import Surrogate
 from core.surrogate.compile import Compiler
 from core.surrogate.kernel import Hyper, SharedGP

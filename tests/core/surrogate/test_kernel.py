@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 
 from core.errors import ModelError
-from core.response import monomials
+from core.monomials import monomials
 from core.surrogate.kernel import Hyper, SharedGP, correlation
 from core.surrogate.likelihood import fit_hyper, log_likelihood
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.errors import InputError, RangeError
-from core.response import monomials, multi_indices
+from core.monomials import monomials, multi_indices
 from core.rng import stream
 from core.surrogate import Surrogate
 from core.surrogate.contest.row import Row, kernel
