@@ -12,7 +12,7 @@ from core.calibration.state import RotorState
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
-from core.planning.ahead import Candidate, candidates
+from core.planning.candidates import Candidate, candidates
 from core.planning.worth import Target, worth
 from service.ports import BladeRecord, Json, PlanTarget
 

@@ -16,8 +16,8 @@ from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.of_all import of_all
 from core.diagnosis.separate import Rival, Separation, separate
 from core.errors import InputError
-from core.planning.ahead import candidates
 from core.planning.campaigns import campaigns
+from core.planning.candidates import candidates
 
 
 def rivals_of(

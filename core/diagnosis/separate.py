@@ -38,8 +38,9 @@ from core.calibration.state import RotorState
 from core.diagnosis.verdict import NAMED
 from core.errors import InputError
 from core.model import Model
-from core.planning.ahead import Candidate, Expected, expected
+from core.planning.ahead import Expected, expected
 from core.planning.campaigns import Campaign
+from core.planning.candidates import Candidate
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]

@@ -28,7 +28,8 @@ from core.discrepancy import AXES
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
-from core.planning.ahead import AHEAD, TO_COME, Candidate, Drawn, answered, candidates
+from core.planning.ahead import TO_COME, Drawn, answered
+from core.planning.candidates import AHEAD, Candidate, candidates
 from core.planning.ready import modes, ready
 from core.response import Response
 

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from core.calibration.state import RotorState, shared_posterior
 from core.errors import InputError
 from core.model import Model
-from core.planning.ahead import Candidate, Drawn, Expected, expected
+from core.planning.ahead import Drawn, Expected, expected
+from core.planning.candidates import Candidate
 from core.smc.particles import normalised
 
 Array = NDArray[np.float64]

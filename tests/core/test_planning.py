@@ -12,7 +12,7 @@ from core.calibration.state import RotorSpec, RotorState, blade_posterior, share
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
-from core.planning.ahead import ANOTHER, Candidate, candidates
+from core.planning.candidates import ANOTHER, Candidate, candidates
 from core.planning.worth import Target, worth
 from core.prediction import predict
 from tests.core.calibration.test_exact import SLOPES, conjugate, exact, readings

@@ -16,8 +16,9 @@ from core.diagnosis.of_all import of_all, told_by
 from core.diagnosis.separate import Separation, a_set
 from core.model import rotor_blade, rotor_blade_wide
 from core.observation import Inspection
-from core.planning.ahead import ANOTHER, Candidate, Drawn, candidates, expected
+from core.planning.ahead import Drawn, expected
 from core.planning.campaigns import SCANNED, Awaited, Campaign, awaited, campaigns
+from core.planning.candidates import ANOTHER, Candidate, candidates
 from core.surrogate.driven import Driven
 from core.validation.simulate import scan
 from tests.core.calibration.test_exact import conjugate

@@ -23,7 +23,8 @@ from core.diagnosis.separate import (
 )
 from core.errors import InputError
 from core.observation import Inspection
-from core.planning.ahead import ANOTHER, Candidate, candidates, expected
+from core.planning.ahead import expected
+from core.planning.candidates import ANOTHER, Candidate, candidates
 from tests.core.calibration.test_exact import SLOPES, conjugate
 from tests.core.diagnosis.fleet import READING
 

@@ -1,0 +1,93 @@
+"""Inspections that could be made.
+
+A candidate is one reading of one blade at an hour to come, by an instrument, in a campaign of its
+own (those that were are over). What a calibrated model expects it to read: `core.planning.ahead`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from core.errors import InputError
+from core.model import Model
+from core.network import Quantity
+from core.observation import Inspection
+
+AHEAD = (0.0, 0.08, 0.16, 0.32)  # of a model's hours: now, and up to a third of them later
+ANOTHER = "another"  # an instrument that is none of those that read
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One reading that could be taken.
+
+    time_h      blade's hours; ahead_h: from the blade's latest reading on
+    instrument  None: as readings name none; `ANOTHER`: one that has not read this rotor yet
+    sigma       its noise, where readings give theirs [unit]; None: as calibrated
+    """
+
+    blade: str
+    quantity: str
+    time_h: float
+    ahead_h: float
+    instrument: str | None = None
+    sigma: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain dictionary."""
+        return asdict(self)
+
+
+def candidates(
+    model: Model,
+    blades: Sequence[str],
+    readings: Sequence[Inspection],
+    ahead_h: Sequence[float] | None = None,
+) -> tuple[Candidate, ...]:
+    """Every blade × hour × quantity × instrument; left out are 3-D scans, and quantities that the
+    network declares and the surrogate has no answer for.
+
+    Hours count from the blade's latest reading (of a blade without one from zero) as far as the
+    model reaches; where none are given, by shares of the model's (`AHEAD`): users' models may cover
+    ten hours or a million. Instruments are those that read the quantity, and another one.
+    """
+    latest: dict[str, float] = {}
+    for r in readings:
+        latest[r.blade] = max(latest.get(r.blade, 0.0), r.time_h)
+    found = []
+    for q in model.network.quantities:
+        if q.kind == "vector" or not answers(model, q):
+            continue
+        own = [r for r in readings if r.quantity == q.name]
+        used = sorted({r.instrument for r in own if r.instrument is not None})
+        told = [r.sigma for r in own if r.sigma is not None]
+        sigma = float(median(told)) if told and len(told) == len(own) else None
+        horizon = model.part(q.name).horizon_h
+        hours = [share * horizon for share in AHEAD] if ahead_h is None else ahead_h
+        for blade in blades:
+            for ahead in hours:
+                hour = latest.get(blade, 0.0) + ahead
+                if not 0 < hour <= horizon:
+                    continue
+                found += [
+                    Candidate(blade, q.name, hour, float(ahead), name, sigma)
+                    for name in (*used, ANOTHER if used else None)
+                ]
+    return tuple(found)
+
+
+def answers(model: Model, quantity: Quantity) -> bool:
+    """Whether the surrogate answers for a quantity of the network."""
+    part = model.part(quantity.name)
+    middle = np.array([[0.5 * (i.low + i.high) for i in part.inputs]])
+    try:
+        nodes = None if quantity.kind == "scalar" else [quantity.node_among(part.named)]
+        part.predict(middle, quantity.name, np.array([0.5 * part.horizon_h]), nodes)
+    except InputError:
+        return False
+    return True
