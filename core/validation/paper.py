@@ -40,7 +40,7 @@ from core.network import Discrepancy
 from core.observation import Inspection
 from core.prediction import predict
 from core.validation.paper_above import LEVELS, Above, above
-from core.validation.schedule_study import plan_readings
+from core.validation.schedule_rotors import plan_readings
 from core.validation.variants import Variant, model_of
 
 Array = NDArray[np.float64]

@@ -148,6 +148,7 @@ def schedule(
 ) -> None:
     """The paper's Algorithm 1, offline and online, against the joint posterior."""
     from core.model import rotor_blade
+    from core.validation import schedule_rotors
     from core.validation import schedule_study as study
     from core.validation.schedule_tables import summary
     from core.validation.variants import plan
@@ -170,7 +171,7 @@ def schedule(
         **summary(records, (*study.PLAIN, *study.WITH_DISCREPANCY)),
     }
     if shipped:
-        made = study.shipped(model)
+        made = schedule_rotors.shipped(model)
         with bar("inspection plan", len(study.ON_PLAN)) as step:
             record = {}
             for done, case in enumerate(study.ON_PLAN, 1):

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from core.model import rotor_blade
-from core.validation.schedule_study import ARMS, JOINT, Case, drawn, outcome
+from core.validation.schedule_rotors import drawn
+from core.validation.schedule_study import ARMS, JOINT, Case, outcome
 from core.validation.schedule_tables import against, coverage_table
 from core.validation.variants import plan
 

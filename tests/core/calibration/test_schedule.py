@@ -22,7 +22,7 @@ from core.network import Network, Parameter
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Population, Prior
-from core.validation.schedule_study import DISCREPANCIES, model_with, plan_readings
+from core.validation.schedule_rotors import DISCREPANCIES, model_with, plan_readings
 from tests.core.calibration.bar import LOCAL, bar, creep
 from tests.core.calibration.test_exact import SLOPES, conjugate, exact, readings
 
