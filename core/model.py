@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.answers import Answers, Stacked
+from core.builtin.paper_network import rotor_blade_network
 from core.drift import ITSELF, Drift
 from core.errors import InputError, ModelError
-from core.network import Network, rotor_blade_network
+from core.network import Network
 from core.response import Response
 from core.surrogate import Surrogate
 from core.surrogate.anchor import Anchor

@@ -34,12 +34,10 @@ from core.errors import InputError
 from core.family import Family
 from core.gain import check_biases, check_discrepancy
 from core.parameter import Level, Parameter
-from core.prior import Prior
 from core.quantity import LEAST_GAIN, WIDTH, Discrepancy, Kind, Quantity
 
 __all__ = [
     "LEAST_GAIN", "WIDTH", "Discrepancy", "Kind", "Level", "Network", "Parameter", "Quantity",
-    "rotor_blade_network",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -185,6 +183,7 @@ class Network:
     def from_json(data: Mapping[str, Any]) -> Network:
         """The inverse of `to_json`; unknown keys are refused.
 
+        >>> from core.builtin.paper_network import rotor_blade_network
         >>> Network.from_json(rotor_blade_network().to_json()) == rotor_blade_network()
         True
         """
@@ -205,48 +204,3 @@ class Network:
             raise InputError(
                 "network", str(error), "does not fit the schema", "see Network"
             ) from error
-
-
-def rotor_blade_network() -> Network:
-    """The paper's network: T1T shared; TBC thickness, alpha and gamma local to each blade."""
-    return Network(
-        name="rotor-blade",
-        parameters=(
-            Parameter("tbc_thickness", "local", Prior("uniform", 2 / 3, 4 / 3), "1", "TBC"),
-            Parameter("t1t_rate", "shared", Prior("uniform", 0.8, 1.0), "1", "T1T"),
-            Parameter("creep_transient", "local", Prior("uniform", -3, 3), "1", "alpha"),
-            Parameter("creep_steady", "local", Prior("uniform", -3, 3), "1", "gamma"),
-        ),
-        quantities=(
-            # numerical: the default mesh against a refined one (tests/benchmarks/bench_blade.py)
-            Quantity(
-                "elongation",
-                "mm",
-                "scalar",
-                Prior("log_uniform", 1e-3, 0.2),
-                -5.0,
-                50.0,
-                numerical=0.003,
-            ),
-            Quantity(
-                "deformation",
-                "mm",
-                "vector",
-                Prior("log_uniform", 1e-3, 0.2),
-                -50.0,
-                50.0,
-                numerical=0.003,
-            ),
-            Quantity(
-                "ceeq",
-                "1",
-                "field",
-                Prior("log_uniform", 1e-5, 1e-2),
-                0.0,
-                0.5,
-                "critical",
-                numerical=0.02,
-            ),
-        ),
-        notes={"source": "Kapusuzoglu et al. 2023, doi 10.1115/1.4055243, Sec. 4 and Table 1"},
-    )

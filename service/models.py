@@ -22,10 +22,10 @@ import numpy as np
 
 import core.builtin
 from core.builtin import creep_specimens, shipped
+from core.builtin.paper_network import rotor_blade_network
 from core.discrepancy import parameters
 from core.errors import InputError, ModelError
 from core.model import Model, rotor_blade_wide
-from core.network import rotor_blade_network
 from core.surrogate.artefact import load
 from service.packed import unpack
 from service.ports import Json, ModelCard, Output

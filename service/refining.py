@@ -31,10 +31,11 @@ from numpy.typing import NDArray
 
 from core.archive import Archive, Run
 from core.builtin import plans, rotor_blade
+from core.builtin.paper_network import rotor_blade_network
 from core.builtin.plans import Plan
 from core.builtin.rotor_blade import as_run, blade_digest, open_archive
 from core.errors import BladetwinError, FaultsError, InputError, ModelError
-from core.network import Network, rotor_blade_network
+from core.network import Network
 from core.observation import Inspection, faults
 from service import sampling
 

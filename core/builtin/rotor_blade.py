@@ -28,9 +28,10 @@ from core.archive import Archive, Input, Mesh, Run
 from core.archive.shared import SharedRuns
 from core.blade import DORMANT, BladeRun, Campaign, build_mesh, run_campaign
 from core.builtin import shipped
+from core.builtin.paper_network import rotor_blade_network
 from core.builtin.plans import NAME, SEED, STANDARD, WIDE, Plan, design
 from core.errors import ModelError
-from core.network import Network, Parameter, rotor_blade_network
+from core.network import Network, Parameter
 from core.prior import Prior
 from core.surrogate import Surrogate, save, train
 from core.surrogate import load as load_artefact

@@ -36,8 +36,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive import Archive
+from core.builtin.paper_network import rotor_blade_network
 from core.design import Region, maximin_lhs
-from core.network import Network, rotor_blade_network
+from core.network import Network
 from core.observation import Inspection
 from core.pools import process_pool
 from core.posterior_region import from_readings, of_prior

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 from core.blade import BOUNDS, simulate, simulate_history
 from core.blade.kept import kept_runs
+from core.builtin.paper_network import rotor_blade_network
 from core.builtin.plans import WIDER
 from core.errors import InputError
-from core.network import rotor_blade_network
 from core.rng import stream
 
 Array = NDArray[np.float64]

@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 
 from core.blade import BOUNDS, BladeRun, build_mesh, output_times, run_campaign
 from core.builtin.inspection_plan import scanned_nodes
+from core.builtin.paper_network import rotor_blade_network
 from core.builtin.rotor_blade import blade_digest
 from core.errors import ModelError
-from core.network import rotor_blade_network
 from core.rng import stream
 
 Array = NDArray[np.float64]

@@ -142,7 +142,7 @@ def _source(
 
     import httpx
 
-    from core.network import rotor_blade_network
+    from core.builtin.paper_network import rotor_blade_network
     from service import refining, sampling
     from service.declared import read_file
 

@@ -12,7 +12,7 @@ def unit_of(network: Network, name: str) -> str:
     A population's mean and sd have their parameter's unit, a noise its quantity's, a constant
     discrepancy as well; theta1, theta2 and modes in time are factors.
 
-    >>> from core.network import rotor_blade_network
+    >>> from core.builtin.paper_network import rotor_blade_network
     >>> network = rotor_blade_network()
     >>> [unit_of(network, n) for n in ("t1t_rate", "sigma_obs.elongation@gauge 3", "sd.t1t_rate")]
     ['1', 'mm', '1']

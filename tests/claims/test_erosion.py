@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 
 from core.builtin import rotor_blade
+from core.builtin.paper_network import rotor_blade_network
 from core.calibration.online import RotorSpec, update
 from core.calibration.state import blade_posterior, shared_posterior
 from core.course import Course
 from core.drift import Drift
 from core.model import Model
-from core.network import Parameter, rotor_blade_network
+from core.network import Parameter
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
+from core.builtin.paper_network import rotor_blade_network
 from core.calibration.health import verdict
 from core.course import Course
 from core.drift import Bias
 from core.errors import InputError
-from core.network import Network, Parameter, Quantity, rotor_blade_network
+from core.network import Network, Parameter, Quantity
 from core.prior import Prior
 from core.quantity import Discrepancy
 

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from core.builtin.paper_network import rotor_blade_network
 from core.calibration.state import Posterior
 from core.curves import instrument_of, noise_of
 from core.discrepancy import HELD, affine, modes, parameters
 from core.errors import InputError
 from core.model import Model
-from core.network import Discrepancy, Network, Parameter, Quantity, rotor_blade_network
+from core.network import Discrepancy, Network, Parameter, Quantity
 from core.prediction import predict
 from core.prior import Prior
 from core.smc.particles import Particles

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from core.builtin import rotor_blade
+from core.builtin.paper_network import rotor_blade_network
 from core.course import Course
 from core.drift import Bias, Drift
 from core.model import Model
-from core.network import Network, Parameter, Quantity, rotor_blade_network
+from core.network import Network, Parameter, Quantity
 from core.prior import Prior
 from core.surrogate.driven import Driven
 from core.surrogate.formula import FormulaInput, FormulaModel

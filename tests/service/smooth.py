@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from core.builtin.paper_network import rotor_blade_network
 from core.model import Model
-from core.network import rotor_blade_network
 from core.surrogate.formula import FormulaInput, FormulaModel
 from service.science import CoreScience
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from core.builtin.paper_network import rotor_blade_network
 from core.errors import FaultsError
-from core.network import rotor_blade_network
 from service.declared import read_network
 from tests.exchanger import NETWORK
 

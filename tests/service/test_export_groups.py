@@ -12,9 +12,9 @@ import matplotlib
 import numpy as np
 import pytest
 
+from core.builtin.paper_network import rotor_blade_network
 from core.calibration.online import RotorSpec, update
 from core.calibration.state import blade_posterior
-from core.network import rotor_blade_network
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Population, Prior

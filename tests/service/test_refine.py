@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from core.archive import Archive, Input, Mesh
 from core.blade import BOUNDS, build_mesh, simulate
 from core.builtin import plans, rotor_blade
+from core.builtin.paper_network import rotor_blade_network
 from core.errors import FaultsError, InputError, ModelError
-from core.network import rotor_blade_network
 from core.posterior_region import of_prior
 from core.surrogate.rounds import LOG, read_log
 from service import refining

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from core.builtin.paper_network import rotor_blade_network
 from core.errors import ModelError
 from core.model import Model
-from core.network import rotor_blade_network
 from core.observation import Inspection
 from core.surrogate.artefact import whole_of
 from core.surrogate.formula import FormulaInput, FormulaModel

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.builtin.paper_network import rotor_blade_network
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, RotorState, blade_posterior
 from core.errors import InputError
 from core.model import Model
-from core.network import Network, Parameter, Quantity, rotor_blade_network
+from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Prior
 from core.surrogate.formula import FormulaInput, FormulaModel

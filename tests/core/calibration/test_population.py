@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from core.builtin.paper_network import rotor_blade_network
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, RotorState, blade_posterior, shared_posterior
 from core.errors import InputError
 from core.model import Model
-from core.network import Network, Parameter, Quantity, rotor_blade_network
+from core.network import Network, Parameter, Quantity
 from core.observation import Inspection
 from core.prior import Population, Prior
 from core.surrogate.formula import FormulaInput, FormulaModel

@@ -9,11 +9,11 @@ import pytest
 
 from core.blade import BOUNDS
 from core.builtin import inspection_plan, rotor_blade, worn_plan
+from core.builtin.paper_network import rotor_blade_network
 from core.course import Course
 from core.drift import Drift
 from core.errors import InputError
 from core.model import Model, rotor_blade_wide
-from core.network import rotor_blade_network
 from core.surrogate.anchor import Anchor
 from core.surrogate.driven import Driven
 from core.surrogate.kernel import Hyper, SharedGP

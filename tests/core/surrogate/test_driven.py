@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from core.builtin import rotor_blade
+from core.builtin.paper_network import rotor_blade_network
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, shared_posterior
 from core.course import Course
 from core.drift import Drift
 from core.errors import InputError, ModelError, RangeError
 from core.model import Model
-from core.network import Network, Parameter, rotor_blade_network
+from core.network import Network, Parameter
 from core.observation import Inspection
 from core.prior import Prior
 from core.surrogate import driven, kept
