@@ -1,4 +1,4 @@
-"""How an archive's netCDF files are laid out: mesh and variables, of one run or of all."""
+"""How an archive's netCDF files are laid out: mesh, runs and variables, of one run or of all."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from core.archive.declaration import DIMENSIONS, Declaration, Mesh, Quantity
+from core.archive.declaration import DIMENSIONS, Declaration, Mesh, Quantity, Run
 from core.errors import ModelError
 
 if TYPE_CHECKING:  # whoever loads a built model has this module, and reads no netCDF
@@ -28,6 +28,23 @@ def write_mesh(out: h5netcdf.File, mesh: Mesh) -> None:
     out.create_variable("cells", ("cell", "corner"), data=np.asarray(mesh.cells, dtype=np.int64))
     parametric = np.asarray(mesh.parametric, dtype=float)
     out.create_variable("parametric", ("node", "xyz"), data=parametric)
+
+
+def run_of(data: h5netcdf.File, declared: Declaration) -> Run:
+    """The run in a file of `write_run`."""
+    names = [item.name for item in declared.inputs]
+    inputs = dict(zip(names, map(float, data["inputs"][...]), strict=True))
+    return Run(inputs, {q.name: data[q.name][...] for q in declared.quantities})
+
+
+def write_run(name: Path, declared: Declaration, run: Run) -> None:
+    """A new file with one run: its inputs, and each quantity as a variable."""
+    with created(name) as out:
+        out.dimensions = declared.dimensions()
+        inputs = np.array([float(run.inputs[item.name]) for item in declared.inputs])
+        out.create_variable("inputs", ("input",), data=inputs)
+        for quantity in declared.quantities:
+            variable_of(out, quantity)[...] = run.values[quantity.name]
 
 
 def variable_of(out: h5netcdf.File, quantity: Quantity, *, runs: bool = False) -> Any:

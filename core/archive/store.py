@@ -34,7 +34,7 @@ from core.archive.declaration import (
     Run,
 )
 from core.archive.disk import flush, link_file, part_of, replace_file
-from core.archive.layout import created, mesh_of, opened, variable_of, write_mesh
+from core.archive.layout import created, mesh_of, opened, run_of, variable_of, write_mesh, write_run
 from core.errors import InputError, ModelError, RangeError
 
 
@@ -116,7 +116,7 @@ class Archive:
         if index < 0:
             raise RangeError("index", index, "is negative", "number the runs from 0")
         self.declaration.check(index, run)
-        replace_file(self.file(index), lambda name: self._fill(name, run))
+        replace_file(self.file(index), lambda name: write_run(name, self.declaration, run))
 
     def add(self, index: int, run: Run) -> bool:
         """Check a run and store it, unless one of this index is there; whether it was stored."""
@@ -126,7 +126,7 @@ class Archive:
         file = self.file(index)
         part = part_of(file)
         try:
-            self._fill(part, run)
+            write_run(part, self.declaration, run)
             flush(part)
             first = link_file(part, file)
         except OSError:  # HDF5 has words of its own for a file that is gone
@@ -138,15 +138,6 @@ class Archive:
         for left in self.path.glob(f".{file.name}.*.part"):
             left.unlink(missing_ok=True)
         return first
-
-    def _fill(self, name: Path, run: Run) -> None:
-        declared = self.declaration
-        with created(name) as out:
-            out.dimensions = declared.dimensions()
-            inputs = np.array([float(run.inputs[item.name]) for item in declared.inputs])
-            out.create_variable("inputs", ("input",), data=inputs)
-            for quantity in declared.quantities:
-                variable_of(out, quantity)[...] = run.values[quantity.name]
 
     def done(self) -> tuple[int, ...]:
         """Indices of the runs that are present and can be opened, ascending."""
@@ -170,10 +161,8 @@ class Archive:
 
     def read(self, index: int) -> Run:
         """One run."""
-        names = [item.name for item in self.declaration.inputs]
         with opened(self.file(index)) as data:
-            inputs = dict(zip(names, map(float, data["inputs"][...]), strict=True))
-            return Run(inputs, {q.name: data[q.name][...] for q in self.declaration.quantities})
+            return run_of(data, self.declaration)
 
     def values(self, index: int, quantities: Collection[str]) -> dict[str, Floats]:
         """Some quantities of one run: the others are not read."""
