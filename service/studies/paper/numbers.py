@@ -15,29 +15,24 @@ from numpy.typing import NDArray
 
 from core.blade import BOUNDS
 from core.builtin.inspection_plan import (
-    HELD_OUT_H,
     NOISE,
-    OUTAGES_H,
     SCANNED,
     Plan,
     blades,
 )  # fmt: skip
 from core.calibration.state import Posterior
-from core.curves import noise_of
 from core.diagnosis.densities import quantiles
 from core.model import Model
 from core.prediction import predict
 from core.validation.paper import SHOWN, THETA_SD, Stage, model_with, readings_of
 from core.validation.paper_above import LEVELS
 from core.validation.paper_scan import Scan
-from service.fields import field_of
+from service.studies.paper.scans import Missed, missed, off
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
 DRAWS = 600  # of a posterior, for its picture: about as many as nodes carry it
 COURSE = tuple(1000.0 * k for k in range(1, 41))  # hours
-HALF = 1.959963984540054
-HOURS = (*OUTAGES_H, HELD_OUT_H)
 
 
 @dataclass(frozen=True)
@@ -48,19 +43,6 @@ class Course:
     mean: Array
     blade: Array
     total: Array
-
-
-@dataclass(frozen=True)
-class Missed:
-    """A scan at an hour: mean and sd of the blade, noise, reading and truth, (n, 3) [mm]."""
-
-    time_h: float
-    used: bool
-    mean: Array
-    sd: Array
-    noise: float
-    reading: Array
-    truth: Array
 
 
 @dataclass(frozen=True)
@@ -200,43 +182,6 @@ def readings(
         }
         for i, (t, y, used) in enumerate(told)
     ]
-
-
-def missed(model: Model, stage: Stage, plan: Plan, scan: Scan, instant: int) -> Missed:
-    """Blade 01's scan at an instant (3: the held-out one) and what is foreseen of it."""
-    quantity, hour = LEVELS["scanned"], HOURS[instant]
-    got = field_of(model, stage.scanned, quantity, hour, None, scan.nodes.tolist())
-    w = stage.scanned.particles.w
-    noise = float(np.sqrt(w @ noise_of(model, stage.scanned, quantity) ** 2))
-    if instant < len(OUTAGES_H):
-        (own,) = (
-            r for r in readings_of(plan, [SCANNED])
-            if r.quantity == quantity and r.campaign == f"outage-{instant + 1}"
-        )  # fmt: skip
-        reading = own.values
-    else:
-        reading = scan.held_out()
-    truth = scan.deformation[instant]
-    return Missed(hour, instant < stage.outages, got.mean, got.sd, noise, reading, truth)
-
-
-def off(one: Missed) -> Json:
-    """How far a scan is from what was foreseen, and how much of it the bounds hold."""
-    miss = one.reading - one.mean
-    total = np.hypot(one.sd, one.noise)
-    return {
-        "time_h": one.time_h,
-        "used": one.used,
-        "values": miss.size,
-        "rmse_reading_mm": float(np.sqrt(np.mean(miss**2))),
-        "rmse_truth_mm": float(np.sqrt(np.mean((one.truth - one.mean) ** 2))),
-        "sd_blade_mm": float(np.sqrt(np.mean(one.sd**2))),
-        "noise_mm": one.noise,
-        "reading_inside_1sd": float(np.mean(np.abs(miss) <= total)),
-        "reading_inside_95": float(np.mean(np.abs(miss) <= HALF * total)),
-        "truth_inside_1sd": float(np.mean(np.abs(one.truth - one.mean) <= one.sd)),
-        "truth_inside_95": float(np.mean(np.abs(one.truth - one.mean) <= HALF * one.sd)),
-    }
 
 
 def held(stage: Stage) -> Json | None:

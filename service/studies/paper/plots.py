@@ -13,7 +13,8 @@ from PIL import Image
 
 from core.builtin.inspection_plan import SCANNED, Plan
 from core.validation.paper import SHOWN, Strategy
-from service.studies.paper.courses import ceeq, deformation, elongation, surrogate
+from service.studies.paper.courses import ceeq, elongation, surrogate
+from service.studies.paper.deformations import deformation
 from service.studies.paper.densities import parameters
 from service.studies.paper.run import Study
 from service.studies.paper.sketch import network
