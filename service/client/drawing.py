@@ -1,4 +1,5 @@
-"""What pictures have in common: colours, titles, legends, labels of hours and of blades.
+"""What pictures are drawn with: colours, limits, bands by source, readings, titles, legends, labels
+of hours and of blades.
 
 Colours are Okabe and Ito's, told apart without red and green. Legends stand beside the axes, where
 they hide nothing. matplotlib is imported where it is needed.
@@ -48,6 +49,49 @@ def new_rows(count: int) -> list[Axes]:
 def draw_limit(axes: Axes, limit: float | None, unit: str) -> None:
     if limit is not None:
         axes.axhline(limit, color=LIMIT, lw=1.2, ls="--", label=f"limit {limit:g} {unit}")
+
+
+def draw_sources(axes: Axes, frame: DataFrame) -> None:
+    """The band over the hours, source by source: from the inside out sds add in quadrature."""
+    hours, mean = frame.index.to_numpy(), frame["mean"].to_numpy()
+    sds = {source: frame[f"sd_{source}"].to_numpy() for source in SOURCES}
+    total = np.sqrt(sum(sd**2 for sd in sds.values()))
+    inner = np.zeros(len(hours))
+    for source, sd in sds.items():
+        if not np.any(sd > 0):
+            continue
+        outer = np.sqrt(inner**2 + sd**2)
+        name, colour = SOURCES[source]
+        for label, edge in ((name, frame["upper"]), (None, frame["lower"])):
+            half = (edge.to_numpy() - mean) / np.where(total > 0, total, 1.0)
+            axes.fill_between(
+                hours, mean + half * inner, mean + half * outer,
+                color=colour, alpha=0.4, lw=0, label=label,
+            )  # fmt: skip
+        inner = outer
+
+
+def draw_readings(axes: Axes, frame: DataFrame, facts: Mapping[str, Any]) -> None:
+    """Readings of the blade, each kind with a mark of its own."""
+    own = frame[(frame["blade"] == facts["blade"]) & (frame["quantity"] == facts["quantity"])]
+    own = own[own["value"].notna()]
+    if facts["node"] is not None:
+        own = own[own["node"] == facts["node"]]
+    counts = own["status"] == "counts"
+    kinds = (
+        ("readings", own[counts & ~own["late"]], INK, "o", INK),
+        ("late readings", own[counts & own["late"]], LATE, "^", LATE),
+        ("replaced", own[own["status"] == "replaced"], SOFT, "s", "none"),
+        ("retracted", own[own["status"] == "retracted"], SOFT, "x", SOFT),
+    )
+    for label, some, colour, mark, face in kinds:
+        if len(some) == 0:
+            continue
+        told = " ± sigma" if "readings" in label and some["sigma"].notna().any() else ""
+        axes.errorbar(
+            some["time_h"], some["value"], yerr=some["sigma"].fillna(0.0),
+            fmt=mark, ms=5, color=colour, mfc=face, elinewidth=1, capsize=2, label=label + told,
+        )  # fmt: skip
 
 
 def label_hours(axes: Axes) -> None:

@@ -11,7 +11,7 @@ What differs by colour differs by its mark or its place as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,12 +20,13 @@ from service.client import framed
 from service.client.drawing import (
     GROUPS,
     INK,
-    LATE,
     LIMIT,
     LINE,
     SOFT,
     SOURCES,
     draw_limit,
+    draw_readings,
+    draw_sources,
     label_blades,
     label_hours,
     legend,
@@ -68,24 +69,10 @@ def band(
         frame = frame.xs(component, axis="columns", level="component")
     axes = axes or new_axes()
     hours, mean = frame.index.to_numpy(), frame["mean"].to_numpy()
-    sds = {source: frame[f"sd_{source}"].to_numpy() for source in SOURCES}
-    total = np.sqrt(sum(sd**2 for sd in sds.values()))
-    inner = np.zeros(len(hours))
-    for source, sd in sds.items():
-        if not np.any(sd > 0):
-            continue
-        outer = np.sqrt(inner**2 + sd**2)
-        name, colour = SOURCES[source]
-        for label, edge in ((name, frame["upper"]), (None, frame["lower"])):
-            half = (edge.to_numpy() - mean) / np.where(total > 0, total, 1.0)
-            axes.fill_between(
-                hours, mean + half * inner, mean + half * outer,
-                color=colour, alpha=0.4, lw=0, label=label,
-            )  # fmt: skip
-        inner = outer
+    draw_sources(axes, frame)
     axes.plot(hours, mean, color=LINE, lw=1.6, label="mean")
     if readings is not None and not vector:
-        _readings(axes, _framed(readings, framed.readings), facts)
+        draw_readings(axes, _framed(readings, framed.readings), facts)
     draw_limit(axes, limit, facts["unit"])
     title(axes, facts, f"{100 * facts['probability']:g} % band by source")
     place = f", {component}" if vector else ""
@@ -94,29 +81,6 @@ def band(
     axes.set_ylabel(f"{facts['quantity']} of {facts['blade']}{place} [{facts['unit']}]")
     legend(axes)
     return axes
-
-
-def _readings(axes: Axes, frame: DataFrame, facts: Mapping[str, Any]) -> None:
-    """Readings of the blade, each kind with a mark of its own."""
-    own = frame[(frame["blade"] == facts["blade"]) & (frame["quantity"] == facts["quantity"])]
-    own = own[own["value"].notna()]
-    if facts["node"] is not None:
-        own = own[own["node"] == facts["node"]]
-    counts = own["status"] == "counts"
-    kinds = (
-        ("readings", own[counts & ~own["late"]], INK, "o", INK),
-        ("late readings", own[counts & own["late"]], LATE, "^", LATE),
-        ("replaced", own[own["status"] == "replaced"], SOFT, "s", "none"),
-        ("retracted", own[own["status"] == "retracted"], SOFT, "x", SOFT),
-    )
-    for label, some, colour, mark, face in kinds:
-        if len(some) == 0:
-            continue
-        told = " ± sigma" if "readings" in label and some["sigma"].notna().any() else ""
-        axes.errorbar(
-            some["time_h"], some["value"], yerr=some["sigma"].fillna(0.0),
-            fmt=mark, ms=5, color=colour, mfc=face, elinewidth=1, capsize=2, label=label + told,
-        )  # fmt: skip
 
 
 def parameters(
