@@ -16,7 +16,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +28,13 @@ from core.surrogate.anchor import Anchor
 from core.surrogate.fit import FEWER, Fit
 from core.surrogate.followed import Followed
 from core.surrogate.history import FOLLOWED, follow
+from core.surrogate.in_time import InTime, from_start
 from core.surrogate.kept import Kept, each
 from core.surrogate.model import Surrogate
-from core.surrogate.reach import check_reach, run
 from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
 Rows = tuple[Followed, Followed | None]
-PARTS = 8
 MANY = 200  # inputs from which polynomials answer
 
 
@@ -59,33 +57,19 @@ class Driven:
     anchor: Anchor | None = None
 
     def __post_init__(self) -> None:
-        known = {i.name: i for i in self.base.inputs}
-        names = [d.name for d in self.drifts]
-        moved = {d.input for d in self.drifts}
-        for name in {*self.ranges, *self.fixed, *moved} - known.keys() - set(names):
-            raise InputError("input", name, "is unknown", f"use one of {', '.join(known)}")
-        if len(set(names)) < len(names) or known.keys() & set(names):
-            raise InputError("drifts", names, "need names of their own", "rename one")
-        for name in names:
-            low, high = self.ranges.get(name, (0.0, 0.0))
-            if not low < high:
-                raise InputError(name, (low, high), "is no range", "give low < high")
-        for own in known.values():
-            fixed = self.fixed.get(own.name)
-            start = self._range(own) if fixed is None else (fixed,)
-            check_reach(own, start, self.drifts, self.ranges, self.horizon_h)
+        self._in_time.check(self.horizon_h)
         if self.anchor is not None:
-            self.anchor.fits(self.base, {i.name: self._range(i) for i in self.base.inputs})
+            started = {i.name: self._in_time.range_of(i) for i in self.base.inputs}
+            self.anchor.fits(self.base, started)
 
-    def _range(self, own: Input) -> tuple[float, float]:
-        return self.ranges.get(own.name, (own.low, own.high))
+    @cached_property
+    def _in_time(self) -> InTime:
+        return InTime(self.base.inputs, self.drifts, self.ranges, self.fixed)
 
     @cached_property
     def inputs(self) -> tuple[Input, ...]:
         """Those of the base that are not fixed, then the amplitudes."""
-        free = [i for i in self.base.inputs if i.name not in self.fixed]
-        kept = [Input(i.name, *self._range(i)) for i in free]
-        return (*kept, *(Input(d.name, *self.ranges[d.name]) for d in self.drifts))
+        return self._in_time.inputs
 
     @property
     def horizon_h(self) -> float:
@@ -123,53 +107,20 @@ class Driven:
         if np.any(times <= 0):
             raise InputError("times", times.tolist(), "are not after the start", "ask later")
         self.base.check_times(times)
-        cuts = {h for d in self.drifts for h in d.shape.cuts(PARTS) if h > 0}
-        edges = np.array([0.0, *sorted(cuts)])
-        edges = edges[edges < times.max()]
-        starts = edges[np.searchsorted(edges, times) - 1]
-        held = self._held(x, list(pairwise(edges)))
-        at_times = self._held(x, list(zip(starts, times, strict=True)))
+        edges, held, at_times = self._in_time.until(x, times)
         rule = FOLLOWED if self.drifts else 0.0
         found = follow(self.base, edges, held, times, at_times, what[0], rule, doubt=doubt)
         if self.anchor is None or what[1] is None:
             return found
-        middle = np.stack(
-            [
-                (np.diff(edges[: k + 1]) @ held[:, :k] + (t - edges[k]) * at_times[:, m]) / t
-                for m, (t, k) in enumerate(
-                    zip(times, np.searchsorted(edges, times) - 1, strict=True)
-                )
-            ],
-            axis=1,
-        )
+        start = self._in_time.start(x, self.anchor.asleep)
+        middle = from_start(edges, held, times, at_times)
         both = (what[0], what[1])
-        return self.anchor.corrected(self.base, self._start(x), middle, times, found, both, doubt)
-
-    def _start(self, x: Array) -> Array:
-        """The base's inputs (n, d) before anything runs, with what sleeps asleep."""
-        assert self.anchor is not None
-        names = [i.name for i in self.inputs]
-        out = np.empty((len(x), len(self.base.inputs)))
-        for j, own in enumerate(self.base.inputs):
-            asleep = self.anchor.asleep.get(own.name, self.fixed.get(own.name))
-            out[:, j] = x[:, names.index(own.name)] if asleep is None else asleep
-        return out
+        return self.anchor.corrected(self.base, start, middle, times, found, both, doubt)
 
     def _rows(self, quantity: str, nodes: Sequence[int] | None) -> Rows:
         """What is followed of the base, and of the anchor."""
         fine = None if self.anchor is None else Followed.of(self.anchor.fine, quantity, nodes)
         return Followed.of(self.base, quantity, nodes), fine
-
-    def _held(self, x: Array, pieces: Sequence[tuple[float, float]]) -> Array:
-        """The base's inputs (n, P, d) over pieces of time: the mean of each."""
-        values = dict(zip((i.name for i in self.inputs), x.T, strict=True))
-        held = np.empty((len(x), len(pieces), len(self.base.inputs)))
-        for p, (start, end) in enumerate(pieces):
-            for j, own in enumerate(self.base.inputs):
-                now = values.get(own.name)
-                now = np.full(len(x), self.fixed[own.name]) if now is None else now
-                held[:, p, j] = run(now, own, self.drifts, values, start, end)
-        return held
 
     def predict(
         self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None

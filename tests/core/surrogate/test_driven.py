@@ -145,7 +145,7 @@ def test_every_way_of_a_cycle_gets_its_pieces(monkeypatch: pytest.MonkeyPatch) -
     x, hours = np.array([[1.15, 0.94, 0.3, 1.8, 0.33]]), np.array([2.5e4, 5e4])
     mean = model.along(x, "elongation", hours)[0].ravel()
     for parts, off in ((24, 0.002), (1, 0.02)):
-        monkeypatch.setattr("core.surrogate.driven.PARTS", parts)
+        monkeypatch.setattr("core.surrogate.in_time.PARTS", parts)
         other = model.along(x, "elongation", hours)[0].ravel()
         assert np.all(np.abs(mean / other - 1.0) < off) == (parts > 1), mean / other
 
