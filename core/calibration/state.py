@@ -30,7 +30,7 @@ from core.smc.particles import Particles, ess, normalised
 
 Array = NDArray[np.float64]
 Get = Callable[[str], Array]
-ALGORITHM = "panels-13"
+ALGORITHM = "panels-14"
 
 
 @dataclass(frozen=True, slots=True)

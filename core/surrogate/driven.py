@@ -196,11 +196,10 @@ class Driven:
         later = np.flatnonzero(times > 0)
         if later.size:
             x = fit.points
-            if fit.bends:  # an error runs smoothly, and costs more than the mean
-                mean, _, ceeq = self._along(x, times[later], what, doubt=False)
-                sd = self._along(x[: len(x) // FEWER], times[later], what)[1]
-            else:
-                mean, sd, ceeq = self._along(x, times[later], what)
+            few = len(x) // FEWER
+            mean, sd, ceeq = self._along(x[:few], times[later], what)
+            more, _, of_more = self._along(x[few:], times[later], what, doubt=False)
+            mean, ceeq = np.concatenate([mean, more]), np.concatenate([ceeq, of_more])
         # time by time: rows are the same to the last bit whatever else is asked for with them
         for t, at in enumerate(later):
             parts[at] = fit.fitted(mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq)
