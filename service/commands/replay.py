@@ -39,7 +39,7 @@ def replay(
     compared; without one there is nothing to compare, which is 0.
     """
     from service.worker.rebuild import repair
-    from service.worker.rebuild import replay as compare
+    from service.worker.replay import replay as compare
 
     settings = Settings.load()
     with opened(settings) as store:

@@ -5,6 +5,8 @@
     task.py       what one update rests on: entries, and the state before them
     update.py     one rotor's pending entries become one new version
     culprit.py    which entry stops a rotor
+    replay.py     a posterior from the log alone, compared with what is stored
+    rebuild.py    and mended by it
     interrupt.py  a worker that is told to end ends what it computes
     job_lease.py  claim, heartbeat, progress, end: the fenced moves of a job
     jobs.py       work that answers later: the registration or training of a model, a diagnosis

@@ -42,7 +42,7 @@ from service.store.unit_of_work import SqlStore
 from service.worker import claiming, job_lease
 from service.worker import lease as leases
 from service.worker.loop import Worker
-from service.worker.rebuild import replay
+from service.worker.replay import replay
 from tests.service.adopting import Offsets
 
 Make = Callable[..., Inspection]

@@ -31,7 +31,7 @@ from service.store.audit import audit
 from service.store.engine import snapshot
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
-from service.worker.rebuild import replay
+from service.worker.replay import replay
 from tests.service.adopting import Lots
 
 Make = Callable[..., Inspection]

@@ -38,6 +38,7 @@ from service.store.unit_of_work import SqlStore
 from service.worker import claiming, rebuild
 from service.worker import lease as leases
 from service.worker.loop import Worker
+from service.worker.replay import from_log, replay
 from service.worker.task import anew
 from service.worker.update import Updater
 from tests.service.smooth import formula_science
@@ -445,7 +446,7 @@ def test_a_worker_that_loads_a_damaged_state_rebuilds_it_from_the_log(
     make_worker(fresh, FakeScience(), settings, "another").drain()
     view = view_rotor(fresh, worn)
     assert (view.rotor.version, view.rotor.applied_seq, view.rotor.last_error) == (5, 4, None)
-    assert rebuild.replay(fresh, FakeScience(), worn)["same"] is True
+    assert replay(fresh, FakeScience(), worn)["same"] is True
     left = {one.version for one in findings(fresh, worn)}
     assert 5 not in left, "the new version has all arrays of its own"
     with fresh.read() as tx:
@@ -507,7 +508,7 @@ def test_a_replay_differs_where_a_state_was_changed_together_with_its_digests(
 ) -> None:
     """Nothing but the log tells: every digest was made to fit."""
     science = FakeScience()
-    assert rebuild.replay(store, science, worn)["same"] is True
+    assert replay(store, science, worn)["same"] is True
     lease = claiming.claim_rotor(store.engine, worn, "forger", 60.0)
     assert lease is not None
     task = anew(store, worker.updater.science, lease)
@@ -516,14 +517,14 @@ def test_a_replay_differs_where_a_state_was_changed_together_with_its_digests(
     forged = replace(state, meta=meta)
     worker.updater.commit(lease, task, forged, worker.updater.change(task, forged))
     assert findings(store, worn) == [], "the digests agree with each other"
-    told = rebuild.replay(store, science, worn)
+    told = replay(store, science, worn)
     assert told["same"] is False
     changed = {one["array"] for one in told["differ"]}
     assert changed == {"column/B1", "column/B2", "column/B3", "shared/moments"}
     assert all(one["largest_difference"] > 0 for one in told["differ"])
     done = rebuild.repair(worker.updater, worn, [], renew=True)
     assert done.version == 6
-    assert rebuild.replay(store, science, worn)["same"] is True
+    assert replay(store, science, worn)["same"] is True
 
 
 def findings_digest(store: SqlStore, rotor: str) -> str:
@@ -553,7 +554,7 @@ def lose_the_rotor_while_repairing(
 ) -> None:
     """Between a repair's computing and its writing another worker claims the rotor."""
     damage(store, "UPDATE state SET digest = 'x' WHERE version = 4")
-    real = rebuild.from_log
+    real = from_log
 
     def slow(*args: Any) -> Any:
         made = real(*args)
@@ -591,7 +592,7 @@ def test_a_blade_that_joined_and_a_blocked_rotor_are_rebuilt_as_they_were(
     damage(store, "UPDATE cursor SET blocked = (1 = 1), attempts = 5, last_error = 'why'")
     done = rebuild.repair(worker.updater, worn, [], renew=True)
     assert done.version == 6
-    assert rebuild.replay(store, FakeScience(), worn)["same"] is True
+    assert replay(store, FakeScience(), worn)["same"] is True
     view = view_rotor(store, worn).rotor
     assert (view.blocked, view.attempts, view.last_error) == (True, 5, "why")
 
@@ -611,7 +612,7 @@ def test_the_real_calibration_gives_its_sealed_posterior_again_from_the_log(
         post("r1", reading(f"i{i}", blade=blade, value=value, time_h=8e3 * (i + 1), sigma=0.003))
         worker.drain()
     again = formula_science()
-    told = rebuild.replay(SqlStore(store.engine), again, "r1")
+    told = replay(SqlStore(store.engine), again, "r1")
     assert told["same"] is True
     assert len(told["replayed"]["arrays"]) == 6 + 2 * 3
     damage(store, "UPDATE state_array SET sha256 = 'x' WHERE name = 'shared/log_w'")
@@ -621,7 +622,7 @@ def test_the_real_calibration_gives_its_sealed_posterior_again_from_the_log(
     done = rebuild.repair(fresh.updater, "r1", found)
     assert told["version"] in done.restored
     assert findings(store, "r1") == []
-    assert rebuild.replay(SqlStore(store.engine), again, "r1")["same"] is True
+    assert replay(SqlStore(store.engine), again, "r1")["same"] is True
 
 
 @pytest.fixture

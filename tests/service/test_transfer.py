@@ -36,7 +36,7 @@ from service.store.engine import transaction
 from service.store.gathered import Gathered
 from service.store.named import digests
 from service.store.unit_of_work import SqlStore
-from service.worker.rebuild import replay
+from service.worker.replay import replay
 from tests.service.smooth import formula_science
 
 Make = Callable[..., Inspection]
