@@ -5,17 +5,14 @@
 transaction of the store. Neither knows HTTP, and the use cases know no SQL.
 """
 
+from service.ports.glance import AtWork, BladeReadings, Gauges, Operations
 from service.ports.records import (
     Appended,
-    AtWork,
-    BladeReadings,
     BladeRecord,
     Event,
-    Gauges,
     JobRecord,
     NewEvent,
     Note,
-    Operations,
     PlanTarget,
     ResidualRecord,
     RotorRecord,

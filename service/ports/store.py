@@ -8,16 +8,14 @@ from typing import Protocol
 
 from service.access import Act, Answers, Audit, Keys
 from service.hooks import Webhooks
+from service.ports.glance import BladeReadings, Gauges, Operations
 from service.ports.records import (
     Appended,
-    BladeReadings,
     BladeRecord,
     Event,
-    Gauges,
     JobRecord,
     NewEvent,
     Note,
-    Operations,
     ResidualRecord,
     RotorRecord,
     Seen,
