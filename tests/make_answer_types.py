@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from service.api import answers
-from service.api.answers import beliefs, diagnoses, others
+from service.api.answers import beliefs, diagnoses, others, residuals
 
 Json = dict[str, Any]
 FILE = Path(__file__).parents[1] / "service" / "client" / "answers.py"
@@ -52,10 +52,10 @@ NAMES: tuple[tuple[str, Json], ...] = (
     ("Field", others.FIELD),
     ("Webhook", others.WEBHOOK),
     ("Delivery", others.DELIVERY),
-    ("Residual", diagnoses.RESIDUAL),
-    ("ResidualTest", diagnoses.TEST),
-    ("Visit", diagnoses.VISIT),
-    ("Residuals", diagnoses.RESIDUALS),
+    ("Residual", residuals.RESIDUAL),
+    ("ResidualTest", residuals.TEST),
+    ("Visit", residuals.VISIT),
+    ("Residuals", residuals.RESIDUALS),
     ("Planned", diagnoses.PLANNED),
     ("Adoption", diagnoses.ADOPTION),
     ("Course", diagnoses.COURSE),

@@ -21,7 +21,7 @@ from service.api.answers.beliefs import (
     STANDING,
     SUMMARY,
 )
-from service.api.answers.diagnoses import ADOPTION, DIAGNOSIS, DIAGNOSIS_LISTED, PLANNED, RESIDUALS
+from service.api.answers.diagnoses import ADOPTION, DIAGNOSIS, DIAGNOSIS_LISTED, PLANNED
 from service.api.answers.others import (
     AUDIT,
     BLADES,
@@ -34,6 +34,7 @@ from service.api.answers.others import (
     SURFACE,
     WEBHOOK,
 )
+from service.api.answers.residuals import RESIDUALS
 from service.api.answers.words import (
     ANY,
     NUMBER,

@@ -1,4 +1,4 @@
-"""Diagnoses, their pictures, adoptions, and residuals."""
+"""Diagnoses, their pictures, and adoptions."""
 
 from __future__ import annotations
 
@@ -221,55 +221,3 @@ DIAGNOSIS_LISTED = {
     "finished_at": maybe(TEXT),
 }
 DIAGNOSIS = having(**DIAGNOSIS_LISTED, result=maybe(FOUND), adoption=maybe(ADOPTION))
-RESIDUAL = having(
-    inspection=TEXT,
-    blade=TEXT,
-    quantity=TEXT,
-    campaign=maybe(TEXT),
-    instrument=maybe(TEXT),
-    time_h=NUMBER,
-    rotor_h=NUMBER,
-    visit=WHOLE,
-    part=WHOLE,
-    y=NUMBER,
-    mean=NUMBER,
-    sd=NUMBER,
-    z=NUMBER,
-    pit=NUMBER,
-)
-TEST = having(
-    grouping=TEXT,
-    value=maybe(TEXT),
-    statistic={"enum": ["mean", "variance", "autocorrelation"]},
-    count=WHOLE,
-    score=NUMBER,
-    p=NUMBER,
-    p_family=NUMBER,
-    alarm=YES,
-)
-VISIT = having(
-    visit=WHOLE, readings=WHOLE, from_h=NUMBER, to_h=NUMBER, health=maybe(TEXT), reasons=each(TEXT)
-)
-RESIDUALS = having(
-    items=each(RESIDUAL),
-    next=maybe(TEXT),
-    rotor=TEXT,
-    as_of=maybe(
-        having(
-            version=WHOLE,
-            through_seq=WHOLE,
-            events_digest=TEXT,
-            model_digest=TEXT,
-            particles=WHOLE,
-            computed_at=TEXT,
-        )
-    ),
-    pending=YES,
-    error=maybe(TEXT),
-    visits=each(VISIT),
-    tests=each(TEST),
-    alarms=WHOLE,
-    family_wise_error=NUMBER,
-    draws=WHOLE,
-    freedom=maybe(NUMBER),
-)
