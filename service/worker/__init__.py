@@ -12,6 +12,8 @@
     jobs.py       work that answers later: the registration or training of a model, a diagnosis
     training.py   runs that were uploaded become a model
     diagnosing.py what a diagnosis rests on, and its result as data
+    deliver.py    sends what webhooks are to be told
+    hook_lease.py claim and fence of a webhook
     wake.py       how a sleeping worker or reader learns of a commit
     loop.py       the life of one worker process
     supervise.py  `serve` starts workers, restarts a dead one and leaves no orphan

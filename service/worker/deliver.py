@@ -1,7 +1,6 @@
 """Sends what webhooks are to be told: at least once, and each rotor's events in order.
 
-A worker takes a webhook under a fence and a lease, as others take a rotor, so that one worker at a
-time sends to it and a slow receiver holds up nobody else. It sends the heads (of each rotor the
+A worker that has taken a webhook (`service.worker.hook_lease`) sends the heads (of each rotor the
 first pending delivery) and only then records what came of it. If it dies in between, the lease runs
 out and the same message, with the same id, is sent again: never lost, seldom twice, and a receiver
 tells by the id.
@@ -20,10 +19,9 @@ import random
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from types import FrameType
 
-from sqlalchemy import ColumnElement, Engine, and_, exists, or_, select, update
+from sqlalchemy import Engine, select, update
 
 from core.errors import InputError
 from service import signing
@@ -33,9 +31,10 @@ from service.outbound import Network, SendError, networks, post
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
-from service.store.webhooks import delivery_of, prune, webhook_of
-from service.worker.claiming import LONGEST_S, over, rested
+from service.store.webhooks import delivery_of, prune
+from service.worker import hook_lease as leases
 from service.worker.heartbeat import heartbeats, rest
+from service.worker.hook_lease import HookLease
 from service.worker.wake import open_wake
 
 log = logging.getLogger("bladetwin.deliver")
@@ -45,54 +44,6 @@ MOST = 50  # messages to one receiver before others have their turn
 KEPT = {"delivered": 200, "dead": 10_000}  # of each webhook, the newest
 IDLE_S = 0.5
 Send = Callable[[str, Mapping[str, str], bytes, float, Sequence[Network]], int]
-
-
-@dataclass(frozen=True, slots=True)
-class HookLease:
-    """A claimed webhook, and the fence that the claim raised."""
-
-    webhook: WebhookRecord
-    fence: int
-    owner: str
-
-
-def due(longest_s: float = LONGEST_S) -> ColumnElement[bool]:
-    """A delivery that may be sent now: pending, rested, and nothing of its rotor before it."""
-    earlier = t.delivery.alias("earlier")
-    first = ~exists().where(
-        earlier.c.webhook_id == d.webhook_id,
-        earlier.c.rotor_id == d.rotor_id,
-        earlier.c.status == "pending",
-        earlier.c.id < d.id,
-    )
-    return and_(d.status == "pending", rested(d.not_before, longest_s), first)
-
-
-def holds(lease: HookLease) -> ColumnElement[bool]:
-    """The fence: no one has claimed the webhook since, or made another one under its name."""
-    same = w.fingerprint == lease.webhook.fingerprint
-    return and_(w.id == lease.webhook.id, w.fence == lease.fence, same)
-
-
-def claim_webhook(
-    engine: Engine, owner: str, lease_s: float, longest_s: float = LONGEST_S
-) -> HookLease | None:
-    """Take the webhook that was served longest ago and has something to be sent; None: nothing."""
-    free = or_(w.lease_until.is_(None), over(w.lease_until, lease_s))
-    work = exists().where(d.webhook_id == w.id, due(longest_s))
-    first = select(w.id).where(free, work).order_by(w.served_at.nulls_first(), w.id).limit(1)
-    with transaction(engine, write=False) as connection:
-        if connection.execute(first).scalar() is None:
-            return None
-    locked = first.with_for_update(skip_locked=True, key_share=True, of=t.webhook)
-    with transaction(engine, write=True) as connection:
-        webhook_id = connection.execute(locked).scalar()
-        if webhook_id is None:
-            return None
-        take = update(t.webhook).where(w.id == webhook_id)
-        take = take.values(fence=w.fence + 1, owner=owner, lease_until=now_s() + lease_s)
-        row = connection.execute(take.returning(t.webhook)).mappings().one()
-        return HookLease(webhook_of(row), row["fence"], owner)
 
 
 class Deliverer:
@@ -117,7 +68,7 @@ class Deliverer:
         """Serve one webhook; False: there was nothing to be sent."""
         lease_s = self.settings.lease_s
         longest_s = self.settings.webhook_retry_max_s
-        lease = claim_webhook(self.engine, self.owner, lease_s, longest_s)
+        lease = leases.claim_webhook(self.engine, self.owner, lease_s, longest_s)
         if lease is None:
             return False
         try:
@@ -132,7 +83,7 @@ class Deliverer:
         for _ in range(MOST):
             if self._stop.is_set():
                 return
-            now = due(self.settings.webhook_retry_max_s)
+            now = leases.due(self.settings.webhook_retry_max_s)
             query = select(t.delivery).where(d.webhook_id == lease.webhook.id, now)
             with transaction(self.engine, write=False) as connection:
                 row = connection.execute(query.order_by(d.id).limit(1)).mappings().first()
@@ -181,7 +132,7 @@ class Deliverer:
         status = "delivered" if problem is None else "dead" if dead else "pending"
         pause = self.pause(attempts) if counts else self.settings.webhook_retry_max_s
         with transaction(self.engine, write=True) as connection:
-            own = select(w.id).where(holds(lease)).with_for_update(key_share=True)
+            own = select(w.id).where(leases.holds(lease)).with_for_update(key_share=True)
             if connection.execute(own).first() is None:
                 raise LostLeaseError(f"webhook {lease.webhook.id}", lease.fence)
             connection.execute(
@@ -211,13 +162,13 @@ class Deliverer:
         return min(doubled, self.settings.webhook_retry_max_s) * random.uniform(0.5, 1.0)
 
     def _beat(self, lease: HookLease) -> bool:
-        beat = update(t.webhook).where(holds(lease))
+        beat = update(t.webhook).where(leases.holds(lease))
         with transaction(self.engine, write=True) as connection:
             beaten = beat.values(lease_until=now_s() + self.settings.lease_s)
             return connection.execute(beaten).rowcount == 1
 
     def _give_back(self, lease: HookLease) -> None:
-        free = update(t.webhook).where(holds(lease))
+        free = update(t.webhook).where(leases.holds(lease))
         with transaction(self.engine, write=True) as connection:
             prune(connection, lease.webhook.id, KEPT)
             connection.execute(free.values(owner=None, lease_until=None, served_at=now_s()))

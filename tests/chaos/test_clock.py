@@ -22,7 +22,7 @@ from service.studies.chaos.clock import Clock
 from service.studies.chaos.twin import Descent
 from service.worker import claiming
 from service.worker import lease as leases
-from service.worker.deliver import claim_webhook
+from service.worker.hook_lease import claim_webhook
 from service.worker.job_lease import claim_job
 from service.worker.loop import Worker
 from service.worker.residuals import claim_residuals

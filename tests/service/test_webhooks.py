@@ -35,8 +35,9 @@ from service.store.engine import transaction
 from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.store.webhooks import prune
-from service.worker import deliver
-from service.worker.deliver import Deliverer, claim_webhook
+from service.worker import hook_lease
+from service.worker.deliver import Deliverer
+from service.worker.hook_lease import claim_webhook
 from service.worker.loop import Worker
 from tests.service.receiver import Got, Receiver, after, drop_by_drop, receiving, then
 
@@ -472,7 +473,7 @@ def test_without_the_fence_it_would(
 ) -> None:  # fmt: skip
     hook()
     happens(rotor, "e")
-    monkeypatch.setattr(deliver, "holds", lambda lease: t.webhook.c.id == lease.webhook.id)
+    monkeypatch.setattr(hook_lease, "holds", lambda lease: t.webhook.c.id == lease.webhook.id)
     assert overtaken(store, settings)[0].status == "pending", "delivered, and to be sent again"
 
 
@@ -491,7 +492,7 @@ def test_without_heads_a_refused_one_would_be_overtaken(
         rested = t.delivery.c.not_before.is_(None)
         return (t.delivery.c.status == "pending") & rested
 
-    monkeypatch.setattr(deliver, "due", anything)
+    monkeypatch.setattr(hook_lease, "due", anything)
     sender(store, pausing).drain()
     assert [error for _, error in told(receiver)] == ["e0", "e1"]
 
