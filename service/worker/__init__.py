@@ -1,6 +1,7 @@
 """Workers: processes that turn the log into posteriors.
 
     claiming.py   who may take a rotor, and when
+    clock.py      when a lease or a pause is over, by the database's clock
     lease.py      heartbeat, commit, failure: the fenced moves of a cursor
     task.py       what one update rests on: entries, and the state before them
     update.py     one rotor's pending entries become one new version

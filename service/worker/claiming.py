@@ -18,13 +18,7 @@ A rotor is also claimed by name, to rebuild what was damaged (`claim_rotor`): un
 and never from a worker whose lease still runs.
 
 Each claim counts as an attempt until a version comes of it, and a rotor over which too many workers
-died is blocked. A lease that ran out because the database was restarted (`outlived`) is no death:
-the claim that follows it is not counted.
-
-The database's clock may be set back, and what was written before lies in its future then. A lease
-that ends later than any could that was given now (`AHEAD` times the caller's own) is over, and what
-began in the future began long ago: a rotor does not stand still until the clock has caught up. The
-fence makes that safe. The pause after a failed update alone may last longer; `retry` ends it.
+died is blocked. When a lease or a pause is over: `service.worker.clock`.
 
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
@@ -57,6 +51,7 @@ from sqlalchemy.sql.dml import ReturningUpdate
 from service.adopted import KINDS as CHANGES
 from service.store import tables as t
 from service.store.engine import begun_s, is_sqlite, now_s, transaction
+from service.worker import clock
 from service.worker.lease import Lease
 
 c = t.cursor.c
@@ -70,9 +65,6 @@ KINDS: dict[Role, tuple[Kind, ...]] = {
     "deliver": (),
 }
 FOREVER = 1e12  # s
-AHEAD = 10.0
-SLACK_S = 60.0  # that clocks of machines may differ by
-LONGEST_S = 3600.0  # of a pause, where nobody says otherwise
 
 
 def pending() -> ColumnElement[bool]:
@@ -94,45 +86,17 @@ def remodelled() -> ColumnElement[bool]:
 
 def overdue(overdue_s: float) -> ColumnElement[bool]:
     """The rotor has been provisional for too long."""
-    return and_(c.provisional_since.is_not(None), passed(c.provisional_since, overdue_s))
-
-
-def passed(since: ColumnElement[float], seconds: float) -> ColumnElement[bool]:
-    """So many seconds have passed since a moment; one in the future is from another clock."""
-    return or_(since <= now_s() - seconds, since > now_s() + 1.0)
-
-
-def over(until: ColumnElement[float], lease_s: float) -> ColumnElement[bool]:
-    """A lease has run out, or is longer than one that is given now."""
-    return or_(until <= now_s(), until > now_s() + AHEAD * lease_s)
-
-
-def rested(until: ColumnElement[float], longest_s: float) -> ColumnElement[bool]:
-    """A pause is over, or is longer than any that is given now: it is from another clock."""
-    return or_(until.is_(None), until <= now_s(), until > now_s() + longest_s + SLACK_S)
+    return and_(c.provisional_since.is_not(None), clock.passed(c.provisional_since, overdue_s))
 
 
 def unheld(lease_s: float) -> ColumnElement[bool]:
     """Nobody alive holds the rotor."""
-    return or_(c.lease_until.is_(None), over(c.lease_until, lease_s))
+    return or_(c.lease_until.is_(None), clock.over(c.lease_until, lease_s))
 
 
 def ran_out(lease_s: float) -> ColumnElement[bool]:
     """Somebody held the rotor and did not give it back."""
-    return over(c.lease_until, lease_s)
-
-
-def outlived(until: ColumnElement[float], lease_s: float) -> ColumnElement[bool]:
-    """A lease ran out while the database was away: its server was started after the last beat.
-
-    Whoever held it could not prolong it, however well the work went.
-    """
-    return and_(over(until, lease_s), until - lease_s < begun_s())
-
-
-def counted(until: ColumnElement[float], lease_s: float) -> ColumnElement[int]:
-    """What a claim adds to the attempts: nothing where the lease before it was outlived."""
-    return case((outlived(until, lease_s), 0), else_=1)
+    return clock.over(c.lease_until, lease_s)
 
 
 def claimable(
@@ -149,7 +113,7 @@ def claimable(
             or_(free, and_(c.sealing == true(), not_(late))),
         ),
         "model": and_(remodelled(), free),
-        "quiet": and_(not_(pending()), free, passed(c.dirty_since, quiet_s)),
+        "quiet": and_(not_(pending()), free, clock.passed(c.dirty_since, quiet_s)),
     }[kind]
     rested = or_(c.not_before.is_(None), c.not_before <= now_s())
     return and_(c.dirty == true(), c.blocked == false(), rested, due)
@@ -184,8 +148,9 @@ TAKEN = (c.rotor_id, c.fence, c.applied_seq, c.version, c.attempts, c.sealing)
 
 def _conditions() -> tuple[object, ...]:
     """What makes the statements, so that other ones make other statements."""
-    of_kind = (claimable, pending, remodelled, overdue, passed, unheld)
-    return (*of_kind, over, ran_out, outlived, counted, locked, now_s, begun_s, AHEAD)
+    of_kind = (claimable, pending, remodelled, overdue, clock.passed, unheld)
+    of_clock = (clock.over, clock.outlived, clock.counted, now_s, begun_s, clock.AHEAD)
+    return (*of_kind, ran_out, locked, *of_clock)
 
 
 def locked(first: Select[Any]) -> Select[Any]:
@@ -206,7 +171,7 @@ def _take(lease_s: float, kind: Kind) -> Update:
     """The claim of rotors that a condition is still to name."""
     return update(t.cursor).values(
         fence=c.fence + 1,
-        attempts=c.attempts + counted(c.lease_until, lease_s),
+        attempts=c.attempts + clock.counted(c.lease_until, lease_s),
         owner=bindparam("by"),
         lease_until=now_s() + lease_s,
         sealing=kind in ("late", "quiet"),

@@ -15,7 +15,7 @@ from service.hooks import WebhookRecord
 from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.store.webhooks import webhook_of
-from service.worker.claiming import LONGEST_S, over, rested
+from service.worker.clock import LONGEST_S, over, rested
 
 w, d = t.webhook.c, t.delivery.c
 

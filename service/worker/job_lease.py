@@ -19,8 +19,9 @@ from service.handlers.models import TRAIN
 from service.ports import Json
 from service.store import tables as t
 from service.store.engine import now_s, transaction
-from service.worker import claiming
-from service.worker.claiming import LONGEST_S, Role, over, rested
+from service.worker import clock
+from service.worker.claiming import Role
+from service.worker.clock import LONGEST_S, over, rested
 
 c = t.job.c
 LONG = (DIAGNOSE, TRAIN)
@@ -70,7 +71,7 @@ def claim_job(
     engine: Engine, owner: str, lease_s: float, role: Role = "all", longest_s: float = LONGEST_S
 ) -> JobLease | None:
     """Take the oldest job of the role's kinds that nobody alive holds."""
-    first = _oldest(lease_s, role, longest_s, (takes, over, claiming.AHEAD))
+    first = _oldest(lease_s, role, longest_s, (takes, over, clock.AHEAD))
     with transaction(engine, write=False) as connection:
         if connection.execute(first).scalar() is None:
             return None
@@ -84,7 +85,7 @@ def claim_job(
             .values(
                 status="running",
                 fence=c.fence + 1,
-                attempts=c.attempts + claiming.counted(c.lease_until, lease_s),
+                attempts=c.attempts + clock.counted(c.lease_until, lease_s),
                 owner=owner,
                 lease_until=now_s() + lease_s,
             )

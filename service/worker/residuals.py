@@ -31,7 +31,7 @@ from service.store.engine import now_s, transaction
 from service.store.entries import read_entries
 from service.store.outbox import post
 from service.store.unit_of_work import SqlStore
-from service.worker.claiming import LONGEST_S, counted, over, rested
+from service.worker.clock import LONGEST_S, counted, over, rested
 from service.worker.diagnosing import MOST_PARTICLES, plain
 from service.worker.heartbeat import heartbeats
 from service.worker.jobs import StoppedError

@@ -21,6 +21,7 @@ from service.studies.chaos.check import check
 from service.studies.chaos.clock import Clock
 from service.studies.chaos.twin import Descent
 from service.worker import claiming
+from service.worker import clock as database_clock
 from service.worker import lease as leases
 from service.worker.hook_lease import claim_webhook
 from service.worker.job_lease import claim_job
@@ -127,7 +128,7 @@ def test_a_dead_workers_residuals_are_taken_over_though_the_clock_was_set_back(
 def test_without_the_bound_a_rotor_waits_until_the_clock_has_caught_up(
     store: SqlStore, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(claiming, "AHEAD", 1e9)
+    monkeypatch.setattr(database_clock, "AHEAD", 1e9)
     clock, engine = Clock(store.engine), store.engine
     post(rotor, reading("a"))
     assert claiming.claim(engine, "dead", LEASE_S) is not None

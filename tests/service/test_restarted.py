@@ -16,7 +16,7 @@ from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import begun_s, is_sqlite, now_s, transaction
 from service.store.unit_of_work import SqlStore
-from service.worker import claiming
+from service.worker import clock
 from service.worker.claiming import claim
 from service.worker.job_lease import claim_job
 from service.worker.residuals import claim_residuals
@@ -91,6 +91,6 @@ def test_other_work_is_counted_alike(
 def test_were_it_not_looked_at_a_restart_would_count(
     store: SqlStore, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(claiming, "outlived", lambda until, lease_s: false())
+    monkeypatch.setattr(clock, "outlived", lambda until, lease_s: false())
     post(rotor, reading("a"))
     assert attempts(store, begun_s() - 1.0) == 2

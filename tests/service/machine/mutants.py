@@ -15,7 +15,7 @@ from service.store import tables as t
 from service.store.log import SqlLog
 from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
-from service.worker.claiming import rested
+from service.worker.clock import rested
 from tests.service.machine.adoptions import Adoptions
 from tests.service.machine.base import Machine
 from tests.service.machine.hooks import Hooks
