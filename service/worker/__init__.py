@@ -5,6 +5,7 @@
     lease.py      heartbeat, commit, failure: the fenced moves of a cursor
     task.py       what one update rests on: entries, and the state before them
     update.py     one rotor's pending entries become one new version
+    new_version.py its arrays, its row and the cursor, committed together
     culprit.py    which entry stops a rotor
     replay.py     a posterior from the log alone, compared with what is stored
     rebuild.py    and mended by it

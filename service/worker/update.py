@@ -20,26 +20,23 @@ from time import perf_counter
 
 from sqlalchemy import Engine
 
-from core.digest import state_digest
 from core.errors import CalibrationError
 from service.errors import DamagedError, LostLeaseError, StoreAwayError
 from service.kernels import CompiledError
-from service.ports import RotorState, Science, StateRecord
+from service.ports import RotorState, Science
 from service.settings import Settings
-from service.store.encoding import Encoded, encode
-from service.store.engine import transaction
 from service.store.outbox import trim
 from service.store.unit_of_work import SqlStore
-from service.store.versions import thin, write_state
+from service.store.versions import thin
 from service.tracing import span
-from service.worker import claiming, culprit
+from service.worker import claiming, culprit, new_version
 from service.worker import lease as leases
 from service.worker import task as tasks
-from service.worker.alarm import alarm
 from service.worker.heartbeat import Deadline, heartbeats
 from service.worker.interrupt import Interrupt, Interrupted
 from service.worker.lease import Lease
-from service.worker.memory import Memories, Memory
+from service.worker.memory import Memories
+from service.worker.new_version import Change
 from service.worker.overdue import Bound, endless
 from service.worker.task import Task
 from service.worker.traced import Told, told
@@ -47,8 +44,6 @@ from service.worker.traced import Told, told
 log = logging.getLogger("bladetwin.worker")
 THIN_EVERY = 16
 MOST_TEXT = 3000  # characters of an error, before what is said of its entry
-# SHA-256 of each array of a version, and the arrays to write (None: the name ended)
-Change = tuple[dict[str, str], dict[str, Encoded | None]]
 
 
 class Updater:
@@ -164,18 +159,7 @@ class Updater:
 
     def change(self, task: Task, state: RotorState) -> Change:
         """The arrays that the new version has to write, and the digest of each that it has."""
-        before, fresh = task.memory.sha256, state.fresh
-        sha256: dict[str, str] = {}
-        changed: dict[str, Encoded | None] = {}
-        for name in state.arrays:
-            if name not in fresh:
-                sha256[name] = before[name]
-                continue
-            encoded = encode(state.arrays[name])
-            sha256[name] = encoded.sha256
-            if task.memory.anew or before.get(name) != encoded.sha256:
-                changed[name] = encoded
-        return sha256, changed | dict.fromkeys(before.keys() - sha256.keys())
+        return new_version.change(task, state)
 
     def thin(self, rotor_id: str, version: int) -> None:
         """Drop what no kept version needs, now and then; after a commit, for it may take long."""
@@ -186,39 +170,9 @@ class Updater:
 
     def commit(self, lease: Lease, task: Task, state: RotorState, change: Change) -> int:
         """State and cursor in one transaction; LostLeaseError leaves the database as it was."""
-        sha256, changed = change
-        sealed = bool(state.meta["sealed"])
-        with transaction(self.engine, write=True) as connection:
-            ratio = state.meta["health"].get("ess_ratio")
-            version = leases.advance(
-                connection, lease, task.through, sealed=sealed, ess_ratio=ratio
-            )
-            record = StateRecord(
-                rotor_id=lease.rotor_id,
-                version=version,
-                through_seq=task.through,
-                model_id=task.card.id,
-                model_version=task.card.version,
-                algorithm_version=str(state.meta["algorithm_version"]),
-                sealed=sealed,
-                digest=state_digest(state.meta, sha256),
-                events_digest=str(state.meta["events_digest"]),
-                meta=dict(state.meta),
-                created_at=0.0,
-            )
-            alarm(connection, record)
-            write_state(connection, record, changed)
-        memory = Memory(
-            version,
-            task.through,
-            state,
-            sha256,
-            last=task.last,
-            digest=record.digest,
-            log=task.log.closed(),
-        )
+        memory = new_version.commit(self.engine, lease, task, state, change)
         self._memory.put(lease.rotor_id, memory)
-        return version
+        return memory.version
 
     def return_unused(self, lease: Lease) -> None:
         """A database that is away or full, code still to be loaded, a worker that is to end: none

@@ -23,7 +23,7 @@ from service.store.unit_of_work import SqlStore
 from service.studies.chaos import twin
 from service.studies.chaos.processes import Kind
 from service.worker import lease as leases
-from service.worker import task, update
+from service.worker import new_version, task
 from service.worker.update import Updater
 
 Put = Callable[[Any, str, Any], None]
@@ -110,14 +110,14 @@ def no_fence(put: Put) -> None:
 
 def cursor_outside(put: Put) -> None:
     """The state is committed in a transaction of its own, before the cursor moves."""
-    real = update.write_state
+    real = new_version.write_state
 
     def by_itself(connection: Connection, record: Any, changed: Any) -> None:
         connection.rollback()
         with transaction(connection.engine, write=True) as own:
             real(own, record, changed)
 
-    put(update, "write_state", by_itself)
+    put(new_version, "write_state", by_itself)
 
 
 BREAK: dict[str, Callable[[Put], None]] = {

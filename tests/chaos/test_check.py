@@ -18,7 +18,7 @@ from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.check import Findings, check
 from service.studies.chaos.twin import Descent
-from service.worker import claiming, update
+from service.worker import claiming, new_version
 from service.worker import lease as leases
 from service.worker.update import Updater
 from tests.chaos import mutants
@@ -89,14 +89,14 @@ def stalled(pair: Pair) -> None:
 def dies_in_commit(pair: Pair) -> None:
     """The first worker dies between the state and the end of its commit; the second goes on."""
     pair.post("a")
-    written = update.write_state
+    written = new_version.write_state
 
     def write(*given: Any) -> None:
         written(*given)
         raise Crash
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(update, "write_state", write)
+        patch.setattr(new_version, "write_state", write)
         with pytest.raises(Crash):
             pair.first.run_once()
     pair.expire()

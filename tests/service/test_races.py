@@ -29,7 +29,7 @@ from service.store.engine import transaction
 from service.store.log import SqlLog
 from service.store.outbox import post as post_note
 from service.store.unit_of_work import SqlStore
-from service.worker import claiming
+from service.worker import claiming, new_version
 from service.worker import lease as leases
 from service.worker import update as updates
 
@@ -181,7 +181,7 @@ def test_a_crash_anywhere_in_the_commit_leaves_nothing_half_done(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     post(rotor, reading("a"))
-    module: Any = updates if point == "write_state" else leases
+    module: Any = new_version if point == "write_state" else leases
     real = getattr(module, point)
     calls: list[int] = []
 
@@ -201,7 +201,7 @@ def test_a_cursor_outside_the_transaction_is_noticed_after_a_crash(
     race: Race, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     post(rotor, reading("a"))
-    real_write, real_advance = updates.write_state, leases.advance
+    real_write, real_advance = new_version.write_state, leases.advance
     crashed: list[int] = []
 
     def write_by_itself(connection: Any, record: Any, changed: Mapping[str, Any]) -> None:
@@ -213,7 +213,7 @@ def test_a_cursor_outside_the_transaction_is_noticed_after_a_crash(
             crashed.append(1)
             raise Crash
 
-    monkeypatch.setattr(updates, "write_state", write_by_itself)
+    monkeypatch.setattr(new_version, "write_state", write_by_itself)
     monkeypatch.setattr(leases, "advance", real_advance)
     with pytest.raises(AssertionError, match="versions"):
         crash_and_recover(race, rotor)

@@ -25,7 +25,7 @@ from service.settings import Settings
 from service.store import creation, log, named, outbox, versions, webhooks, whole
 from service.store import tables as t
 from service.store.unit_of_work import SqlStore
-from service.worker import claiming, lease, task, update
+from service.worker import claiming, lease, new_version, task
 from service.worker.claiming import Role
 from service.worker.loop import Worker
 
@@ -273,7 +273,8 @@ def test_a_failed_update_pauses_before_it_is_tried_again(
 
 
 @pytest.mark.parametrize(
-    ("module", "where"), [(update, "write_state"), (task, "read_entries"), (update, "alarm")]
+    ("module", "where"),
+    [(new_version, "write_state"), (task, "read_entries"), (new_version, "alarm")],
 )
 def test_a_database_that_is_away_or_full_never_blocks_a_rotor(
     module: ModuleType,

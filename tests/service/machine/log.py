@@ -9,7 +9,7 @@ import pytest
 from hypothesis import strategies as st
 
 from service.errors import LostLeaseError
-from service.worker import claiming, update
+from service.worker import claiming, new_version
 from service.worker import lease as leases
 from tests.service.machine.base import Machine
 from tests.service.machine.steps import act, rotors
@@ -156,7 +156,7 @@ class Log(Machine):
     @act(which=st.integers(0, 1), point=st.sampled_from(["advance", "write_state"]))
     def crash(self, which: int, point: str) -> None:
         """A worker dies in its commit; its lease runs out."""
-        module: Any = leases if point == "advance" else update
+        module: Any = leases if point == "advance" else new_version
         real = getattr(module, point)
 
         def dying(*given: Any, **named: Any) -> None:
