@@ -130,11 +130,12 @@ def _prediction(store: SqlStore, science: Science, rotor: str, wanted: Wanted) -
     from service.export import sensorthings
     from service.export.tables import prediction_csv
     from service.handlers import reads
+    from service.handlers.questions import question
     from service.moments import moment
     from service.ports import Which
 
     found = reads.basis(store, science, rotor, Which(wanted.version), wanted.blade)
-    asked = reads.question(found.card, wanted.quantity, hours(wanted.times), None, 0.95)
+    asked = question(found.card, wanted.quantity, hours(wanted.times), None, 0.95)
     told = reads.predict(store, science, found, asked)
     body = {"rotor": rotor} | told | {"rests_on": found.to_json()}
     if wanted.form is Form.CSV:

@@ -10,7 +10,8 @@ import numpy as np
 from core.errors import InputError, RangeError
 from service.errors import FaultsError, NotFoundError
 from service.handlers.blades import blades_at, blades_of
-from service.handlers.reads import Basis, Question, bands_of, health, held_from
+from service.handlers.questions import Question
+from service.handlers.reads import Basis, bands_of, health, held_from
 from service.moments import moment
 from service.ports import (
     BladeReadings,

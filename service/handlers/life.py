@@ -8,7 +8,8 @@ import numpy as np
 
 from core.errors import InputError
 from service.errors import FaultsError
-from service.handlers.reads import Basis, Question, health, held_from, question
+from service.handlers.questions import Question, question
+from service.handlers.reads import Basis, health, held_from
 from service.ports import Json, ModelCard, Science, Store
 
 AXES = ("x", "y", "z")

@@ -7,7 +7,8 @@ from core.log import effective
 from core.observation import Inspection
 from service.entries import entries_of
 from service.handlers.blades import blades_of
-from service.handlers.reads import Basis, health, question
+from service.handlers.questions import question
+from service.handlers.reads import Basis, health
 from service.ports import BladeRecord, Event, Json, PlanTarget, Science, Store, Transaction
 
 PAGE = 2000

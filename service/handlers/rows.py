@@ -8,7 +8,8 @@ import numpy as np
 
 from core.errors import RangeError
 from service.handlers.blades import blades_at, blades_of
-from service.handlers.reads import Basis, Question, bands_of, held_from
+from service.handlers.questions import Question
+from service.handlers.reads import Basis, bands_of, held_from
 from service.ports import BladeRecord, Json, Science, Store
 
 MOST_ROWS = 20_000

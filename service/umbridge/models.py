@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from core.errors import InputError, RangeError
-from service.handlers.reads import MOST_TIMES, Basis, Question, health, predict, question
+from service.handlers.questions import MOST_TIMES, Question, question
+from service.handlers.reads import Basis, health, predict
 from service.ports import Forward, Science, Store
 from service.umbridge.protocol import Json, Served, Vectors, number
 

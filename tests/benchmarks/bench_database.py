@@ -35,6 +35,7 @@ from service.bootstrap import make_science, make_store, make_worker, prepare
 from service.handlers import reads
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
+from service.handlers.questions import question
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord, Which
 from service.settings import Settings
@@ -114,7 +115,7 @@ def measured(readings: int, particles: int) -> dict[str, Cost]:
 
         def read() -> None:
             found = reads.basis(store, science, "r", Which(), NAMES[3])
-            asked = reads.question(found.card, "elongation", [8e3, 24e3, 5e4], None, 0.95)
+            asked = question(found.card, "elongation", [8e3, 24e3, 5e4], None, 0.95)
             reads.predict(store, science, found, asked)
 
         told["read"] = meter.of(read, 10 * readings)

@@ -19,6 +19,7 @@ from service.bootstrap import make_worker
 from service.fake import FakeScience
 from service.handlers import reads
 from service.handlers.blades import add_blade
+from service.handlers.questions import question
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, ModelCard, Which
 from service.settings import Settings
@@ -127,7 +128,7 @@ def test_a_rotor_of_the_first_release_goes_on_after_the_migration(bare_url: str)
     assert again[2] is False, "the same body still gets the same answer"
     assert add_blade(store, "r1", BladeRecord("B1")).new is False
     found = reads.basis(store, science, "r1", Which(), "B1")
-    asked = reads.question(found.card, "elongation", [25_000.0], None, 0.95)
+    asked = question(found.card, "elongation", [25_000.0], None, 0.95)
     assert reads.predict(store, science, found, asked)["mean"][0] > 0
     store.close()
 

@@ -22,6 +22,7 @@ from service.bootstrap import make_worker
 from service.handlers import reads
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
+from service.handlers.questions import question
 from service.handlers.rotors import create_rotor, view_rotor
 from service.ports import BladeRecord, RotorSpec, Which
 from service.science import CoreScience
@@ -70,7 +71,7 @@ def test_any_order_of_arrival_ends_in_the_same_sealed_posterior_and_a_band_that_
     get = real_store.arrays("r1", state.version)
     assert all(get(name).tobytes() == array.tobytes() for name, array in alone.arrays.items())
 
-    asked = reads.question(basis.card, "elongation", [30_000.0, 50_000.0], None, 0.95)
+    asked = question(basis.card, "elongation", [30_000.0, 50_000.0], None, 0.95)
     bands = reads.predict(real_store, science, basis, asked)
     truth = [float(elongation(TRUE, t)[0]) for t in asked.times]
     for low, true, high in zip(bands["lower"], truth, bands["upper"], strict=True):

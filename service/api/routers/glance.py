@@ -26,7 +26,8 @@ from service.api.services import (
 )
 from service.api.which import Asked
 from service.handlers import glance as use
-from service.handlers.reads import basis, health, question
+from service.handlers.questions import question
+from service.handlers.reads import basis, health
 from service.ports import StateRecord
 
 router = APIRouter(prefix="/v1", tags=["glance"])

@@ -19,6 +19,7 @@ from service.export import sensorthings
 from service.export.tables import prediction_csv
 from service.handlers import reads as use
 from service.handlers.life import along_question, life
+from service.handlers.questions import question
 from service.names import is_number
 from service.ports import Which
 
@@ -92,7 +93,7 @@ def get_prediction(
 ) -> Response:
     def answer(request: Request) -> Response:
         found = use.basis(services.store, services.science, r, which, b)
-        asked = use.question(found.card, quantity, read_times(times), node, probability, instrument)
+        asked = question(found.card, quantity, read_times(times), node, probability, instrument)
         rests_on(request, found, which, answer)
         tag = tag_of_basis(request, found)
         if (same := unchanged(request, tag)) is not None:
