@@ -14,9 +14,8 @@ only the last one is backed out.
 A blade that joins a lot of which an effect is in force has the effect, as it grows with the blade's
 own hours: its name goes into the network's list of blades, by an entry of the log for each adoption
 that concerns it, in the transaction in which it joins. What lies above that adoption was put on the
-network without it; so the network that a back-out brings back has the blade as well. An effect that
-runs by the rotor's hours is not told so (where the new blade's hours began is not known to it), nor
-one of an event, which the blade did not see.
+network without it; so the network that a back-out brings back has the blade as well. Which effects
+a blade joins, and which it would have to be told: `service.concerned`.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from service.concerned import by_lot
 from service.errors import DamagedLogError
 from service.ports import BladeRecord, Event, Json, RotorRecord, Transaction
 
 ADOPTION, BACK_OUT, JOINING = "adoption", "back-out", "joining"
 KINDS = (ADOPTION, BACK_OUT, JOINING)
 PARTS = ("drifts", "biases")
-LOTS = ("lot", "coating_lot")
 PAGE = 200
 
 
@@ -53,7 +52,7 @@ class Sheet:
 
     def joins(self, blade: BladeRecord) -> list[Json]:
         """Its effects that a blade has which joins now: those of its lot, by its own hours."""
-        return [e for e in self.effects if _by_lot(e, blade) and part_of(e, self.parts)]
+        return [e for e in self.effects if by_lot(e, blade) and part_of(e, self.parts)]
 
     def joined_to(self, effect: Json) -> list[str]:
         """The blades that have joined one of its effects."""
@@ -178,46 +177,6 @@ def _parts(network: Json | None) -> set[str]:
     effects = (network or {}).get("effects", {})
     listed = (one for kind in PARTS for one in effects.get(kind, ()))
     return {one["name"] for one in listed if one.get("blades") is not None}
-
-
-def untold(effect: Json, blades: Iterable[BladeRecord]) -> list[str]:
-    """Blades that joined after an effect in force (`Adopted.effects`), and that it concerns.
-
-    The model takes such a blade for one that the effect leaves alone, or that began with the rotor.
-    Those that joined the effect (`JOINING`) are told.
-
-    >>> wear = {"seq": 7, "whom": "lot", "value": "L1", "clock": "blade", "shape": "linear"}
-    >>> untold(wear, [BladeRecord(f"B{n}", lot="L1", added_seq=n) for n in (0, 6, 8)])
-    ['B8']
-    """
-    told = effect.get("joined", ())
-    late = (b for b in blades if b.added_seq > effect["seq"] and b.id not in told)
-    return [b.id for b in late if concerns(effect, b)]
-
-
-def concerns(effect: Json, blade: BladeRecord) -> bool:
-    """Whether a blade that joined has to be told about an effect: of its lot, or of a day.
-
-    An event's, which was before it joined, it did not see.
-    """
-    whom = effect.get("whom")
-    if effect.get("clock") == "event":
-        return False
-    if whom in LOTS:
-        return _of_lot(effect, blade)
-    runs = effect.get("clock") == "rotor" and effect.get("shape") != "constant"
-    return bool(runs and whom in ("all", "instrument", "campaign"))
-
-
-def _of_lot(effect: Json, blade: BladeRecord) -> bool:
-    own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
-    return effect["value"] is not None and bool(own[effect["whom"]] == effect["value"])
-
-
-def _by_lot(effect: Json, blade: BladeRecord) -> bool:
-    """Whether an effect is of the blade's lot and grows with the blade's own hours."""
-    own = effect.get("clock") == "blade" and effect.get("whom") in LOTS
-    return own and _of_lot(effect, blade)
 
 
 def adopted_at(

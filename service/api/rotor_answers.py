@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from service.adopted import untold
 from service.api.services import moment
+from service.concerned import untold
 from service.handlers.reads import health
 from service.handlers.rotors import RotorView
 from service.ports import BladeRecord, RotorRecord

@@ -17,7 +17,8 @@ from collections.abc import Sequence
 
 from core.errors import BladetwinError
 from core.log import Entry, effective
-from service.adopted import Adopted, concerns
+from service.adopted import Adopted
+from service.concerned import concerns
 from service.entries import entries_of
 from service.errors import AdoptionError
 from service.ports import (

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.adopted import adopted_at, untold
+from service.adopted import adopted_at
+from service.concerned import untold
 from service.errors import NotFoundError, NotYetError
 from service.handlers.moments import summary
 from service.handlers.questions import Question
@@ -45,7 +46,7 @@ def health(state: StateRecord) -> Json:
 class Basis:
     """A version of a rotor's posterior and the model that it rests on; the blade, if named.
 
-    untold  adopted effects that concern this blade, or any, which joined later (`adopted.untold`)
+    untold  adopted effects that concern this blade, or any, which joined later (`concerned.untold`)
     """
 
     state: StateRecord

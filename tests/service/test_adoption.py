@@ -19,11 +19,12 @@ from core.diagnosis.verdict import Held
 from core.log import Entry
 from core.observation import Inspection
 from service import bundle
-from service.adopted import adopted_at, concerns
+from service.adopted import adopted_at
 from service.bootstrap import make_worker
 from service.bundle import BundleError
 from service.cli import app as commands
 from service.client import Client, ProblemError
+from service.concerned import concerns
 from service.handlers import adoptions
 from service.handlers.adoptions import adopt
 from service.handlers.blades import add_blade

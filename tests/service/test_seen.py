@@ -13,7 +13,8 @@ from sqlalchemy import event, text
 
 from core.errors import BladetwinError
 from core.observation import Inspection
-from service.adopted import adopted_at, untold
+from service.adopted import adopted_at
+from service.concerned import untold
 from service.digests import digest_of_blade, digest_of_json
 from service.entries import BLADES
 from service.errors import NotFoundError, NotYetError
