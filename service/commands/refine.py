@@ -144,6 +144,7 @@ def _source(
 
     from core.builtin.paper_network import rotor_blade_network
     from service import refining, sampling
+    from service.command_runs import Command
     from service.declared import read_file
 
     if served is not None and command is not None:
@@ -160,7 +161,7 @@ def _source(
     declared, instants = read_file(network), _hours(times, "times")
     if command is not None:
         yield (
-            refining.Command.of(
+            Command.of(
                 command, declared, time_h=instants, nodes=nodes, workers=workers, timeout=timeout
             ),
             declared,

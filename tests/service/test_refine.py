@@ -23,6 +23,7 @@ from core.posterior_region import of_prior
 from core.surrogate.rounds import LOG, read_log
 from service import refining
 from service.cli import app
+from service.command_runs import Command
 from service.commands.refine import _regions, goals_of
 from tests.exchanger import BOTH, NETWORK, TIME_H, drop, network, readings
 from tests.service.test_sampling import HOURS, serving
@@ -131,7 +132,7 @@ def test_what_a_command_does_wrong_is_the_reason_of_its_run(
 ) -> None:
     (own / "bad.py").write_text(f"import sys\n{program}\n")
     text = f"{sys.executable} {own / 'bad.py'}"
-    source = refining.Command.of(text, network(), time_h=tuple(TIME_H), timeout=2.0)
+    source = Command.of(text, network(), time_h=tuple(TIME_H), timeout=2.0)
     archive = source.open(own / "runs", 0)
     failed = source.run(archive, {4: np.array([2.0, 5e-5])}, lambda done: None)
     assert said in failed[4]
@@ -143,7 +144,7 @@ def test_a_command_may_write_numpy_arrays(own: Path) -> None:
         "import sys, numpy as np\nnp.savez(sys.argv[2][:-5] + '.npz', drop=np.arange(9.0))\n"
     )
     text = f"{sys.executable} {own / 'npz.py'}"
-    source = refining.Command.of(text, network(), time_h=tuple(TIME_H))
+    source = Command.of(text, network(), time_h=tuple(TIME_H))
     archive = source.open(own / "runs", 0)
     assert source.run(archive, {4: np.array([2.0, 5e-5])}, lambda done: None) == {}
     np.testing.assert_array_equal(archive.stack("drop", [4])[0], np.arange(9.0))
@@ -174,19 +175,19 @@ def test_what_cannot_be_refined_is_refused_before_a_run(
 def test_a_source_without_its_network_and_an_archive_of_another_are_refused(own: Path) -> None:
     assert "has no source of runs" in str(run(own / "a", "--network", own / "net.yaml").exception)
     assert "network = None is missing" in str(run(own / "a", "--command", "true").exception)
-    source = refining.Command.of("true", network(), time_h=tuple(TIME_H))
+    source = Command.of("true", network(), time_h=tuple(TIME_H))
     source.open(own / "a", 0)
-    other = refining.Command.of("true", network(BOTH), time_h=tuple(TIME_H))
+    other = Command.of("true", network(BOTH), time_h=tuple(TIME_H))
     with pytest.raises(InputError, match="are not the network's \\(drop, transfer\\)"):
         other.open(own / "a", 0)
     with pytest.raises(ModelError, match="other finite elements"):
         refining.FiniteElements().open(own / "a", 0)
     with pytest.raises(InputError, match="has no words"):
-        refining.Command.of("  ", network())
+        Command.of("  ", network())
 
 
 def test_readings_that_the_network_cannot_use_are_named_by_line(own: Path) -> None:
-    archive = refining.Command.of("true", network(), time_h=tuple(TIME_H)).open(own / "a", 0)
+    archive = Command.of("true", network(), time_h=tuple(TIME_H)).open(own / "a", 0)
     head = b"id,blade,quantity,time_h,value,unit\n"
     with pytest.raises(FaultsError, match="line 2"):
         refining.readings_of(head + b"a,E1,lift,500,1.0,kPa\n", network(), archive)
