@@ -10,15 +10,13 @@ The keys are those of `core.network.Network.to_json`::
       - {name: drop, unit: kPa, kind: scalar, low: -5, high: 200,
          sigma_obs: {kind: log_uniform, low: 0.05, high: 2}}
 
-YAML is read safely: plain data alone, no aliases (a few lines could else unfold to gigabytes), no
-key twice (the last would silently win), and 1e-3 is a number, as YAML 1.2 has it.
+How YAML is read: `service.plain_yaml`.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,7 +25,8 @@ import yaml
 
 from core.errors import FaultsError, InputError
 from core.network import Network
-from service.names import ID_LENGTH, ID_PATTERN, LONGEST_NUMBER
+from service.names import ID_LENGTH, ID_PATTERN
+from service.plain_yaml import UNREADABLE, PlainReader
 from service.ports import Json
 
 MOST_BYTES = 2**17  # pure Python reads some 25 kB of YAML a second on a slow processor
@@ -56,54 +55,6 @@ SAID = {str: "a text", float: "a finite number", int: "a whole number", bool: "t
 KINDS = ("scalar", "field", "vector")
 
 
-UNREADABLE = (
-    *(yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError, OverflowError),
-    *(KeyError, IndexError, AttributeError, TypeError),  # explicit tags on what they do not fit
-)
-
-
-class _Reader(yaml.SafeLoader):  # type: ignore[misc]
-    """Safe YAML, without aliases and repeated keys, and with the numbers of YAML 1.2."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.events.AliasEvent):
-            mark = self.peek_event().start_mark
-            raise yaml.YAMLError(
-                f"line {mark.line + 1}: aliases (*name) are not read; write it out"
-            )
-        return super().compose_node(parent, index)
-
-    def short_number(self, node: Any) -> Any:
-        if len(node.value) > LONGEST_NUMBER:
-            line = node.start_mark.line + 1
-            raise yaml.YAMLError(
-                f"the number at line {line} has {len(node.value)} characters, above "
-                f"{LONGEST_NUMBER}"
-            )
-        whole = node.tag.endswith(":int")
-        return self.construct_yaml_int(node) if whole else self.construct_yaml_float(node)
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        counts = Counter(keys)
-        twice = sorted({str(key) for key in keys if counts[key] > 1})
-        if twice:
-            line = node.start_mark.line + 1
-            raise yaml.YAMLError(f"the mapping at line {line} has {', '.join(twice)} twice")
-        return super().construct_mapping(node, deep)
-
-
-_Reader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
-
-
-for _tag in ("int", "float"):
-    _Reader.add_constructor(f"tag:yaml.org,2002:{_tag}", _Reader.short_number)
-
-
 def read_network(text: str | bytes, where: str = "network") -> Network:
     """The network that a text declares; FaultsError lists every fault under the names in it.
 
@@ -116,7 +67,7 @@ network.quantities = [] is empty. To mend it: declare at least one.
         remedy = f"write one of {MOST_BYTES} bytes at most"
         raise FaultsError([InputError(where, f"{len(text)} bytes", "is too long", remedy)])
     try:
-        told = yaml.load(text, Loader=_Reader)
+        told = yaml.load(text, Loader=PlainReader)
     except UNREADABLE as error:
         said = " ".join(str(error).split())[:300]
         problem = f"is neither YAML nor JSON: {said}"
