@@ -9,29 +9,26 @@ Read are, all of the same media type (`service.export.sensorthings.MEDIA`),
                     CreateObservations; a component is a field of an Observation, ``id`` or
                     ``parameters/NAME``
 
-A Datastream names blade, quantity and instrument by its id, or by its Thing, ObservedProperty and
-Sensor; where it does both they have to agree. `resultTime`, links, names and descriptions are the
-sender's own and not kept; what the standard knows and a reading has no place for is refused.
+What a Datastream says of its Observations: `service.api.datastreams`. `resultTime`, links, names
+and descriptions are the sender's own and not kept; what the standard knows and a reading has no
+place for is refused.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from pydantic_core import from_json
 
+from service.api.datastreams import STREAM, Datastreams
 from service.api.problems import (
-    MOST_FAULTS,
     MOST_READINGS,
-    Fault,
     RequestError,
-    fault,
     invalid,
     too_many,
 )
-from service.export.sensorthings import PREDICTION, SAID, stream_id
+from service.export.sensorthings import SAID
 
 Json = dict[str, Any]
 Rows = list[tuple[str, Json]]
@@ -49,21 +46,9 @@ ARRAY_EXAMPLE = [
         "dataArray": [["i5", "2031-05-04T10:00:00Z", 0.11, 8000]],
     }
 ]
-OWN = re.compile(r"(@iot\.selfLink|\w+@iot\.(navigationLink|nextLink|count))")
 OBSERVED = ("@iot.id", "phenomenonTime", "resultTime", "result", "parameters", "Datastream")
-STREAM = (
-    *("@iot.id", "name", "description", "observationType", "unitOfMeasurement", "observedArea"),
-    *("phenomenonTime", "resultTime", "properties", "Thing", "Sensor", "ObservedProperty"),
-)
 ARRAY = ("Datastream", "components", "dataArray", "dataArray@iot.count")
 PARAMETERS = ("time_h", *SAID, "observed_at", "unit")
-NO_PLACE = {
-    "FeatureOfInterest": "leave it out: the blade is observed, at `parameters.nodes`",
-    "resultQuality": "give the noise's sd as `parameters.sigma`, or leave it out",
-    "validTime": "leave it out, or retract the reading when it is no longer valid",
-}
-ENTITIES = (("Thing", 0, "blade"), ("ObservedProperty", 1, "quantity"), ("Sensor", 2, "instrument"))
-IS_NO_OBJECT = ("is no object", "see GET …/inspections?format=sensorthings")
 
 
 def sensorthings_rows(body: bytes) -> Rows:
@@ -86,68 +71,42 @@ def sensorthings_rows(body: bytes) -> Rows:
     return reader.rows
 
 
-class _Reader:
+class _Reader(Datastreams):
     """Collects readings and faults."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.rows: Rows = []
-        self.faults: list[Fault] = []
-
-    def say(self, where: str, value: object, problem: str, remedy: str) -> None:
-        self.faults.append(fault(where, value, problem, remedy))
-        if len(self.faults) > MOST_FAULTS:
-            raise invalid(self.faults)
-
-    def _object(self, where: str, value: object) -> Json:
-        if isinstance(value, dict):
-            return value
-        self.say(where, value, *IS_NO_OBJECT)
-        return {}
-
-    def _list(self, where: str, value: object, of: str) -> Iterator[tuple[str, Any]]:
-        if not isinstance(value, list):
-            self.say(where, value, f"is no list of {of}", "give a list")
-            return
-        yield from ((f"{where}[{i}]", one) for i, one in enumerate(value))
-
-    def _known(self, where: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
-        for name in given:
-            if name in known or OWN.fullmatch(name):
-                continue
-            if name in NO_PLACE:
-                self.say(where + name, given[name], "has no place in a reading", NO_PLACE[name])
-            else:
-                self.say(where + name, given[name], "is not known", f"use {', '.join(known)}")
 
     def document(self, data: Json) -> None:
-        self._known("", data, ("value",))
-        for where, one in self._list("value", data["value"], "Datastreams"):
-            stream = self._object(where, one)
+        self.known("", data, ("value",))
+        for where, one in self.list_of("value", data["value"], "Datastreams"):
+            stream = self.object_of(where, one)
             if not stream:
                 continue
-            self._known(f"{where}.", stream, (*STREAM, "Observations"))
-            head = self._stream(f"{where}.", stream)
+            self.known(f"{where}.", stream, (*STREAM, "Observations"))
+            head = self.stream(f"{where}.", stream)
             if "Observations" not in stream:
                 self.say(f"{where}.Observations", None, "is missing", "give the Observations")
                 continue
-            listed = self._list(f"{where}.Observations", stream["Observations"], "Observations")
+            listed = self.list_of(f"{where}.Observations", stream["Observations"], "Observations")
             for place, observed in listed:
-                self._observation(f"{place}.", self._object(place, observed), head, OBSERVED[:-1])
+                self._observation(f"{place}.", self.object_of(place, observed), head, OBSERVED[:-1])
 
     def single(self, data: object) -> None:
-        told = self._object("body", data)
+        told = self.object_of("body", data)
         if told:
-            head = self._inner("", told)
+            head = self.inner("", told)
             self._observation("", told, head, OBSERVED)
 
     def arrays(self, data: list[Any]) -> None:
-        for place, one in self._list("", data, "data arrays"):
-            group = self._object(place, one)
+        for place, one in self.list_of("", data, "data arrays"):
+            group = self.object_of(place, one)
             if not group:
                 continue
             where = f"{place}."
-            self._known(where, group, ARRAY)
-            head = self._inner(where, group)
+            self.known(where, group, ARRAY)
+            head = self.inner(where, group)
             names = group.get("components")
             if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
                 self.say(f"{where}components", names, "is no list of names", "name the columns")
@@ -161,7 +120,7 @@ class _Reader:
             if count != there:
                 remedy = "send all of them, or leave the count out"
                 self.say(f"{where}dataArray@iot.count", count, f"are not {there} rows", remedy)
-            for row_place, row in self._list(f"{where}dataArray", rows, "rows"):
+            for row_place, row in self.list_of(f"{where}dataArray", rows, "rows"):
                 if not isinstance(row, list) or len(row) != len(names):
                     problem = f"is no list of {len(names)} values"
                     self.say(row_place, row, problem, "give a value for each component")
@@ -169,69 +128,16 @@ class _Reader:
                 told = _told(zip(names, row, strict=True))
                 self._observation(f"{row_place}.", told, head, OBSERVED[:-1])
 
-    def _inner(self, where: str, told: Json) -> Json | None:
-        """Blade, quantity, instrument and unit by the Datastream beside the values."""
-        if "Datastream" not in told:
-            remedy = 'name it, e.g. {"@iot.id": "B01/elongation"}'
-            self.say(f"{where}Datastream", None, "is missing", remedy)
-            return None
-        stream = self._object(f"{where}Datastream", told["Datastream"])
-        self._known(f"{where}Datastream.", stream, STREAM)
-        return self._stream(f"{where}Datastream.", stream) if stream else None
-
-    def _stream(self, where: str, stream: Json) -> Json | None:
-        before = len(self.faults)
-        kind = stream.get("properties")
-        if isinstance(kind, dict) and kind.get("kind") == PREDICTION:
-            remedy = "post what was measured"
-            self.say(f"{where}properties.kind", PREDICTION, "was not read by anybody", remedy)
-        named = self._named(f"{where}@iot.id", stream["@iot.id"]) if "@iot.id" in stream else None
-        found: list[Any] = []
-        for entity, at, what in ENTITIES:
-            one = stream.get(entity)
-            told = None
-            if one is not None:
-                one = self._object(f"{where}{entity}", one)
-                told = one.get("@iot.id", one.get("name") if named is None else None)
-                if told is not None and not isinstance(told, str):
-                    self.say(f"{where}{entity}", told, "is no name", f"name the {what}")
-                    continue
-            if named is None and told is None and at < 2:
-                remedy = f"name the {what}, or give the Datastream its @iot.id: blade/quantity"
-                self.say(f"{where}{entity}", None, "is missing", remedy)
-            if named is not None and told is not None and told != named[at]:
-                problem = f"is not {named[at]!r}, as the Datastream's @iot.id says"
-                self.say(f"{where}{entity}", told, problem, "let both say the same")
-            found.append(told if named is None else named[at])
-        head: Json = {}
-        if len(found) == len(ENTITIES):
-            head = {w: v for (_, _, w), v in zip(ENTITIES, found, strict=True) if v is not None}
-        unit = stream.get("unitOfMeasurement")
-        if unit is not None:
-            symbol = self._object(f"{where}unitOfMeasurement", unit).get("symbol")
-            head |= {} if symbol is None else {"unit": symbol}
-        return head if len(self.faults) == before else None
-
-    def _named(self, where: str, name: object) -> tuple[str, str, str | None] | None:
-        parts = name.split("/", 2) if isinstance(name, str) else []
-        if len(parts) < 2 or not all(parts):
-            remedy = "write blade/quantity or blade/quantity/instrument"
-            self.say(where, name, "is no Datastream of a rotor", remedy)
-            return None
-        blade, quantity, instrument = (*parts, None)[:3]
-        assert stream_id(str(blade), str(quantity), instrument) == name
-        return str(blade), str(quantity), instrument
-
     def _observation(
         self, where: str, told: Json, head: Json | None, known: tuple[str, ...]
     ) -> None:
         before = len(self.faults)
-        self._known(where, told, known)
+        self.known(where, told, known)
         for name in ("@iot.id", "result"):
             if told.get(name) is None:
                 self.say(f"{where}{name}", None, "is missing", "give it")
-        given = self._object(f"{where}parameters", told.get("parameters", {}))
-        self._known(f"{where}parameters.", given, PARAMETERS)
+        given = self.object_of(f"{where}parameters", told.get("parameters", {}))
+        self.known(f"{where}parameters.", given, PARAMETERS)
         if given.get("time_h") is None:
             remedy = "give the blade's operating hours: no calendar moment tells them"
             self.say(f"{where}parameters.time_h", None, "is missing", remedy)
