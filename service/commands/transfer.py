@@ -45,7 +45,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a rotor, its blades, network and whole log into one file; or what other tools read."""
-    from service.handlers.transfer import export_rotor
+    from service.handlers.transfer_out import export_rotor
     from service.release import release
 
     wanted = Wanted(form, blade, prediction, quantity, times, count, version)
@@ -82,7 +82,7 @@ def import_rotor(
     The same file again gives the same answer and no second rotor.
     """
     from service.bootstrap import make_science
-    from service.handlers.transfer import import_rotor as use
+    from service.handlers.transfer_in import import_rotor as use
 
     settings = Settings.load()
     with opened(settings) as store:

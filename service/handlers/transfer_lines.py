@@ -22,6 +22,7 @@ from service.names import ID_PATTERN, TEXT_PATTERN
 from service.ports import Adopt, BladeRecord, Event, Json, ModelCard
 from service.variant import check_known
 
+CHUNK = 500  # entries that are read or written at once
 Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=TEXT_PATTERN)]
 Name = Annotated[str, StringConstraints(max_length=200, pattern=TEXT_PATTERN)]

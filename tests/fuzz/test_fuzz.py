@@ -31,7 +31,8 @@ from core.errors import BladetwinError, ModelError
 from core.observation import Inspection
 from service.api.csv_rows import CSV_EXAMPLE
 from service.fake import FakeScience
-from service.handlers.transfer import export_rotor, import_rotor
+from service.handlers.transfer_in import import_rotor
+from service.handlers.transfer_out import export_rotor
 from service.store.unit_of_work import SqlStore
 from service.studies.result import commit
 from service.worker.loop import Worker

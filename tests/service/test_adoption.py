@@ -31,7 +31,8 @@ from service.handlers.blades import add_blade
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
 from service.handlers.rotors import create_rotor, view_rotor
-from service.handlers.transfer import export_rotor, import_rotor
+from service.handlers.transfer_in import import_rotor
+from service.handlers.transfer_out import export_rotor
 from service.ports import BladeRecord, Event, Json
 from service.settings import Settings
 from service.store import tables as t

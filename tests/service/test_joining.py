@@ -24,7 +24,8 @@ from service.handlers import blades as joining
 from service.handlers.blades import add_blade
 from service.handlers.diagnoses import request_diagnosis
 from service.handlers.rotors import create_rotor, view_rotor
-from service.handlers.transfer import export_rotor, import_rotor
+from service.handlers.transfer_in import import_rotor
+from service.handlers.transfer_out import export_rotor
 from service.ports import BladeRecord, Event, Json
 from service.settings import Settings
 from service.store.audit import audit

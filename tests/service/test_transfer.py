@@ -26,7 +26,8 @@ from service.handlers.inspections import Item, post_inspections, retract
 from service.handlers.listing import list_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor, view_rotor
-from service.handlers.transfer import export_rotor, import_rotor
+from service.handlers.transfer_in import import_rotor
+from service.handlers.transfer_out import export_rotor
 from service.ports import BladeRecord, Science, Which
 from service.science import CoreScience
 from service.settings import Settings

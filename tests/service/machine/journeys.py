@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from service.bootstrap import make_worker
 from service.errors import ConflictError
 from service.handlers.rotors import view_rotor
-from service.handlers.transfer import Imported, export_rotor, import_rotor
+from service.handlers.transfer_in import Imported, import_rotor
+from service.handlers.transfer_out import export_rotor
 from service.ports import Event
 from service.store.entries import read_entries
 from service.store.unit_of_work import SqlStore

@@ -89,7 +89,7 @@ MUTANTS = (
     Mutant(
         "imports not compared",
         Journeys,
-        "service.handlers.transfer._same",
+        "service.handlers.transfer_in._same",
         lambda *given: None,
         30,
     ),

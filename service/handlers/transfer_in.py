@@ -1,17 +1,17 @@
-"""A rotor leaves as one file and comes back in another database, entry for entry.
+"""A rotor comes from a file that another database wrote, entry for entry.
 
-The file holds what the posterior is a function of (blades, network, seed, the whole log with the
-moments of arrival), not the posterior: the importing service computes it from the log, and its
-sealed state is bit-identical to the original's. Under another id the rotor keeps the old one as its
-`origin`, by which its random numbers are drawn.
+The file (`service.handlers.transfer_out`) holds what the posterior is a function of, not the
+posterior: a worker computes it from the log, and its sealed state is bit-identical to the
+original's. Under another id the rotor keeps the old one as its `origin`, by which its random
+numbers are drawn.
 
 Every line is held against the log's own digests before the one transaction that writes it all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,19 +20,10 @@ from pydantic import ValidationError
 
 from core.errors import InputError
 from service import bundle
-from service.digests import as_created, digest_of_blade, digest_of_rotor
-from service.entries import body_problem
-from service.errors import (
-    ConflictError,
-    DamagedError,
-    DamagedLogError,
-    DamagedRotorError,
-    NotFoundError,
-    NotYetError,
-)
-from service.handlers.blades import blades_at
+from service.digests import as_created, digest_of_rotor
+from service.errors import ConflictError, NotFoundError
 from service.handlers.transfer_lines import (
-    EntryLine,
+    CHUNK,
     NamedLine,
     RotorLine,
     checked_log,
@@ -50,92 +41,6 @@ from service.ports import (
     Store,
     Transaction,
 )
-
-CHUNK = 500
-
-
-def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
-    """Write a rotor as it stands into a file; its manifest. Later entries are left out.
-
-    DamagedLogError, DamagedRotorError: what it would hold is not what was written, and a file that
-    is there already stays.
-    """
-    with store.read() as tx:
-        rotor = tx.records.rotor(rotor_id)
-        card = tx.records.model(rotor.model_id, rotor.model_version)
-        head = rotor.head_seq
-        blades = blades_at(tx.records.blades(rotor_id), head)
-        state = _newest_sealed(tx, rotor_id)
-    _check_creation(rotor, blades)
-    line = RotorLine(
-        id=rotor.id,
-        model=rotor.model_id,
-        model_version=rotor.model_version,
-        model_digest=card.digest,
-        particles=rotor.particles,
-        seed=rotor.seed,
-        network=rotor.network,
-        origin=rotor.origin,
-        adopt=rotor.adopt,
-        digest=rotor.digest,
-        created_at=rotor.created_at,
-    )
-    model = {"id": card.id, "version": card.version, "digest": card.digest}
-    facts: Json = {"release": release, "rotor": rotor.id, "model": model, "head_seq": head}
-    log = (_told_entry(event) for event in _entries(store, rotor_id, head, blades))
-    present = (asdict(blade) for blade in blades)
-    return bundle.write(
-        path, facts | {"state": state}, line.model_dump(exclude_defaults=True), present, log
-    )
-
-
-def _check_creation(rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
-    """DamagedRotorError: the rotor's row, or those of its first blades, are not what they were."""
-    asks = (rotor.particles, rotor.seed, rotor.network, rotor.adopt)
-    made = digest_of_rotor(rotor.id, rotor.model_id, as_created(blades), *asks)
-    if made != rotor.digest:
-        problem = f"has digest {made[:12]}… with its first blades, written was {rotor.digest[:12]}…"
-        raise DamagedRotorError(rotor.id, [f"rotor {rotor.id} {problem}"])
-
-
-def _newest_sealed(tx: Transaction, rotor_id: str) -> Json | None:
-    """Digests of the newest version, if it is sealed and sound, to compare an import with."""
-    try:
-        state = tx.states.get(rotor_id)
-    except (NotYetError, DamagedError):
-        return None
-    if not state.sealed:
-        return None
-    names = ("through_seq", "events_digest", "digest", "algorithm_version")
-    return {name: getattr(state, name) for name in names}
-
-
-def _entries(
-    store: Store, rotor_id: str, head: int, blades: Sequence[BladeRecord]
-) -> Iterator[Event]:
-    after, joined = 0, {blade.id: digest_of_blade(blade) for blade in blades if blade.added_seq}
-    while after < head:
-        with store.read() as tx:
-            page = tx.log.entries(rotor_id, after, head, CHUNK)
-        for event in page:
-            problem = body_problem(event)
-            if problem is not None or event.seq != after + 1:
-                problem = problem or f"entry {after + 1} is missing"
-                raise DamagedLogError(rotor_id, event.event_id, problem)
-            if event.kind == "blade" and joined.get(event.blade or "") != event.digest:
-                problem = f"blade {event.blade} is not as entry {event.seq} made it"
-                raise DamagedRotorError(rotor_id, [problem])
-            after = event.seq
-            yield event
-        if not page:
-            raise DamagedLogError(rotor_id, str(after + 1), "is missing")
-
-
-def _told_entry(event: Event) -> Json:
-    told = {name: getattr(event, name) for name in EntryLine.model_fields}
-    if event.posted_by is None:
-        del told["posted_by"]
-    return told
 
 
 @dataclass(frozen=True, slots=True)
