@@ -18,9 +18,10 @@ from service.adopt_command import adopt
 from service.commands import builtin, campaigns, register
 from service.commands import models as own_runs
 from service.diagnose_command import diagnose
+from service.environment import table
 from service.key_commands import audit, keys
 from service.progress import bar
-from service.settings import Settings, table
+from service.settings import Settings
 from service.studies import app as studies
 
 app = typer.Typer(
@@ -44,7 +45,7 @@ app.command()(diagnose)
 app.command()(adopt)
 
 SETTINGS_HELP = "Settings (environment variables):\n\n" + "\n\n".join(
-    f"{name} [{default}]: {meaning}" for name, default, meaning in table()
+    f"{name} [{default}]: {meaning}" for name, default, meaning in table(Settings)
 )
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 

@@ -9,8 +9,9 @@ import typer
 
 from service.bootstrap import make_app, make_store, prepare
 from service.cli import app as commands
+from service.environment import table
 from service.fake import FakeScience
-from service.settings import Settings, table
+from service.settings import Settings
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 
@@ -18,7 +19,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text()
 def test_every_setting_is_named_with_its_default() -> None:
     missing = [
         name
-        for name, default, _ in table()
+        for name, default, _ in table(Settings)
         if f"`{name}` | `{default}`" not in README and f"`{name}` | empty" not in README
     ]
     assert missing == []

@@ -18,7 +18,8 @@ import yaml
 from sqlalchemy import make_url
 
 from service.cli import WorkerRole
-from service.settings import Settings, names
+from service.environment import names
+from service.settings import Settings
 from tests.docker.dockerfile import FILE, ROOT, stages
 
 Json = dict[str, Any]
@@ -59,7 +60,7 @@ def faults(compose: Json) -> list[str]:
             folder, _, file = str(value).rpartition("/")
             if folder == "/run/secrets" and file not in one.get("secrets", []):
                 found.append(f"{name}: {value} is not mounted")
-            if ours and variable not in names():
+            if ours and variable not in names(Settings):
                 found.append(f"{name}: {variable} is no setting")
         for port in one.get("ports", []):
             if not port.startswith("127.0.0.1:"):

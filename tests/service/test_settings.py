@@ -16,7 +16,8 @@ from typer.testing import CliRunner
 import service
 from core.errors import InputError
 from service.cli import app, main
-from service.settings import Settings, names
+from service.environment import names
+from service.settings import Settings
 from service.telemetry import JsonLines
 from service.worker.supervise import same_code
 
@@ -49,8 +50,8 @@ def test_kernels_are_compiled_on_demand() -> None:
 
 def test_the_help_of_serve_lists_every_setting() -> None:
     shown = CliRunner().invoke(app, ["serve", "--help"]).output
-    assert [name for name in names() if name not in shown] == []
-    assert len(names()) == 46
+    assert [name for name in names(Settings) if name not in shown] == []
+    assert len(names(Settings)) == 46
 
 
 def test_no_password_is_shown() -> None:

@@ -26,7 +26,8 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from service.client import Client
-from service.settings import PREFIX, Settings
+from service.environment import PREFIX
+from service.settings import Settings
 from service.worker.claiming import Role
 from service.worker.loop import owner_name
 from service.worker.supervise import same_code

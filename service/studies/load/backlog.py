@@ -14,8 +14,8 @@ import numpy as np
 
 from core.errors import BladetwinError
 from core.observation import Inspection
+from service.environment import PREFIX
 from service.ports import Json
-from service.settings import PREFIX
 from service.store.engine import open_engine
 from service.store.unit_of_work import SqlStore
 from service.studies.load import demand

@@ -16,8 +16,9 @@ import httpx
 import numpy as np
 
 from service.client import Client
+from service.environment import PREFIX
 from service.ports import Json
-from service.settings import PREFIX, Settings
+from service.settings import Settings
 from service.studies.chaos.processes import free_port
 from service.studies.load import demand, watch
 from service.studies.load.crowd import Answered, Crowd
