@@ -1,6 +1,6 @@
 """The calibration behind the `Science` port: core.model, core.calibration, core.prediction.
 
-Which models it has: `service.models`.
+Which models it has: `service.models`. What a stored posterior tells: `service.beliefs`.
 
 Imported only where it is wired; the compiled kernels of the calibration are imported when a
 worker warms up, so that a process that only serves never loads them.
@@ -13,39 +13,28 @@ from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
 from core.calibration.state import RotorSpec as Calibrated
-from core.life import Life, life
+from core.calibration.state import RotorState
 from core.model import Model
 from core.network import Network
 from core.observation import Inspection
-from core.runs_end import held_from
 from service import kernels
-from service.bands import Bands, bands_of
+from service.beliefs import Beliefs
 from service.made_up import made_up_rotor
 from service.models import Models
 from service.packed import pack, write_network
 from service.ports import (
-    Array,
     BladeRecord,
-    Draws,
-    Field,
-    Forward,
     Get,
-    JointDraws,
     Json,
-    Mesh,
     ModelCard,
     PlanTarget,
     Progress,
     RotorSpec,
-    Surface,
 )
 
 
-class CoreScience:
+class CoreScience(Beliefs):
     """The science of this release, on the models that come with it.
 
     folder   holds a rebuilt rotor-blade model, used instead of the shipped one
@@ -64,7 +53,7 @@ class CoreScience:
         *,
         kept: bool = False,
     ) -> None:
-        self.models = Models(folder, model, files)
+        super().__init__(Models(folder, model, files))
         self.builtins = self.models.builtins
         self._kept = kept
         self._workspace: Any = None
@@ -121,132 +110,6 @@ class CoreScience:
         if self._kept:
             kernels.insist()
         return state
-
-    def restore(self, meta: Mapping[str, Any], get: Get) -> RotorState:
-        return RotorState(meta, Arrays(meta["arrays"], {}, get))
-
-    def shared_draws(self, meta: Mapping[str, Any], get: Get) -> Draws:
-        return _draws(shared_posterior(meta, get))
-
-    def blade_draws(self, meta: Mapping[str, Any], get: Get, blade: str) -> Draws:
-        return _draws(blade_posterior(meta, get, blade), len(get("shared/log_w")))
-
-    def predict(
-        self,
-        card: ModelCard,
-        meta: Mapping[str, Any],
-        get: Get,
-        blade: str,
-        quantity: str,
-        times: Sequence[float],
-        node: int | None,
-        probability: float,
-        *,
-        instrument: str | None,
-        known: Mapping[str, float] | None,
-    ) -> Bands:
-        model, posterior = self.models.of(card).for_blade(blade), blade_posterior(meta, get, blade)
-        return bands_of(
-            model, posterior, quantity, times, node, probability, instrument=instrument, known=known
-        )
-
-    def life(
-        self,
-        card: ModelCard,
-        meta: Mapping[str, Any],
-        get: Get,
-        blade: str,
-        quantity: str,
-        limit: float,
-        times: Sequence[float],
-        node: int | None,
-        *,
-        component: int | None,
-        known: Mapping[str, float] | None,
-    ) -> Life:
-        model, posterior = self.models.of(card).for_blade(blade), blade_posterior(meta, get, blade)
-        return life(
-            model, posterior, quantity, limit, times, node, component=component, known=known
-        )
-
-    def held_from(
-        self,
-        card: ModelCard,
-        meta: Mapping[str, Any],
-        get: Get,
-        blade: str,
-        known: Mapping[str, float] | None,
-    ) -> float | None:
-        if not any(d.held for d in card.network.drifts):
-            return None
-        found = held_from(self.models.of(card), blade_posterior(meta, get, blade), blade, known)
-        return min(found.values(), default=None)
-
-    def joint_draws(
-        self, meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int
-    ) -> JointDraws:
-        from service.joint import joint_draws
-
-        return joint_draws(meta, get, blades, count)
-
-    def prior_draws(self, card: ModelCard, like: JointDraws) -> JointDraws:
-        from core.calibration.space import shared_prior
-        from service.predictive import prior_draws
-
-        model = self.models.of(card)
-        shared = {name: shared_prior(model, name) for name in like.shared_names}
-        return prior_draws(card.network, shared, like)
-
-    def replicated(
-        self,
-        card: ModelCard,
-        drawn: JointDraws,
-        readings: Sequence[Inspection],
-        known: Mapping[str, Mapping[str, float]],
-    ) -> list[Array]:
-        from service.predictive import replicated
-
-        return replicated(self.models.of(card), drawn, readings, known)
-
-    def forward(
-        self, card: ModelCard, quantity: str, blade: str | None, known: Mapping[str, float] | None
-    ) -> Forward:
-        from service.forward import forward_of
-
-        model = self.models.of(card)
-        return forward_of(model if blade is None else model.for_blade(blade), quantity, known)
-
-    def mesh(self, card: ModelCard) -> Mesh | None:
-        from service.fields import mesh_of
-
-        return mesh_of(self._points(card), card.summary.get("mesh"))
-
-    def _points(self, card: ModelCard) -> Array | None:
-        """The nodes of the training runs, also of a surrogate that effects drive."""
-        surrogate = self.models.of(card).surrogate
-        points: Array | None = getattr(getattr(surrogate, "base", surrogate), "points", None)
-        return points
-
-    def surface(self, card: ModelCard) -> Surface | None:
-        from service.fields import surface_of
-
-        return surface_of(self._points(card), card.summary.get("mesh"))
-
-    def field(
-        self,
-        card: ModelCard,
-        meta: Mapping[str, Any],
-        get: Get,
-        blade: str,
-        quantity: str,
-        time_h: float,
-        *,
-        known: Mapping[str, float] | None,
-    ) -> Field:
-        from service.fields import field_of
-
-        model = self.models.of(card).for_blade(blade)
-        return field_of(model, blade_posterior(meta, get, blade), quantity, time_h, known)
 
     def warm(self, card: ModelCard) -> None:
         """One update of a made-up rotor compiles what an update needs."""
@@ -319,10 +182,3 @@ class CoreScience:
 def _spec(rotor: RotorSpec) -> Calibrated:
     """The rotor as the science names it."""
     return Calibrated(rotor.id, rotor.blades, rotor.particles, rotor.seed, rotor.known)
-
-
-def _draws(posterior: Posterior, nodes: int | None = None) -> Draws:
-    """With the shared node of each particle; nodes: how many, if not as many as particles."""
-    own = posterior.particles
-    each = len(own.log_w) // (nodes or len(own.log_w))
-    return Draws(posterior.names, own.psi, own.log_w, np.arange(len(own.log_w)) // each)

@@ -4,6 +4,7 @@ conjugate   the twin: its network, its posterior and their formulas
 outputs     what a blade does: bands, fields, the model's own answers
 draws       draws of the posterior
 questions   diagnoses, plans and residuals
+beliefs     what a posterior tells, by these
 twin        all of it behind the `Science` port
 """
 
