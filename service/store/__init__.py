@@ -2,8 +2,8 @@
 
 tables.py    the tables                       engine.py   connections and transactions
 encoding.py  arrays as checked .npy bytes     log.py      the inspection log, which is the queue
-states.py    versions of a rotor's posterior  versions.py  written, and thinned when old
-records.py   models, jobs, rotors, blades
+kept.py      versions of a rotor's posterior  states.py   their arrays
+versions.py  written, and thinned when old    records.py  models, jobs, rotors, blades
 keys.py      API keys                         trail.py     the audit trail
 answers.py   first answers by Idempotency-Key
 cache.py     what a process keeps          intact.py   whether a version is what was written

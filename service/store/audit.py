@@ -28,8 +28,8 @@ from service.store import creation, intact
 from service.store import tables as t
 from service.store.encoding import DamagedArrayError, Encoded, decode
 from service.store.entries import read_entries
+from service.store.kept import stored
 from service.store.named import digests
-from service.store.states import stored
 from service.store.versions import ENDED
 
 Part = Literal["log", "rotor", "blade", "state", "array", "model"]

@@ -22,7 +22,7 @@ from sqlalchemy import Row
 from core.digest import state_digest
 from service.errors import DamagedError
 
-Stored = Row[Any] | SimpleNamespace  # of `service.store.states.stored`, or its values by name
+Stored = Row[Any] | SimpleNamespace  # of `service.store.kept.stored`, or its values by name
 REPEATED = ("sealed", "events_digest", "algorithm_version")
 
 
@@ -35,7 +35,7 @@ def told(row: Stored) -> str:
 
 
 def problems(row: Stored, names: Mapping[str, str]) -> list[str]:
-    """What in a row of `service.store.states.stored` is not what was written.
+    """What in a row of `service.store.kept.stored` is not what was written.
 
     names   SHA-256 of each array that the version has
     """

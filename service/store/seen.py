@@ -87,7 +87,7 @@ class Looks:
     def _row(
         self, query: Select[Any], asked: Mapping[str, str | None]
     ) -> tuple[RotorRecord, SimpleNamespace, int, Sequence[Any]]:
-        """Rotor, newest version as `service.store.states.stored` has it, entries that change the
+        """Rotor, newest version as `service.store.kept.stored` has it, entries that change the
         model, and the rest."""
         row = found_of(str(asked["rotor"]), self._connection.execute(query, asked))
         own, last = _ROWS

@@ -24,8 +24,8 @@ from service.store import tables as t
 from service.store.audit import Finding, array_problem, array_row, audit_source
 from service.store.encoding import Encoded
 from service.store.engine import snapshot, transaction
+from service.store.kept import stored
 from service.store.named import digests
-from service.store.states import stored
 from service.store.unit_of_work import SqlStore
 from service.store.versions import ENDED, thin
 from service.worker import claiming

@@ -26,8 +26,8 @@ from service.store import tables as t
 from service.store.encoding import Encoded, decode, encode
 from service.store.engine import snapshot
 from service.store.entries import read_entries
+from service.store.kept import stored
 from service.store.named import digests
-from service.store.states import stored
 from service.store.unit_of_work import SqlStore
 from service.worker.task import spec_of
 

@@ -75,7 +75,7 @@ def newest_model(self: SqlRecords, model_id: str, version: str | None = None) ->
 
 
 MUTANTS = (
-    Mutant("every moment is now", Moments, "service.store.states.end_of", lambda at: at + 3600.0),
+    Mutant("every moment is now", Moments, "service.store.kept.end_of", lambda at: at + 3600.0),
     Mutant("webhooks told nothing", Hooks, "service.store.outbox.tell", lambda *given: None, 29),
     Mutant("deliveries out of turn", Hooks, "service.worker.hook_lease.due", due_out_of_turn, 32),
     Mutant(
