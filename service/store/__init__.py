@@ -3,7 +3,8 @@
 tables.py    the tables                       engine.py   connections and transactions
 encoding.py  arrays as checked .npy bytes     log.py      the inspection log, which is the queue
 kept.py      versions of a rotor's posterior  states.py   their arrays
-versions.py  written, and thinned when old    records.py  models, jobs, rotors, blades
+versions.py  written, and thinned when old    records.py  rotors, blades
+models.py    models                           jobs.py     jobs
 keys.py      API keys                         trail.py     the audit trail
 answers.py   first answers by Idempotency-Key
 cache.py     what a process keeps          intact.py   whether a version is what was written

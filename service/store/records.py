@@ -1,4 +1,4 @@
-"""Models, rotors and blades; jobs by `service.store.jobs`."""
+"""Rotors and blades; models by `service.store.models`, jobs by `service.store.jobs`."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ from dataclasses import asdict
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Result, Row, bindparam, insert, select, update
-from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy import Result, Row, bindparam, insert, select, update
 
 from service.errors import DamagedRotorError, NotFoundError
-from service.ports import BladeRecord, Json, ModelCard, RotorRecord
+from service.ports import BladeRecord, ModelCard, RotorRecord
 from service.store import tables as t
 from service.store.commits import notify
-from service.store.engine import now_s
+from service.store.engine import insert_new, now_s
 from service.store.gathered import Gathered, InexactError, Told
-from service.store.jobs import SqlJobs
-from service.store.met import Met
+from service.store.models import SqlModels
 
 ROTOR = (
     *(column for column in t.rotor.c),
@@ -40,12 +38,6 @@ _STANDING = (
     )
     .where(t.rotor.c.id == bindparam("rotor"))
 )
-_MODEL = (
-    select(t.model.c.card)
-    .where(t.model.c.id == bindparam("model"))
-    .order_by(t.model.c.created_at.desc())
-)
-_VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
 _OF_ROTOR = t.blade.c.rotor_id == bindparam("rotor")
 _BLADES = Gathered(select(*BLADE).where(_OF_ROTOR))
 BLADES = {split: _BLADES.column(split) for split in (False, True)}
@@ -64,63 +56,8 @@ _BLADE_IDS = Gathered(select(t.blade.c.id).where(_OF_ROTOR))
 _ONE_BLADE = select(*BLADE).where(_OF_ROTOR, t.blade.c.id == bindparam("blade"))
 
 
-def insert_new(connection: Connection, table: Any, values: Json) -> bool:
-    """Insert a row unless its key is there; whether it was inserted."""
-    dialect = sqlite if connection.dialect.name == "sqlite" else postgresql
-    statement = dialect.insert(table).values(values).on_conflict_do_nothing()
-    return connection.execute(statement.returning(table.c.id)).first() is not None
-
-
-class SqlRecords(SqlJobs):
-    """The `Records` of one transaction.
-
-    met   models and blades that this process has read
-    """
-
-    def __init__(self, connection: Connection, met: Met | None = None) -> None:
-        super().__init__(connection)
-        self._met = Met() if met is None else met
-
-    def put_model(self, card: ModelCard, source: Json, *, newest: bool = False) -> None:
-        """Make a version known; `newest`: the one that new rotors get, though it was known."""
-        values = {
-            "id": card.id,
-            "version": card.version,
-            "digest": card.digest,
-            "source": json.dumps(source),
-            "card": json.dumps(card.to_json()),
-            "created_at": now_s(),
-        }
-        if not insert_new(self._connection, t.model, values) and newest:
-            own = (t.model.c.id == card.id) & (t.model.c.version == card.version)
-            self._connection.execute(update(t.model).where(own).values(created_at=now_s()))
-
-    def model_sources(self) -> list[tuple[ModelCard, Json]]:
-        """Every version of every model, with where it comes from."""
-        query = select(t.model.c.card, t.model.c.source).order_by(t.model.c.id, t.model.c.version)
-        rows = self._connection.execute(query)
-        return [(_card(row.card), json.loads(row.source)) for row in rows]
-
-    def model(self, model_id: str, version: str | None = None) -> ModelCard:
-        if version is None:
-            text = self._connection.execute(_MODEL, {"model": model_id}).scalar()
-        elif (known := self._met.card(model_id, version)) is not None:
-            return known
-        else:
-            asked = {"model": model_id, "version": version}
-            text = self._connection.execute(_VERSION, asked).scalar()
-        if text is None and version is not None:
-            remedy = f"GET /v1/models/{model_id} is the newest one, or GET /v1/models lists all"
-            raise NotFoundError(f"model {model_id} of version", version, remedy)
-        if text is None:
-            raise NotFoundError("model", model_id, "GET /v1/models lists those that exist")
-        card = _card(text)
-        self._met.put_card(card)
-        return card
-
-    def models(self, after: str, limit: int) -> list[ModelCard]:
-        ids = select(t.model.c.id).where(t.model.c.id > after).distinct().order_by(t.model.c.id)
-        return [self.model(name) for name in self._connection.execute(ids.limit(limit)).scalars()]
+class SqlRecords(SqlModels):
+    """The `Records` of one transaction: rotors and blades, and with them models and jobs."""
 
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool:
         """Write a new rotor with its blades and a dirty cursor; False: the id is taken.
@@ -210,12 +147,6 @@ class SqlRecords(SqlJobs):
     def retire_blade(self, rotor_id: str, blade_id: str, seq: int) -> None:
         key = (t.blade.c.rotor_id == rotor_id) & (t.blade.c.id == blade_id)
         self._connection.execute(update(t.blade).where(key).values(retired_seq=seq))
-
-
-@lru_cache(maxsize=64)
-def _card(text: str) -> ModelCard:
-    """Cards never change, and every read looks at one."""
-    return ModelCard.from_json(json.loads(text))
 
 
 def found_of(rotor_id: str, result: Result[Any]) -> Row[Any]:
