@@ -2,7 +2,8 @@
 
 from alembic import context
 
-from service.store.tables import metadata
+from service.store import access_tables, hook_tables, tables  # noqa: F401  the whole schema
+from service.store.schema import metadata
 
 connection = context.config.attributes["connection"]
 context.configure(connection=connection, target_metadata=metadata, transactional_ddl=True)

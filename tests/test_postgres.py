@@ -13,8 +13,8 @@ from service.fake import FakeScience
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
-from service.store import tables as t
 from service.store.engine import open_engine
+from service.store.schema import metadata
 from service.store.unit_of_work import SqlStore
 from tests.postgres import Databases
 
@@ -25,7 +25,7 @@ def contents(url: str) -> dict[str, Any]:
     with engine.connect() as connection:
         rows = {
             name: [tuple(row) for row in connection.execute(text(f'SELECT * FROM "{name}"'))]
-            for name in (*t.metadata.tables, "alembic_version")
+            for name in (*metadata.tables, "alembic_version")
         }
         sequences = connection.execute(
             text("SELECT sequencename, last_value FROM pg_sequences ORDER BY sequencename")
@@ -99,7 +99,7 @@ def test_a_database_whose_shape_was_changed_is_not_taken_again(
     databases: Databases, change: str
 ) -> None:
     name = databases.take()
-    index = sorted(one.name or "" for table in t.metadata.tables.values() for one in table.indexes)
+    index = sorted(one.name or "" for table in metadata.tables.values() for one in table.indexes)
     engine = create_engine(databases.url(name))
     with engine.begin() as connection:
         connection.execute(text(change.format(index=index[0], name=name)))

@@ -1,6 +1,8 @@
 """Where everything is kept: one relational database, SQLite or PostgreSQL, one code path.
 
-tables.py    the tables                       engine.py   connections and transactions
+schema.py    what tables are declared in      tables.py   models, rotors, logs, posteriors, jobs
+access_tables.py   who calls                  hook_tables.py   who is told
+engine.py    connections and transactions
 encoding.py  arrays as checked .npy bytes     log.py      the inspection log, which is the queue
 kept.py      versions of a rotor's posterior  states.py   their arrays
 versions.py  written, and thinned when old    records.py  rotors, blades

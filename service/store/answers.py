@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, Connection, delete, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from service.access import FirstAnswer
-from service.store import tables as t
+from service.store import access_tables as t
 from service.store.engine import now_s
 
 c = t.first_answer.c

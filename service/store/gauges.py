@@ -11,6 +11,7 @@ from sqlalchemy import Connection, and_, func, select, true
 from service.ports import Gauges
 from service.store import tables as t
 from service.store.engine import now_s
+from service.store.hook_tables import delivery, untold
 
 
 def read_gauges(connection: Connection) -> Gauges:
@@ -37,9 +38,9 @@ def read_gauges(connection: Connection) -> Gauges:
     first = and_(e.rotor_id == c.rotor_id, e.seq == c.applied_seq + 1)
     waiting = select(now_s() - func.min(e.received_at)).select_from(t.cursor).join(t.entry, first)
     queued = select(func.count()).where(j.status.in_(("queued", "running")))
-    of_hooks = select(t.delivery.c.status, func.count()).group_by(t.delivery.c.status)
+    of_hooks = select(delivery.c.status, func.count()).group_by(delivery.c.status)
     deliveries = {row[0]: row[1] for row in connection.execute(of_hooks)}
-    dropped = select(func.coalesce(func.sum(t.untold.c.count), 0))
+    dropped = select(func.coalesce(func.sum(untold.c.count), 0))
     alarms = select(func.coalesce(func.sum(t.residual.c.alarms), 0))
     return Gauges(
         rotors=row.rotors,

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, RowMapping, insert, select, update
 
 from service.access import KeyRecord
-from service.store import tables as t
+from service.store import access_tables as t
 from service.store.engine import now_s
 
 

@@ -29,8 +29,8 @@ from sqlalchemy import Connection, Engine, delete, insert, inspect, select, text
 import service
 from service.errors import SchemaError
 from service.store.engine import is_sqlite, transaction
+from service.store.schema import compatible_since
 from service.store.standstill import InUseError, first_order, in_the_way, lock_all
-from service.store.tables import compatible_since
 
 LOCK = 0x626C6164
 UPGRADE = "upgrade this process to the release that migrated the database"

@@ -19,6 +19,7 @@ from service.ports import Note
 from service.store import tables as t
 from service.store.commits import notified
 from service.store.engine import now_s, transaction
+from service.store.hook_tables import webhook
 from service.store.webhooks import tell
 
 o = t.outbox.c
@@ -27,7 +28,7 @@ o = t.outbox.c
 _NOTE = (
     insert(t.outbox)
     .values(at=now_s())
-    .returning(exists(select(t.webhook.c.id)), notified(literal("bladetwin_applied"), o.rotor_id))
+    .returning(exists(select(webhook.c.id)), notified(literal("bladetwin_applied"), o.rotor_id))
 )
 
 

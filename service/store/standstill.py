@@ -21,8 +21,10 @@ from time import monotonic
 from sqlalchemy import Connection, Engine, inspect, text
 from sqlalchemy.exc import OperationalError
 
+from service.store import access_tables, hook_tables  # noqa: F401  the whole schema
 from service.store.engine import transaction
-from service.store.tables import metadata, rotor
+from service.store.schema import metadata
+from service.store.tables import rotor
 
 # Of deadlock_timeout: for the first table, mostly and each fifth time; for another one; for these.
 SHORT, LONG, EACH, OTHERS = 0.5, 2.0, 0.05, 0.5

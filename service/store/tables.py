@@ -1,4 +1,4 @@
-"""The tables.
+"""The tables of models, rotors, their logs and posteriors, and jobs.
 
 The inspection log (`event`) is the queue. `rotor.head_seq` is the number of the newest event and
 is touched by ingest alone; `cursor.applied_seq` is the newest event that the posterior rests on
@@ -18,26 +18,19 @@ stay behind where a rotor is exported.
 looked at: every reading predicted before it was used, and tests. Versions newer than its own are
 its queue; `fence`, `owner` and `lease_until` are those of whoever computes them.
 
-`audit` has a row for each state-changing request and is never thinned; `first_answer` holds what
-requests with an Idempotency-Key were answered, until it expires.
-`webhook` is served by one worker at a time, under fence and lease like a rotor; `delivery` has a
-row for each event that it is to be told, written in the transaction in which that happens.
-`untold` counts, for each webhook and rotor, deliveries that are not sent any more: dropped where
-too many waited, or dead and no longer kept.
 `blob` holds files in parts by their SHA-256: runs that were uploaded, until their job has ended,
 and trained surrogates, which the row of their model names.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
 its own; `rotor.adopt` says whether a diagnosis is adopted by itself. `cursor.outbox_dropped` is the
 newest note of the outbox that is no longer kept.
-`compatible_since` has one row: the oldest revision whose processes may run on this schema
-(`service.store.migrate`).
+
+Who calls and who is told have tables of their own: `access_tables`, `hook_tables`.
 """
 
 from __future__ import annotations
 
 from sqlalchemy import (
     DDL,
-    BigInteger,
     Boolean,
     Column,
     Double,
@@ -46,7 +39,6 @@ from sqlalchemy import (
     Index,
     Integer,
     LargeBinary,
-    MetaData,
     String,
     Table,
     Text,
@@ -54,16 +46,7 @@ from sqlalchemy import (
     event,
 )
 
-metadata = MetaData(
-    naming_convention={
-        "pk": "pk_%(table_name)s",
-        "fk": "fk_%(table_name)s_%(column_0_name)s",
-        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
-        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
-    }
-)
-NAME = String(200)
-BIG = BigInteger().with_variant(Integer, "sqlite")
+from service.store.schema import BIG, NAME, metadata
 
 model = Table(
     "model",
@@ -237,109 +220,12 @@ residual = Table(
     Column("error", Text),
 )
 
-api_key = Table(
-    "api_key",
-    metadata,
-    Column("id", String(40), primary_key=True),
-    Column("name", NAME, nullable=False),
-    Column("digest", String(64), nullable=False),
-    Column("scopes", Text, nullable=False),
-    Column("rotors", Text),
-    Column("created_at", Double, nullable=False),
-    Column("expires_at", Double),
-    Column("revoked_at", Double),
-)
-
-audit = Table(
-    "audit",
-    metadata,
-    Column("id", BIG, primary_key=True, autoincrement=True),
-    Column("at", Double, nullable=False),
-    Column("key_id", String(40)),
-    Column("who", NAME, nullable=False),
-    Column("address", NAME),
-    Column("request_id", NAME, nullable=False),
-    Column("what", NAME, nullable=False),
-    Column("path", Text, nullable=False),
-    Column("rotor_id", NAME),
-    Column("first_seq", BIG),
-    Column("last_seq", BIG),
-    Column("status", Integer, nullable=False),
-    Column("problem", String(60)),
-    Index("ix_audit_rotor_id_id", "rotor_id", "id"),
-    Index("ix_audit_key_id_id", "key_id", "id"),
-)
-
-first_answer = Table(
-    "first_answer",
-    metadata,
-    Column("owner", String(40), primary_key=True),
-    Column("key", String(64), primary_key=True),
-    Column("fingerprint", String(64), nullable=False),
-    Column("status", Integer),
-    Column("headers", Text),
-    Column("body", LargeBinary),
-    Column("begun_at", Double, nullable=False),
-    Column("expires_at", Double, nullable=False),
-    Index("ix_first_answer_expires_at", "expires_at"),
-)
-
-webhook = Table(
-    "webhook",
-    metadata,
-    Column("id", NAME, primary_key=True),
-    Column("url", Text, nullable=False),
-    Column("events", Text, nullable=False),
-    Column("rotors", Text),
-    Column("salt", String(64), nullable=False),
-    Column("fingerprint", String(64), nullable=False),
-    Column("created_at", Double, nullable=False),
-    Column("fence", BIG, nullable=False),
-    Column("owner", NAME),
-    Column("lease_until", Double),
-    Column("served_at", Double),
-)
-
-delivery = Table(
-    "delivery",
-    metadata,
-    Column("id", BIG, primary_key=True, autoincrement=True),
-    Column("message_id", String(60), nullable=False),
-    Column("webhook_id", NAME, ForeignKey("webhook.id"), nullable=False),
-    Column("rotor_id", NAME, nullable=False),
-    Column("event", String(20), nullable=False),
-    Column("body", Text, nullable=False),
-    Column("status", String(20), nullable=False),
-    Column("attempts", Integer, nullable=False),
-    Column("created_at", Double, nullable=False),
-    Column("not_before", Double),
-    Column("tried_at", Double),
-    Column("last_error", Text),
-    UniqueConstraint("message_id"),
-    Index("ix_delivery_heads", "webhook_id", "status", "rotor_id", "id"),
-    Index("ix_delivery_webhook_id_id", "webhook_id", "id"),
-)
-
-untold = Table(
-    "untold",
-    metadata,
-    Column("webhook_id", NAME, ForeignKey("webhook.id"), primary_key=True),
-    Column("rotor_id", NAME, primary_key=True),
-    Column("count", BIG, nullable=False),
-    Column("first_at", Double, nullable=False),
-    Column("last_at", Double, nullable=False),
-)
-
 blob = Table(
     "blob",
     metadata,
     Column("sha256", String(64), primary_key=True),
     Column("part", Integer, primary_key=True, autoincrement=False),
     Column("data", LargeBinary, nullable=False),
-)
-
-compatible_since = Table(
-    "compatible_since", metadata, Column("revision", String(32), primary_key=True)
 )
 
 # Array bytes do not compress; PostgreSQL need not try.

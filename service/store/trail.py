@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from sqlalchemy import Connection, insert, select, update
 
 from service.access import Act, AuditRecord
-from service.store import tables as t
+from service.store import access_tables as t
 from service.store.engine import now_s
 from service.tokens import redacted
 

@@ -19,7 +19,7 @@ from sqlalchemy import ColumnElement, Connection, delete, func, select, text, up
 
 from service.hooks import GAP
 from service.moments import moment
-from service.store import tables as t
+from service.store import hook_tables as t
 
 WAITING = 1000  # deliveries of a webhook and rotor that may wait, the newest
 d, u = t.delivery.c, t.untold.c

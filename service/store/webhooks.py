@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, Connection, RowMapping, delete, func, inse
 from sqlalchemy.exc import IntegrityError
 
 from service.hooks import GAP, DeliveryRecord, WebhookRecord, kind_of
-from service.store import tables as t
+from service.store import hook_tables as t
 from service.store.engine import now_s
 from service.store.untold import bound, count_untold, message, written
 

@@ -29,7 +29,7 @@ from service.errors import LostLeaseError, StoreAwayError
 from service.hooks import DeliveryRecord, WebhookRecord
 from service.outbound import Network, SendError, networks, post
 from service.settings import Settings
-from service.store import tables as t
+from service.store import hook_tables as t
 from service.store.engine import now_s, transaction
 from service.store.webhooks import delivery_of, prune
 from service.worker import hook_lease as leases

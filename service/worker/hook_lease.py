@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from sqlalchemy import ColumnElement, Engine, and_, exists, or_, select, update
 
 from service.hooks import WebhookRecord
-from service.store import tables as t
+from service.store import hook_tables as t
 from service.store.engine import now_s, transaction
 from service.store.webhooks import webhook_of
 from service.worker.clock import LONGEST_S, over, rested

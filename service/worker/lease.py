@@ -34,6 +34,7 @@ from service.errors import LostLeaseError
 from service.store import tables as t
 from service.store.commits import lock_rotor, locked_head, notified, notify
 from service.store.engine import now_s, transaction
+from service.store.hook_tables import webhook
 from service.store.outbox import post
 
 c = t.cursor.c
@@ -216,7 +217,7 @@ def release(engine: Engine, owner: str, *, counted: bool = True) -> int:
     """
     with transaction(engine, write=True) as connection:
         freed = []
-        for table in (t.cursor, t.job, t.webhook, t.residual):
+        for table in (t.cursor, t.job, webhook, t.residual):
             values: dict[str, object] = {"lease_until": None, "owner": None}
             if not counted and "attempts" in table.c:
                 values["attempts"] = uncounted(table.c.attempts)

@@ -15,6 +15,7 @@ from service.handlers.webhooks import create_webhook
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
+from service.store.hook_tables import delivery
 from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.check import check
@@ -90,7 +91,7 @@ def test_a_pause_from_a_clock_that_was_ahead_does_not_keep_a_message(
     create_webhook(store, str(key), "127.0.0.0/8", "ops", url=url, events=None, rotors=None)
     with transaction(store.engine, write=True) as connection:
         note(connection, rotor, "blocked", {"error": "e", "event": None})
-        connection.execute(update(t.delivery).values(not_before=now_s() + ahead_s))
+        connection.execute(update(delivery).values(not_before=now_s() + ahead_s))
     assert (claim_webhook(store.engine, "any", LEASE_S) is not None) is sent
 
 

@@ -31,7 +31,7 @@ from service.api.routers import rotors
 from service.bootstrap import make_worker
 from service.handlers.models import HDF5
 from service.handlers.webhooks import create_webhook
-from service.store import tables as t
+from service.store import hook_tables as t
 from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker

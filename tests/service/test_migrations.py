@@ -26,7 +26,7 @@ from service.settings import Settings
 from service.store import migrate as migrations
 from service.store import postgres
 from service.store.engine import is_sqlite, open_engine, transaction
-from service.store.tables import metadata
+from service.store.schema import metadata
 from service.store.unit_of_work import SqlStore
 
 

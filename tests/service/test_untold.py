@@ -19,7 +19,7 @@ from service.handlers.rotors import create_rotor
 from service.handlers.webhooks import create_webhook, delete_webhook, find_webhook, list_deliveries
 from service.ports import BladeRecord
 from service.settings import Settings
-from service.store import tables as t
+from service.store import hook_tables as t
 from service.store import untold
 from service.store.engine import is_sqlite, transaction
 from service.store.outbox import post as note

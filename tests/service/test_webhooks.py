@@ -32,7 +32,9 @@ from service.ports import BladeRecord
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import transaction
+from service.store.hook_tables import delivery, webhook
 from service.store.outbox import post as note
+from service.store.schema import metadata
 from service.store.unit_of_work import SqlStore
 from service.store.webhooks import prune
 from service.worker import hook_lease
@@ -99,7 +101,7 @@ def happens(store: SqlStore) -> Callable[..., None]:
 def rested(store: SqlStore) -> None:
     """As if every pause had passed."""
     with transaction(store.engine, write=True) as connection:
-        connection.execute(update(t.delivery).values(not_before=None))
+        connection.execute(update(delivery).values(not_before=None))
 
 
 def sender(store: SqlStore, settings: Settings, **given: Any) -> Deliverer:
@@ -404,7 +406,7 @@ def survives(store: SqlStore, settings: Settings, kind: type[Deliverer], when: s
     with pytest.raises(Died):
         kind(store.engine, settings, "dies", dying).run_once()
     with transaction(store.engine, write=True) as connection:  # its lease runs out
-        connection.execute(update(t.webhook).values(lease_until=0.0))
+        connection.execute(update(webhook).values(lease_until=0.0))
     kind(store.engine, settings, "lives", living).drain()
     return arrived
 
@@ -414,7 +416,7 @@ class RecordsFirst(Deliverer):
 
     def deliver(self, webhook: Any, message: Any) -> tuple[str | None, bool]:
         with transaction(self.engine, write=True) as connection:
-            own = update(t.delivery).where(t.delivery.c.id == message.number)
+            own = update(delivery).where(delivery.c.id == message.number)
             connection.execute(own.values(status="delivered"))
         return super().deliver(webhook, message)
 
@@ -449,7 +451,7 @@ def overtaken(store: SqlStore, settings: Settings) -> list[DeliveryRecord]:
     (message,) = listed(store)
     assert claim_webhook(store.engine, "quick", 30.0) is None, "one at a time"
     with transaction(store.engine, write=True) as connection:
-        connection.execute(update(t.webhook).values(lease_until=0.0))
+        connection.execute(update(webhook).values(lease_until=0.0))
     sender(store, settings).drain()
     slow.record(lease, message, "no answer", counts=True)
     return listed(store)
@@ -473,7 +475,7 @@ def test_without_the_fence_it_would(
 ) -> None:  # fmt: skip
     hook()
     happens(rotor, "e")
-    monkeypatch.setattr(hook_lease, "holds", lambda lease: t.webhook.c.id == lease.webhook.id)
+    monkeypatch.setattr(hook_lease, "holds", lambda lease: webhook.c.id == lease.webhook.id)
     assert overtaken(store, settings)[0].status == "pending", "delivered, and to be sent again"
 
 
@@ -489,8 +491,8 @@ def test_without_heads_a_refused_one_would_be_overtaken(
     assert [error for _, error in told(receiver)] == ["e0"], "e1 waits for it"
 
     def anything(longest_s: float = 0.0) -> Any:
-        rested = t.delivery.c.not_before.is_(None)
-        return (t.delivery.c.status == "pending") & rested
+        rested = delivery.c.not_before.is_(None)
+        return (delivery.c.status == "pending") & rested
 
     monkeypatch.setattr(hook_lease, "due", anything)
     sender(store, pausing).drain()
@@ -573,7 +575,7 @@ def test_nothing_in_the_database_makes_a_signature_and_another_key_file_is_notic
     with store.read() as tx:
         rows = [
             str(value)
-            for table in t.metadata.sorted_tables
+            for table in metadata.sorted_tables
             for row in tx.connection.execute(select(table))
             for value in row
         ]
@@ -675,7 +677,7 @@ def test_a_webhook_deleted_while_it_is_served_is_told_nothing_more(
     sender(store, settings).drain()
     assert len(receiver.got) == 1
     with store.read() as tx:
-        assert tx.connection.execute(select(t.delivery)).all() == []
+        assert tx.connection.execute(select(delivery)).all() == []
 
 
 def test_a_webhook_made_anew_under_its_name_is_another_one(

@@ -17,6 +17,7 @@ from service.client import read_webhook
 from service.hooks import KINDS
 from service.store import tables as t
 from service.store.engine import transaction
+from service.store.hook_tables import delivery, webhook
 from service.worker.deliver import Deliverer
 from tests.service.machine.log import Crash, Log
 from tests.service.machine.steps import act
@@ -163,7 +164,7 @@ class Hooks(Log):
         self.expire()
         self.read_mail()
         with transaction(self.store.engine, write=True) as connection:
-            connection.execute(update(t.delivery).values(not_before=None))
+            connection.execute(update(delivery).values(not_before=None))
 
     def read_mail(self) -> None:
         """Each message is for a webhook that is there, signed with its secret, and in its turn."""
@@ -191,7 +192,7 @@ class Hooks(Log):
     def expire(self) -> None:
         super().expire()
         with transaction(self.store.engine, write=True) as connection:
-            late = update(t.webhook).where(t.webhook.c.lease_until.is_not(None))
+            late = update(webhook).where(webhook.c.lease_until.is_not(None))
             connection.execute(late.values(lease_until=1.0))
 
     def teardown(self) -> None:

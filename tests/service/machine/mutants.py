@@ -12,6 +12,7 @@ from sqlalchemy import ColumnElement, and_, false, select
 from service.adopted import Adopted, adopted_at
 from service.ports import Event, ModelCard, Note, RotorRecord, StateRecord, Transaction, Which
 from service.store import tables as t
+from service.store.hook_tables import delivery
 from service.store.log import SqlLog
 from service.store.outbox import SqlOutbox
 from service.store.records import SqlRecords
@@ -55,7 +56,7 @@ def effects_of_now(tx: Transaction, rotor: RotorRecord, *given: int | None) -> A
 
 def due_out_of_turn(longest_s: float) -> ColumnElement[bool]:
     """Whatever of its rotor rests before it."""
-    return and_(t.delivery.c.status == "pending", rested(t.delivery.c.not_before, longest_s))
+    return and_(delivery.c.status == "pending", rested(delivery.c.not_before, longest_s))
 
 
 def from_the_known(self: SqlOutbox, rotor_id: str, number: int, limit: int) -> list[Note]:
