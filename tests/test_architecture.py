@@ -45,6 +45,11 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 """From the ground up: a module imports its own room and lower floors; within the second floor
 freely, as its modules know each other's words (network ← observation)."""
 
+LONGEST = 250
+LONGER = {
+    "service/client/answers.py": "made from the API's document",
+    "core/blade/geometry.py": "another text of `core/blade` disowns the shipped models' runs",
+}
 FORBIDDEN_IN_CORE = {
     "service", "fastapi", "starlette", "uvicorn", "sqlalchemy", "alembic", "psycopg", "sqlite3",
     "httpx", "typer", "rich", "dotenv",
@@ -126,6 +131,11 @@ def test_every_module_of_core_has_a_floor() -> None:
         and floor_of(path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")) is None
     ]
     assert homeless == []
+
+
+def test_no_module_is_longer_than_can_be_read_at_once() -> None:
+    lengths = {p: len((ROOT / p).read_text().splitlines()) for p in sources()}
+    assert {p for p, n in lengths.items() if n > LONGEST} == set(LONGER)
 
 
 def test_imports_run_one_way() -> None:

@@ -45,7 +45,9 @@ def test_slopes_go_with_residuals_as_over_the_particles_of_the_formula() -> None
     assert most > 0.2, "there is something to be told"
 
 
-def test_a_pull_between_halves_is_a_difference_of_amplitudes() -> None:
+def test_a_pull_between_halves_is_a_difference_of_amplitudes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     case, sound, work = rotor_of(0.3, 0.3)
     bent = with_effects(MODEL, [CELL], case.facts, case.noise(MODEL, sound))
     state = update(bent, FEW, case.readings, workspace=work)
@@ -61,7 +63,8 @@ def test_a_pull_between_halves_is_a_difference_of_amplitudes() -> None:
     size = 0.3
 
     def told(pull: np.ndarray) -> tuple[float, float]:
-        case._seen[bent.digest, state.digest] = replace(seen, pull=pull)
+        # other tests look at the same case: what is put in here goes again
+        monkeypatch.setitem(case._seen, (bent.digest, state.digest), replace(seen, pull=pull))
         held = case.halves(MODEL, sound, Rival((CELL,), bent, lambda: state, 0.0))
         return next(one.amplitudes for one in held if one.by == BLADES)
 
