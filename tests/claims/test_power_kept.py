@@ -63,3 +63,29 @@ def test_alarms_at_other_sizes_are_told_and_no_set_is_lost() -> None:
                 assert row["alarms"] == alarms / row["sets"]
                 at = "clean" if condition == "clean" else f"{condition} {row['size']:g}"
                 assert f"{at}: {alarms} of {row['sets']}" in words
+
+
+def test_the_whole_curve_is_told_as_it_is_kept() -> None:
+    words = (HERE / "README.md").read_text()
+    found = json.loads((HERE / "results/effects-power-curve/result.json").read_text())
+    assert found["errors"] == 0
+    assert int(found["commit"][:6], 16) == found["seed"]
+    assert found["sizes"] == [0.5, 1.0, 1.5, 2.0, 3.0, 4.0]
+    keys = {(one["condition"], one["size"], one["number"]) for one in found["sets"]}
+    assert len(keys) == len(found["sets"]) == 48 + 8 * sum(map(len, found["possible"].values()))
+    at_two = []
+    for condition, best in found["possible"].items():
+        searched = {row["size"]: f"{100 * row['searched']:.0f}" for row in best}
+        cells = []
+        for size in found["sizes"]:
+            own = [o for o in found["sets"] if (o["condition"], o["size"]) == (condition, size)]
+            assert len(own) in (0, 8)
+            assert all(one["alarm"] is (one["p"] <= 0.05) for one in own)
+            alarms = sum(one["alarm"] for one in own)
+            cells.append(f"{alarms} ({searched[size]})" if own else "")
+            at_two += [alarms] if size == 2.0 else []
+        assert f"| {condition} | {' | '.join(cells)} |" in words
+    clean = [one for one in found["sets"] if one["condition"] == "clean"]
+    assert f"of {len(clean)} clean sets {sum(one['alarm'] for one in clean)} alarms" in words
+    assert f"{sum(at_two)} of 64 are noticed, six of eight" in words
+    assert sum(n / 8 >= ASKED for n in at_two) == 6
