@@ -201,7 +201,7 @@ def _room(
     if high - max(low, 0.0) < LEAST_ROOM * size:
         raise InputError(
             f"effect {drift.name}",
-            (round(low, 4), round(high, 4)),
+            (round(low, 4) + 0.0, round(high, 4) + 0.0),  # no "-0.0"
             f"finds no room in the runs of {drift.input}, {own.low:g} … {own.high:g}",
             "use a model of wider runs (rotor-blade-wide)",
         )

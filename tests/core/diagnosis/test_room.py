@@ -172,6 +172,8 @@ def test_an_effect_with_less_room_than_a_fifth_of_its_size_is_refused() -> None:
         _room(model, one, -9.0, 9.0, 0.501)
     with pytest.raises(InputError, match="finds no room"):
         _room(model, one, 0.09, 9.0, 0.06)
+    with pytest.raises(InputError, match=r"= \(-0.15, 0.0\) finds no room"):
+        _room(model, one, -9.0, -0.0, 0.06)
 
 
 def test_an_input_that_no_run_varied_has_no_room() -> None:
