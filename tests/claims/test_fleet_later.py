@@ -30,6 +30,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-scans", ("clean", *PHYSICS, "pulse"), 2),
         ("effects-scans-clean", ("clean",), 8),
         ("effects-scans-all", CONDITIONS, 4),
+        ("effects-fleet-2", CONDITIONS, 4),
     ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
@@ -137,3 +138,25 @@ def test_in_scans_most_names_are_right_and_what_is_missed_is_said() -> None:
     assert [kind for kind, share in nearer.items() if share > 0.3] == ["worn lot"], "missed, said"
     told = [found["improvement"][kind] for kind in NAMED]
     assert all(one["better"] == 1.0 and 0.90 <= one["inside 95"] <= 0.98 for one in told)
+
+
+def test_by_todays_rules_sensors_are_named_in_fleets_and_physics_is_not() -> None:
+    found = kept("effects-fleet-2")
+    outcomes = {
+        kind: [one["outcome"] for one in found["sets"] if one["condition"] == kind]
+        for kind in CONDITIONS
+    }
+    named = {kind for kind in NAMED if outcomes[kind] == ["right"] * 4}
+    assert named == set(NAMED) - set(PHYSICS)
+    assert sum(outcomes[kind].count("right") for kind in PHYSICS) == 0
+    alarms = sum(one["alarm"] for one in found["sets"] if one["condition"] in PHYSICS)
+    assert f"Physics alarms in {alarms} of 20 and none is named" in TEXT
+    assert found["marks"]["named, right"] == 0.375, "missed, and said"
+    assert "12 of 32 get their name, 38 %" in TEXT
+    assert sum(outcomes[kind].count("wrong") for kind in NAMED) == 1
+    assert found["marks"]["named, wrong"] <= 0.05
+    assert found["marks"]["outside, no name"] == found["marks"]["alike, not separable"] == 1.0
+    better = found["improvement"]
+    assert f"nearer by {100 * (1 - better['wear']['forecast']):.0f} % with wear" in TEXT
+    assert f"{100 * (1 - better['tertiary']['forecast']):.0f} % with accelerating creep" in TEXT
+    assert f"{100 * (better['step']['forecast'] - 1):.0f} % farther with a step" in TEXT
