@@ -19,6 +19,7 @@ import typer
 from core.errors import BladetwinError, InputError
 from service.commands.reach import reached
 from service.report.alternatives import names
+from service.report.split import IDLE, campaign, inspection, percent
 
 if TYPE_CHECKING:
     from service.client import Client
@@ -78,6 +79,21 @@ def awaited(twin: Client, told: Told, show: Callable[[Told], None], look_s: floa
     return told
 
 
+def what_to_read(separating: Told | None) -> Iterator[str]:
+    """The inspections that tell most of what shares the evidence; of one blade, of all of them."""
+    if not separating:
+        return
+    ways = [("one reading", separating["single"], inspection)]
+    ways += [("all blades", separating.get("campaigns"), campaign)]
+    for what, found, said in ways:
+        if found and found[0]["gain_nat"] >= IDLE:
+            best = found[0]
+            yield (
+                f"  {what}, to tell more: {said(best)} (expected share of the true one "
+                f"{percent(best['share'])}, settled in {percent(best['settled'])} of cases)"
+            )
+
+
 def lines_of(told: Told) -> Iterator[str]:
     """A diagnosis that has a result, as a short table."""
     found = told["result"]
@@ -88,6 +104,7 @@ def lines_of(told: Told) -> Iterator[str]:
         yield f"  {reason}"
     if found["verdict"] == "not separable":
         yield "  one of: " + ", ".join(found["names"])
+    yield from what_to_read(found.get("separating"))
     if found["effects"]:
         yield "effects" if found["claimed"] else "effects that were calibrated, not claimed"
     for effect in found["effects"]:

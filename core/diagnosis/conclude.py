@@ -201,7 +201,8 @@ def conclude(
     if sure:
         why += f" beside {' and '.join(sure)}"
     if len(several) > MOST_NAMES:
-        return replace(said, word="unattributed", names=(), reasons=(why,))
+        told = tuple(several)
+        return replace(said, word="unattributed", names=(), several=told, reasons=(why,))
     return replace(said, word="not separable", names=tuple(several), reasons=(why,))
 
 

@@ -1,7 +1,9 @@
 """The rivals of a set that is not separable, calibrated, and the inspections that would split it.
 
 `diagnose` calibrates the weightiest hypotheses of a turn alone. Here every name of the set gets its
-best hypothesis, calibrated from the same readings.
+best hypothesis, calibrated from the same readings. Where more names share the evidence than are an
+answer, nothing is claimed, but what to read next is a question all the more: the `MOST` weightiest
+stand for them.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from core.errors import InputError
 from core.planning.campaigns import campaigns
 from core.planning.candidates import candidates
 
+MOST = 6  # rivals for names that are too many to be an answer
+
 
 def rivals_of(
     found: Diagnosis,
@@ -26,7 +30,8 @@ def rivals_of(
     workspace: Workspace | None = None,
     say: Callable[[str], None] = lambda what: None,
 ) -> list[Rival]:
-    """The best hypothesis of each name of the set, with its share of the evidence, largest first.
+    """The best hypothesis of each name of the set, with its share of the evidence, largest first;
+    of names that are too many to be an answer the `MOST` weightiest.
 
     Each has the effects that were in the model before, and its own. Left out is what the runs have
     no room for.
@@ -34,9 +39,12 @@ def rivals_of(
     model, state = found.before
     if (turn := found.open) is None:
         return []
-    noise, allowed = case.noise(model, state), set(found.verdict.names)
+    noise, allowed = case.noise(model, state), set(_open(found))
+    most = len(turn.hypotheses) if found.verdict.names else MOST
     rivals: list[Rival] = []
     for one in turn.hypotheses:
+        if len(rivals) == most:
+            break
         covered = {n for r in rivals for n in r.names}
         said = {n if n in allowed else turn.called(n) for n in one.names}
         if not set(one.names) - covered or not said <= allowed:
@@ -61,12 +69,12 @@ def splitting(
     workspace: Workspace | None = None,
     say: Callable[[str], None] = lambda what: None,
 ) -> Separation | None:
-    """Inspections that would split a set that is not separable.
+    """Inspections that would split a set that is not separable, or names too many for an answer.
 
     None for every other verdict, where fewer than two of the set could be calibrated, and where no
     blade has hours left in the model.
     """
-    if found.verdict.word != "not separable":
+    if not _open(found):
         return None
     rivals = rivals_of(found, case, workspace, say)
     model = found.before[0]
@@ -77,3 +85,9 @@ def splitting(
     apart = separate(rivals, asked, case.spec.known)
     whole = campaigns(model, case.present, case.readings)
     return replace(apart, campaigns=of_all(rivals, whole, case.spec.known, say))
+
+
+def _open(found: Diagnosis) -> tuple[str, ...]:
+    """Names that share the evidence."""
+    verdict = found.verdict
+    return verdict.names if verdict.word == "not separable" else verdict.several

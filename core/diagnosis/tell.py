@@ -34,7 +34,8 @@ def to_json(
     """Verdict, effects with amplitudes, evidence, everything tried, before and after.
 
     pictures    what a report shows of it (`core.diagnosis.pictures`)
-    separating  inspections that would split what is not separable (`core.diagnosis.separate`)
+    separating  inspections that would split what is not separable, or too many names to claim one
+                (`core.diagnosis.separate`)
     wide        what a lack without a name makes of the bands (`core.diagnosis.widen`)
     others      forecasts by the rivals of what is in the model (`core.diagnosis.alternatives`)
     """

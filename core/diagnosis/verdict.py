@@ -88,6 +88,8 @@ class Verdict:
 
     p           family-wise probability of so large a gain by chance; after: of what is left
     names       those that are claimed, or the set that is not separable
+    several     those that share the evidence where they are too many to be an answer: none is
+                claimed, and what to read next can be told (`rivals`)
     hypotheses  all that have a noticeable share of the evidence, largest first
     tried       log mean Bayes factor of every family, and of misfits without a name
     reasons     in words
@@ -103,6 +105,7 @@ class Verdict:
     tried: dict[str, float]
     held: tuple[Held, ...]
     reasons: tuple[str, ...]
+    several: tuple[str, ...] = ()
 
 
 def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Verdict:

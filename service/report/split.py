@@ -1,4 +1,4 @@
-"""The section on the inspection that would split a set that is not separable."""
+"""The section on the inspection that would split a set that is not separable, or too many names."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ IDLE = 0.02  # nat: an inspection that tells less tells nothing
 
 
 def split(found: Json) -> Markup | None:
-    """Which inspection tells the rivals apart; None for every other verdict."""
-    if found["verdict"] != "not separable":
-        return None
+    """Which inspection tells the rivals apart; None where there are none."""
     title, told = "The inspection that would tell them apart", found.get("separating")
+    if found["verdict"] != "not separable" and not told:
+        return None
     if not told or not told["single"]:
         why = "It was not computed: an older release, or fewer than two could be calibrated."
         return section(title, note(why))
@@ -39,6 +39,8 @@ def split(found: Json) -> Markup | None:
     names = [joined(r["names"]) for r in told["rivals"]]
     now = max(r["weight"] for r in told["rivals"]) / sum(r["weight"] for r in told["rivals"])
     parts: list[Child] = []
+    if found["verdict"] == "unattributed":
+        parts.append(el("p", f"No name is claimed. The weightiest of many: {joined(names)}."))
     if best["gain_nat"] < IDLE:
         said = "No single reading that was considered tells them apart: all expect the same of it."
         parts.append(el("p", said))

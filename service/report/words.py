@@ -163,6 +163,11 @@ def verdict(found: Json, rotor: str, units: Mapping[str, str]) -> str:
             f"The model of rotor {rotor} lacks something{chance}, and its readings cannot tell "
             f"which of these it is: {joined(found['names'], 'or')}."
         )
+    if found.get("separating"):
+        return (
+            f"The model of rotor {rotor} lacks something{chance}, and more effects would explain "
+            "it than an answer can hold. No cause is named."
+        )
     return (
         f"The model of rotor {rotor} lacks something{chance}, and no effect that was tried "
         f"explains it. No cause is named."
@@ -178,8 +183,15 @@ def do_next(found: Json) -> str:
         "not separable": "Do not act on one of the names alone. The inspections below would tell "
         "them apart.",
         "unattributed": "Look at the residuals below: they show where the misfit is. Bands of the "
-        "model are too narrow there, and forecasts may be biased." + _wider(found),
+        "model are too narrow there, and forecasts may be biased." + _many(found) + _wider(found),
     }[found["verdict"]]
+
+
+def _many(found: Json) -> str:
+    """Where causes are too many to be named, and what would tell them apart is known."""
+    if not found.get("separating"):
+        return ""
+    return " Many causes would explain it; the inspections below would tell them apart."
 
 
 def _wider(found: Json) -> str:

@@ -193,6 +193,34 @@ def test_the_inspection_that_splits_the_set_is_told_with_what_it_promises() -> N
     assert "It was not computed" in Read(page_of(told("not separable", separating=None))).said
 
 
+def test_where_names_are_too_many_none_is_claimed_and_what_to_read_is_told() -> None:
+    found = told("unattributed", separating=told("not separable")["separating"])
+    said = Read(page_of(found)).said
+    assert "more effects would explain it than an answer can hold. No cause is named" in said
+    assert "the inspections below would tell them apart" in said
+    assert "No name is claimed. The weightiest of many: campaign offset" in said
+    assert "Best: permanent tip elongation of blade B1 with another instrument, now" in said
+    assert "Not among those told apart" not in said
+    without = Read(page_of(told("unattributed"))).said
+    assert "than an answer can hold" not in without
+    assert "The inspection that would" not in without
+    assert "would tell them apart" not in without
+
+
+def test_the_command_tells_what_to_read_next() -> None:
+    lines = [*lines_of({"rotor": "r1", "result": told("not separable")})]
+    one = "one reading, to tell more: permanent tip elongation of blade B1 with another instrument"
+    whole = "all blades, to tell more: 3-D scan (deformation of 96 nodes) of 3 blades, now"
+    assert any(one in line and "true one 90 %, settled in 70 %" in line for line in lines)
+    assert any(whole in line and "true one 97 %, settled in 94 %" in line for line in lines)
+    idle = told("not separable")
+    for each in (*idle["separating"]["single"], *idle["separating"]["campaigns"]):
+        each["gain_nat"] = 0.001
+    assert not any("to tell more" in line for line in lines_of({"rotor": "r1", "result": idle}))
+    named = lines_of({"rotor": "r1", "result": told("effect")})
+    assert not any("to tell more" in line for line in named)
+
+
 def test_readings_that_were_not_used_are_called_out() -> None:
     less = told("adequate", readings={"delivered": 12, "used": 11})
     assert "11 used of 12 delivered: NOT THE SAME" in Read(page_of(less)).said

@@ -9,6 +9,7 @@ import pytest
 
 from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec
+from core.diagnosis import conclude, rivals
 from core.diagnosis.case import Case
 from core.diagnosis.diagnose import Diagnosis, diagnose
 from core.diagnosis.grammar import Facts
@@ -93,6 +94,27 @@ def test_no_inspection_is_asked_of_a_blade_that_has_left(
     assert split is not None
     assert {one.blade for one, _ in split.single} <= set(serving)
     assert {b for one, _ in split.campaigns for b, _ in one.blades} == set(serving)
+
+
+def test_names_too_many_for_an_answer_are_told_apart_by_the_same_inspections(
+    torn: tuple[Diagnosis, Case, Workspace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of them is claimed; of what would be read the two weightiest stand for all."""
+    found, case, work = torn
+    monkeypatch.setattr(conclude, "MOST_NAMES", 2)
+    other = diagnose(MODEL, found.before[1], case, workspace=work)
+    assert other.verdict.word == "unattributed"
+    assert other.verdict.names == ()
+    assert other.verdict.several == found.verdict.names
+    split, before = splitting(other, case, work), splitting(found, case, work)
+    assert split is not None
+    assert before is not None
+    assert separation_json(split) == separation_json(before)
+    monkeypatch.setattr(rivals, "MOST", 2)
+    few = rivals_of(other, case, work)
+    assert [one.names for one in few] == [one.names for one in before.rivals[:2]]
+    monkeypatch.setattr(rivals, "MOST", 1)
+    assert splitting(other, case, work) is None
 
 
 def test_other_verdicts_have_nothing_to_split(torn: tuple[Diagnosis, Case, Workspace]) -> None:
