@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.archive import Archive, Input, Mesh, Quantity, Run, store
+from core.archive import Archive, Input, Mesh, Quantity, Run, layout
 from core.archive.claims import Claims, ended, exclusive, owner, started
 from core.archive.disk import link_file
 from core.archive.shared import SharedRuns
@@ -264,19 +264,19 @@ def test_who_is_swept_away_while_its_file_is_made_was_second(
     archive: Archive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that stood still past its claim: the other one publishes, and sweeps, meanwhile."""
-    real, full = store.created, Event()
+    real, full = layout.created, Event()
 
     def created(part: Path) -> Any:
-        monkeypatch.setattr(store, "created", real)
+        monkeypatch.setattr(layout, "created", real)
         archive.add(0, run(1.0))
         if full.is_set():
             part.touch()
         raise OSError("Unable to synchronously create file (can't retrieve stat info for file)")
 
-    monkeypatch.setattr(store, "created", created)
+    monkeypatch.setattr(layout, "created", created)
     assert not archive.add(0, run(2.0))
     full.set()  # where its file is still there something else went wrong
-    monkeypatch.setattr(store, "created", created)
+    monkeypatch.setattr(layout, "created", created)
     with pytest.raises(OSError, match="Unable"):
         archive.add(0, run(3.0))
     assert archive.done() == (0,)
