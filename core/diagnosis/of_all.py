@@ -40,7 +40,8 @@ def of_all(
     known: Mapping[str, Mapping[str, float]] | None = None,
     say: Callable[[str], None] = lambda what: None,
 ) -> tuple[tuple[Campaign, Told], ...]:
-    """Campaigns by what they would tell of the rivals, largest first.
+    """Campaigns by what they would tell of the rivals, largest first; of those that tell as much to
+    a hundredth of a nat the one that is sooner.
 
     Instruments that no rival tells apart are asked about once, by none's name.
     """
@@ -53,7 +54,7 @@ def of_all(
     for one in kinds:
         say(f"what {one.quantity} of all blades would tell")
         found.append((one, told_by(p, _awaited_by(rivals, one, known))))
-    return tuple(sorted(found, key=lambda item: -round(item[1].gain, 6)))
+    return tuple(sorted(found, key=lambda item: (-round(item[1].gain, 2), item[0].ahead_h)))
 
 
 def _awaited_by(

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from core.calibration.online import RotorSpec, update
+from core.diagnosis import of_all as module
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.families import FAMILIES
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.of_all import of_all, told_by
-from core.diagnosis.separate import Separation, a_set
+from core.diagnosis.separate import Separation, Told, a_set
 from core.model import rotor_blade, rotor_blade_wide
 from core.observation import Inspection
 from core.planning.ahead import Drawn, expected
@@ -191,3 +192,14 @@ def test_readers_that_no_rival_tells_apart_are_asked_about_once(
     assert one.instrument is None
     assert told.gain == pytest.approx(0.0, abs=1e-9)
     assert len(of_all(got.rivals, [by("g1"), by("g2")])) == 2
+
+
+def test_of_campaigns_that_tell_as_much_the_one_that_is_sooner_comes_first(
+    found: tuple[Separation, list[Inspection]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    got, _ = found
+    gains = {0.5: 1.2401, 0.25: 1.2399, 0.125: 0.7}
+    monkeypatch.setattr(module, "_awaited_by", lambda rivals, asked, known: asked)
+    monkeypatch.setattr(module, "told_by", lambda p, asked: Told(gains[asked.ahead_h], 0.9, 0.8))
+    asked = [replace(by("g1"), ahead_h=ahead) for ahead in gains]
+    assert [one.ahead_h for one, _ in of_all(got.rivals, asked)] == [0.25, 0.5, 0.125]
