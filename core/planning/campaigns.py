@@ -29,12 +29,12 @@ from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
 from core.planning.ahead import TO_COME, Drawn, answered
-from core.planning.candidates import AHEAD, Candidate, candidates
+from core.planning.candidates import AHEAD, UNREAD, Candidate, candidates, usual_interval_h
 from core.planning.ready import modes, ready
 from core.response import Response
 
 Array = NDArray[np.float64]
-HOURS = AHEAD[::2]  # of a model's hours: now, and a sixth of them later
+HOURS = AHEAD[::2]  # of the usual interval: now, and at the next visit
 SCANNED = 64  # nodes of a scan, where none was scanned yet
 MOST = 800  # particles of a blade
 FAINT = 1e-6  # of the largest: directions that blades have in common
@@ -76,7 +76,8 @@ def campaigns(
     `SCANNED` nodes evenly over the mesh.
     """
     together: dict[tuple[str, float, str | None, float | None], list[tuple[str, float]]] = {}
-    hours = [share * model.surrogate.horizon_h for share in HOURS]
+    step = usual_interval_h(readings) or UNREAD * model.surrogate.horizon_h
+    hours = [share * step for share in HOURS]
     for one in candidates(model, blades, readings, hours):
         key = (one.quantity, one.ahead_h, one.instrument, one.sigma)
         together.setdefault(key, []).append((one.blade, one.time_h))

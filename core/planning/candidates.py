@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from statistics import median
 from typing import Any
 
@@ -18,7 +19,8 @@ from core.model import Model
 from core.network import Quantity
 from core.observation import Inspection
 
-AHEAD = (0.0, 0.08, 0.16, 0.32)  # of a model's hours: now, and up to a third of them later
+AHEAD = (0.0, 0.5, 1.0, 2.0)  # of the usual interval: now, at the next visit, before it, after it
+UNREAD = 0.16  # of a model's hours: the interval of blades that were never read
 ANOTHER = "another"  # an instrument that is none of those that read
 
 
@@ -53,9 +55,11 @@ def candidates(
     network declares and the surrogate has no answer for.
 
     Hours count from the blade's latest reading (of a blade without one from zero) as far as the
-    model reaches; where none are given, by shares of the model's (`AHEAD`): users' models may cover
-    ten hours or a million. Instruments are those that read the quantity, and another one.
+    model reaches; where none are given, by the interval at which blades are read (`AHEAD`): users'
+    models may cover ten hours or a million. Instruments are those that read the quantity, and
+    another one.
     """
+    interval = usual_interval_h(readings)
     latest: dict[str, float] = {}
     for r in readings:
         latest[r.blade] = max(latest.get(r.blade, 0.0), r.time_h)
@@ -68,7 +72,8 @@ def candidates(
         told = [r.sigma for r in own if r.sigma is not None]
         sigma = float(median(told)) if told and len(told) == len(own) else None
         horizon = model.part(q.name).horizon_h
-        hours = [share * horizon for share in AHEAD] if ahead_h is None else ahead_h
+        step = UNREAD * horizon if interval is None else interval
+        hours = [share * step for share in AHEAD] if ahead_h is None else ahead_h
         for blade in blades:
             for ahead in hours:
                 hour = latest.get(blade, 0.0) + ahead
@@ -79,6 +84,24 @@ def candidates(
                     for name in (*used, ANOTHER if used else None)
                 ]
     return tuple(found)
+
+
+def usual_interval_h(readings: Sequence[Inspection]) -> float | None:
+    """The median of the hours between readings of a blade one after the other; where no blade was
+    read twice, of the hours until it was read; None where none was.
+
+    >>> at = [("a", 8e3), ("a", 16e3), ("a", 16e3), ("b", 2e4), ("b", 28e3), ("b", 4e4)]
+    >>> given = [Inspection(str(i), b, "y", h, np.zeros(1)) for i, (b, h) in enumerate(at)]
+    >>> usual_interval_h(given), usual_interval_h(given[:1]), usual_interval_h([])
+    (8000.0, 8000.0, None)
+    """
+    hours: dict[str, set[float]] = {}
+    for r in readings:
+        hours.setdefault(r.blade, set()).add(r.time_h)
+    between = [b - a for own in hours.values() for a, b in pairwise(sorted(own))]
+    first = [min(own) for own in hours.values()]
+    found = [h for h in between or first if h > 0]
+    return float(median(found)) if found else None
 
 
 def answers(model: Model, quantity: Quantity) -> bool:

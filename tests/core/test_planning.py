@@ -12,7 +12,8 @@ from core.calibration.state import RotorSpec, RotorState, blade_posterior, share
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
-from core.planning.candidates import ANOTHER, Candidate, candidates
+from core.planning.campaigns import campaigns
+from core.planning.candidates import ANOTHER, Candidate, candidates, usual_interval_h
 from core.planning.worth import Target, worth
 from core.prediction import predict
 from tests.core.calibration.test_exact import SLOPES, conjugate, exact, readings
@@ -161,3 +162,18 @@ def test_a_target_that_is_none_is_refused(state: RotorState) -> None:
             worth(MODEL, state, target, ASKED)
     with pytest.raises(InputError, match="cannot be ranked"):
         worth(MODEL, state, AIM, [])
+
+
+def test_hours_to_come_follow_the_interval_at_which_blades_are_read() -> None:
+    """Not the model's own, which may reach ten times as far as anybody looks."""
+    at = [("b0", 0.1), ("b0", 0.3), ("b1", 0.2), ("b1", 0.4), ("b1", 0.6), ("b2", 0.5)]
+    data = [replace(DATA[0], id=f"{i}", blade=b, time_h=t) for i, (b, t) in enumerate(at)]
+    assert usual_interval_h(data) == pytest.approx(0.2)
+    found = candidates(MODEL, ["b0", "b2"], data)
+    told = sorted({(c.blade, round(c.time_h, 9)) for c in found})
+    assert told == [(b, round(h + s, 9)) for b, h in (("b0", 0.3), ("b2", 0.5))
+                    for s in (0.0, 0.1, 0.2, 0.4)]  # fmt: skip
+    asked = campaigns(MODEL, ["b0", "b2"], data)
+    assert sorted(round(c.ahead_h, 9) for c in asked) == [0.0, 0.2]
+    once = [one for one in data if one.id in ("0", "2")]
+    assert usual_interval_h(once) == pytest.approx(0.15), "until they were read"
