@@ -40,7 +40,8 @@ def split(found: Json) -> Markup | None:
     now = max(r["weight"] for r in told["rivals"]) / sum(r["weight"] for r in told["rivals"])
     parts: list[Child] = []
     if found["verdict"] == "unattributed":
-        parts.append(el("p", f"No name is claimed. The weightiest of many: {joined(names)}."))
+        said = f"No name is claimed. The weightiest of many: {joined(names)}."
+        parts.append(el("p", f"{said} What follows is said as if one of these were true."))
     if best["gain_nat"] < IDLE:
         said = "No single reading that was considered tells them apart: all expect the same of it."
         parts.append(el("p", said))

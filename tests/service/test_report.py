@@ -199,6 +199,7 @@ def test_where_names_are_too_many_none_is_claimed_and_what_to_read_is_told() -> 
     assert "more effects would explain it than an answer can hold. No cause is named" in said
     assert "the inspections below would tell them apart" in said
     assert "No name is claimed. The weightiest of many: campaign offset" in said
+    assert "What follows is said as if one of these were true" in said
     assert "Best: permanent tip elongation of blade B1 with another instrument, now" in said
     assert "Not among those told apart" not in said
     without = Read(page_of(told("unattributed"))).said
