@@ -196,14 +196,13 @@ def conclude(
         return replace(said, names=tuple(sure), reasons=tuple(whys))
     doubt = [t for t in took if any(claims.get(n, n) is None for n in t.took)]
     rest = {n for turn in doubt for n in turn.in_doubt}
-    several = sorted({*sure, *rest})
+    several = tuple(sorted({*sure, *rest}))
     why = f"{len(rest)} names share the evidence"
     if sure:
         why += f" beside {' and '.join(sure)}"
     if len(several) > MOST_NAMES:
-        told = tuple(several)
-        return replace(said, word="unattributed", names=(), several=told, reasons=(why,))
-    return replace(said, word="not separable", names=tuple(several), reasons=(why,))
+        return replace(said, word="unattributed", names=(), several=several, reasons=(why,))
+    return replace(said, word="not separable", names=several, reasons=(why,))
 
 
 def _against(

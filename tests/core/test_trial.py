@@ -103,7 +103,8 @@ def trial_of(parent: int) -> int:
     """The child of ``parent`` that tries a file, 0 so far: a library's import has children too."""
     for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
         with suppress(FileNotFoundError, ProcessLookupError):  # ended since it was listed
-            if "core.archive.trial" in Path(f"/proc/{child}/cmdline").read_text():
+            # as an argument: one that was forked and is not yet another program has our own words
+            if "core.archive.trial" in Path(f"/proc/{child}/cmdline").read_text().split("\0"):
                 return int(child)
     return 0
 
