@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+NEAR = 128  # points at a time
 
 
 @lru_cache(maxsize=64)
@@ -35,18 +36,38 @@ def multi_indices(d: int, degree: int) -> NDArray[np.int64]:
     return table
 
 
+@lru_cache(maxsize=64)
+def _by_last(d: int, degree: int) -> tuple[tuple[NDArray[np.int64], ...], ...]:
+    """For each variable j the monomials of which it is the last, where each of them is without it,
+    and its exponents."""
+    table = multi_indices(d, degree)
+    place = {tuple(e): i for i, e in enumerate(table.tolist())}
+    steps = []
+    for j in range(d):
+        own = np.flatnonzero((table[:, j] > 0) & ~np.any(table[:, j + 1 :] > 0, axis=1))
+        without = [place[tuple(e[:j] + [0] * (d - j))] for e in table[own].tolist()]
+        steps.append((own, np.array(without, dtype=np.int64), table[own, j]))
+    return tuple(steps)
+
+
 def monomials(z: Array, degree: int) -> Array:
     """Every monomial at every point: ``z`` (n, d) → (n, M).
+
+    One product each, from that without its last variable; some points at a time, for there are
+    hundreds of monomials and what is read again should still be near.
 
     >>> monomials(np.array([[2.0, 3.0]]), 2).tolist()
     [[1.0, 3.0, 2.0, 9.0, 6.0, 4.0]]
     """
     n, d = z.shape
-    powers = np.ones((degree + 1, n, d))
-    for k in range(1, degree + 1):
-        powers[k] = powers[k - 1] * z
-    table = multi_indices(d, degree)
-    out = np.ones((len(table), n))
-    for j in range(d):
-        out *= powers[table[:, j], :, j]
-    return np.ascontiguousarray(out.T)
+    found = np.empty((n, len(multi_indices(d, degree))))
+    for start in range(0, n, NEAR):
+        some = z[start : start + NEAR].T
+        powers = np.ones((degree + 1, *some.shape))
+        for k in range(1, degree + 1):
+            powers[k] = powers[k - 1] * some
+        out = np.ones((found.shape[1], some.shape[1]))
+        for j, (own, without, exponents) in enumerate(_by_last(d, degree)):
+            out[own] = out[without] * powers[exponents, j]
+        found[start : start + NEAR] = out.T
+    return found

@@ -30,7 +30,7 @@ from core.smc.particles import Particles, ess, normalised
 
 Array = NDArray[np.float64]
 Get = Callable[[str], Array]
-ALGORITHM = "panels-14"
+ALGORITHM = "panels-15"
 
 
 @dataclass(frozen=True, slots=True)

@@ -135,8 +135,8 @@ def _follow(
         middle = 0.5 * (np.r_[edges[:-1], starts] + ends)  # of the pieces, then those to the marks
         inside = np.clip(inputs(middle), low, high)
         pieces, last = inside[:, : len(edges) - 1], inside[:, len(edges) - 1 :]
-        mean, _, _ = follow(base, edges, pieces, marks, last, what, doubt=False, late=True)
-        return np.asarray(mean)
+        ((mean, _, _),) = follow(base, edges, pieces, marks, last, [what], doubt=False, late=True)
+        return mean
 
     key = (tuple(blades), hours.tobytes(), None if modes is None else modes.tobytes())
     asked = (*key, "" if reading is None else repr(physics.asked(reading)))

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from core.calibration.message import POOL
 from core.diagnosis.separate import Rival, Told, afterwards, scored
-from core.planning.campaigns import Awaited, Campaign, awaited
+from core.planning.campaigns import Campaign, awaited
+from core.planning.moments import Awaited
 
 Array = NDArray[np.float64]
 DRAWS = 512

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from core.calibration.message import POOL
 from core.calibration.online import Workspace, update
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.case import Case
@@ -18,7 +19,7 @@ from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.of_all import of_all
 from core.diagnosis.separate import Rival, Separation, separate
 from core.errors import InputError
-from core.planning.campaigns import campaigns
+from core.planning.campaigns import campaigns, compiled_for
 from core.planning.candidates import candidates
 
 MOST = 6  # rivals for names that are too many to be an answer
@@ -82,8 +83,9 @@ def splitting(
     if len(rivals) < 2 or not asked:
         return None
     say("what one reading would tell")
-    apart = separate(rivals, asked, case.spec.known)
     whole = campaigns(model, case.present, case.readings)
+    list(POOL.map(lambda r: compiled_for(r.model, r.state, asked, whole), rivals))
+    apart = separate(rivals, asked, case.spec.known)
     return replace(apart, campaigns=of_all(rivals, whole, case.spec.known, say))
 
 

@@ -4,12 +4,7 @@ One reading of one blade seldom tells what the whole rotor's would: an effect th
 blades is told by all of them together, and most of all by their shapes. A `Campaign` reads every
 blade once, an elongation or CEEQ each, or a 3-D scan each; as many rows a blade as the quantity has
 (`core.calibration.scans`: a scan's readings through Qᵀ, its part off the modes tells nothing of the
-blade). With f the rows of a blade, s the shared parameters and S what noise and surrogate add,
-
-    y ~ N(m, diag_b(W_b) + U Uᵀ),     m_b = E f_b,     W_b = E Cov[f_b | s] + E S_b,
-    U_b = E[f_b | s] − m_b  over the weighted nodes of s
-
-which holds of the particles' moments whatever the number of blades: U has few columns.
+blade). What is expected of it: `core.planning.moments`.
 """
 
 from __future__ import annotations
@@ -30,6 +25,7 @@ from core.model import Model
 from core.observation import Inspection
 from core.planning.ahead import TO_COME, Drawn, answered
 from core.planning.candidates import AHEAD, UNREAD, Candidate, candidates, usual_interval_h
+from core.planning.moments import Awaited
 from core.planning.ready import modes, ready
 from core.response import Response
 
@@ -111,34 +107,20 @@ def _nodes(model: Model, quantity: str, readings: Sequence[Inspection]) -> tuple
     return tuple(nodes)
 
 
-@dataclass(frozen=True)
-class Awaited:
-    """What a model expects of B blades' c rows; see the module's text.
-
-    mean (B, c); own W (B, c, c); common U (B, c, r)
-    """
-
-    mean: Array
-    own: Array
-    common: Array
-
-    def drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Readings, (count, B, c)."""
-        root = np.linalg.cholesky(self.own)
-        own = np.einsum("bij,kbj->kbi", root, rng.standard_normal((count, *self.mean.shape)))
-        shared = rng.standard_normal((count, self.common.shape[2]))
-        return np.asarray(self.mean + own + np.einsum("bir,kr->kbi", self.common, shared))
-
-    def log_density(self, y: Array) -> Array:
-        """Of readings (k, B, c), less what is the same for all: (k,)."""
-        root = np.linalg.cholesky(self.own)
-        u = np.linalg.solve(root, np.moveaxis(y - self.mean, 0, -1))  # (B, c, k)
-        a = np.linalg.solve(root, self.common)
-        inner = np.eye(a.shape[2]) + np.einsum("bir,bis->rs", a, a)
-        across = np.einsum("bir,bik->rk", a, u)
-        square = np.sum(u**2, axis=(0, 1)) - np.sum(across * np.linalg.solve(inner, across), axis=0)
-        log_det = 2.0 * np.log(np.einsum("bii->bi", root)).sum() + np.linalg.slogdet(inner)[1]
-        return np.asarray(-0.5 * (square + log_det))
+def compiled_for(
+    model: Model, state: RotorState, singles: Sequence[Candidate], asked: Sequence[Campaign]
+) -> None:
+    """Whatever the model has to compile for all of these, at once: sooner than one by one."""
+    readings = {(one.blade, one.quantity, one.time_h) for one in singles}
+    shapes = {}
+    for one in asked:
+        if one.nodes is None:
+            readings |= {(blade, one.quantity, hour) for blade, hour in one.blades}
+        else:
+            shapes[one.quantity, one.blades, one.nodes] = _basis(model, one)[1]
+    read = {blade for blade, _, _ in readings}
+    fewest = min((state.arrays[f"blade/{b}/log_w"].size for b in read), default=0)
+    ready(model, fewest, sorted(readings), [(q, own, r) for (q, own, _), r in shapes.items()])
 
 
 def awaited(

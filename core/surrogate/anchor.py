@@ -23,7 +23,7 @@ of two fidelities: Han, Görtz & Zimmermann, Aerospace Science and Technology 25
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -32,12 +32,11 @@ from numpy.typing import NDArray
 
 from core.errors import InputError
 from core.surrogate.followed import Followed
-from core.surrogate.history import constant
+from core.surrogate.history import Answer, constant
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
-Answer = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -103,35 +102,48 @@ class Anchor:
         start: Array,
         middle: Array,
         times: Array,
-        driven: Answer,
-        what: tuple[Followed, Followed],
+        driven: Sequence[Answer],
+        what: Sequence[tuple[Followed, Followed]],
         doubt: bool = True,
-    ) -> Answer:
-        """Mean and sd (n, T, R) and mean CEEQ (n, T) from those of the driven wide one.
+    ) -> list[Answer]:
+        """Of each quantity mean and sd (n, T, R) and mean CEEQ (n, T), from those of the driven
+        wide one.
 
         start   inputs of the wide one before anything runs, asleep what sleeps, (n, d)
         middle  their means from the start to each time, (n, T, d)
-        what    the rows followed: of the wide one, of the fine one
+        what    the rows followed of each quantity: of the wide one, of the fine one
         doubt   False: the sd is not asked for, and is that of the driven one
         """
-        y, sd, ceeq = driven
         held = np.minimum(times, self.fine.horizon_h)
         names = [i.name for i in wide.inputs]
         own = start[:, [names.index(i.name) for i in self.fine.inputs]]
-        y0, _, e0 = constant(wide, start, held, what[0], doubt=False)
-        yf, sdf, ef = constant(self.fine, own, held, what[1], doubt=doubt)
+        of_wide, of_fine = ([one[k] for one in what] for k in (0, 1))
+        still = constant(wide, start, held, of_wide, doubt=False)
+        fine = constant(self.fine, own, held, of_fine, doubt=doubt)
         share = self._share(wide, start, middle)[:, :, None] if doubt else np.ones((1, 1, 1))
-        if what[0].per_ceeq:
-            grown = (ef / e0)[:, :, None]
-            e, e0, ef = (one[:, :, None] for one in (ceeq, e0, ef))
-            mean = e * grown * (y / e + yf / ef - y0 / e0)
-            return mean, np.hypot(sd * grown * share, sdf * e * grown / ef), ceeq * grown[:, :, 0]
-        grown = yf / y0
-        mean = y * grown
-        return mean, np.hypot(sd * grown * share, sdf * mean / yf), ceeq * ef / e0
+        return [
+            put_together(rows, moved, without, there, share)
+            for rows, moved, without, there in zip(of_wide, driven, still, fine, strict=True)
+        ]
 
     def _share(self, wide: Surrogate, start: Array, middle: Array) -> Array:
         """Root of the share of the wide one's variance that counts, (n, T)."""
         there = np.stack([wide.scaled(one) for one in np.moveaxis(middle, 1, 0)], axis=1)
         v0, v, c = wide.process.covariance(wide.scaled(start), there)
         return np.asarray(np.sqrt(np.maximum((v + v0[:, None] - 2.0 * c) / v, 0.0)))
+
+
+def put_together(
+    what: Followed, driven: Answer, still: Answer, fine: Answer, share: Array
+) -> Answer:
+    """y of one quantity by the module's equations: of the driven wide one, the wide one where
+    nothing runs, the fine one there."""
+    (y, sd, ceeq), (y0, _, e0), (yf, sdf, ef) = driven, still, fine
+    if what.per_ceeq:
+        grown = (ef / e0)[:, :, None]
+        e, e0, ef = (one[:, :, None] for one in (ceeq, e0, ef))
+        mean = e * grown * (y / e + yf / ef - y0 / e0)
+        return mean, np.hypot(sd * grown * share, sdf * e * grown / ef), ceeq * grown[:, :, 0]
+    grown = yf / y0
+    mean = y * grown
+    return mean, np.hypot(sd * grown * share, sdf * mean / yf), ceeq * ef / e0

@@ -12,7 +12,7 @@ For the calibration the rows are compiled to polynomials like any other (`core.s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -27,15 +27,16 @@ from core.response import Response
 from core.surrogate.anchor import Anchor
 from core.surrogate.fit import FEWER, Fit
 from core.surrogate.followed import Followed
-from core.surrogate.history import FOLLOWED, follow
+from core.surrogate.history import FOLLOWED, Answer, follow
 from core.surrogate.in_time import InTime, from_start
-from core.surrogate.kept import Kept, each
+from core.surrogate.kept import Kept, Wanted
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
 Rows = tuple[Followed, Followed | None]
 MANY = 200  # inputs from which polynomials answer
+DEGREE = 5  # of these
 
 
 @dataclass(frozen=True)
@@ -97,24 +98,25 @@ class Driven:
         self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None
     ) -> tuple[Array, Array, Array]:
         """Mean and sd of rows (n, T, R), and mean CEEQ (n, T), at hours after 0."""
-        return self._along(x, times, self._rows(quantity, nodes))
+        return self._along(x, times, [self._rows(quantity, nodes)])[0]
 
     def _along(
-        self, x: Array, times: Array, what: Rows, doubt: bool = True
-    ) -> tuple[Array, Array, Array]:
-        """Mean, sd (n, T, R) and mean CEEQ (n, T) at times for inputs x (n, d); doubt: the sd is
-        asked for, which takes most of the time."""
+        self, x: Array, times: Array, what: Sequence[Rows], doubt: bool = True
+    ) -> list[Answer]:
+        """Of each quantity mean, sd (n, T, R) and mean CEEQ (n, T) at times for inputs x (n, d);
+        doubt: the sd is asked for, which takes most of the time."""
         if np.any(times <= 0):
             raise InputError("times", times.tolist(), "are not after the start", "ask later")
         self.base.check_times(times)
         edges, held, at_times = self._in_time.until(x, times)
         rule = FOLLOWED if self.drifts else 0.0
-        found = follow(self.base, edges, held, times, at_times, what[0], rule, doubt=doubt)
-        if self.anchor is None or what[1] is None:
+        wide = [one[0] for one in what]
+        found = follow(self.base, edges, held, times, at_times, wide, rule, doubt=doubt)
+        both = [(own, fine) for own, fine in what if fine is not None]
+        if self.anchor is None or not both:
             return found
         start = self._in_time.start(x, self.anchor.asleep)
         middle = from_start(edges, held, times, at_times)
-        both = (what[0], what[1])
         return self.anchor.corrected(self.base, start, middle, times, found, both, doubt)
 
     def _rows(self, quantity: str, nodes: Sequence[int] | None) -> Rows:
@@ -146,7 +148,7 @@ class Driven:
         later = times > 0
         mean, sd = (np.zeros((len(x), len(times), what[0].curves.forms.shape[2])) for _ in range(2))
         if later.any():  # at the start nothing has grown
-            mean[:, later], sd[:, later], _ = self._along(x, times[later], what)
+            ((mean[:, later], sd[:, later], _),) = self._along(x, times[later], [what])
         return self._shaped(mean, quantity), self._shaped(sd, quantity)
 
     def _shaped(self, rows: Array, quantity: str) -> Array:
@@ -155,28 +157,27 @@ class Driven:
         tail = {"scalar": (), "field": (-1,), "vector field": (-1, 3)}[kind]
         return rows.reshape((*rows.shape[:2], *tail))
 
-    def ready(
-        self, count: int, quantity: str, times: Sequence[float], nodes: Sequence[int] | None = None
-    ) -> None:
-        """Say that `count` inputs will be asked for at these hours, by and by.
+    def ready(self, count: int, asked: Mapping[Wanted, Iterable[float]]) -> None:
+        """Say that `count` inputs will be asked for these rows at these hours, by and by.
 
-        What has to be compiled for them is compiled together: later calls of `predict` answer the
-        same to the last bit, and sooner.
+        What has to be compiled for them is compiled together: later calls of `predict` and
+        `mode_responses` answer the same to the last bit, and sooner.
         """
-        if count >= MANY:
-            self.base.check_times(times)
-            self._kept.at(quantity, times, nodes)
+        own = {w: list(h) for w, h in asked.items() if w.mixing is not None or count >= MANY}
+        for hours in own.values():
+            self.base.check_times(hours)
+        self._kept.ready(own)
 
     @cached_property
     def _kept(self) -> Kept:
-        return Kept(self.response)
+        return Kept(self._compiled)
 
     def _compiled_answers(
         self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None
     ) -> tuple[Array, Array]:
         """`predict` by polynomials, compiled once for each time; 0 at the start."""
         self.base.check_times(times)
-        rows_at = self._kept.at(quantity, times.tolist(), nodes)
+        rows_at = self._kept.at(Wanted.of(quantity, nodes), times.tolist())
         basis = next((rows.basis(x) for rows in rows_at.values()), np.empty(0))
         ready = {t: rows.at(basis) for t, rows in rows_at.items()}
         found = [ready.get(float(t)) for t in times]
@@ -187,34 +188,44 @@ class Driven:
         )
         return self._shaped(mean, quantity), self._shaped(sd, quantity)
 
-    def _compiled(self, times: Array, what: Rows, degree: int) -> Response:
-        """Rows in the order of (time, row)."""
-        self.base.check_times(times)
+    def _compiled(
+        self, wanted: Sequence[Wanted], times: Sequence[float], degree: int = DEGREE
+    ) -> list[list[Response]]:
+        """Rows of each of these, by time."""
+        time, what = np.array(times, float), [self._followed_for(one) for one in wanted]
+        self.base.check_times(time)
         fit = Fit(self.inputs, degree, any(d.held for d in self.drifts))
         # at the start nothing has grown
-        parts = [fit.nothing(what[0].curves.forms.shape[2])] * len(times)
-        later = np.flatnonzero(times > 0)
+        parts = [[fit.nothing(own.curves.forms.shape[2])] * len(time) for own, _ in what]
+        later = np.flatnonzero(time > 0)
         if later.size:
             x = fit.points
             few = len(x) // FEWER
-            mean, sd, ceeq = self._along(x[:few], times[later], what)
-            more, _, of_more = self._along(x[few:], times[later], what, doubt=False)
-            mean, ceeq = np.concatenate([mean, more]), np.concatenate([ceeq, of_more])
-        # time by time: rows are the same to the last bit whatever else is asked for with them
-        for t, at in enumerate(later):
-            parts[at] = fit.fitted(mean[:, t], sd[:, t], ceeq[:, t, None], what[0].per_ceeq)
-        return Response.stack(parts)
+            known = self._along(x[:few], time[later], what)
+            more = self._along(x[few:], time[later], what, doubt=False)
+            for rows, (own, _), first, rest in zip(parts, what, known, more, strict=True):
+                for at, row in zip(later, fit.by_time(first, rest, own.per_ceeq), strict=True):
+                    rows[at] = row
+        return parts
+
+    def _followed_for(self, wanted: Wanted) -> Rows:
+        """What is followed for rows."""
+        if wanted.mixing is None:
+            return self._rows(wanted.quantity, wanted.nodes)
+        mixing = np.array(wanted.mixing)
+        fine = None if self.anchor is None else self.anchor.mixed(self.base, mixing)
+        return Followed.mixed(self.base, mixing), fine
 
     def response(
         self,
         quantity: str,
         times: Sequence[float] | Array,
         nodes: Sequence[int] | None = None,
-        degree: int = 5,
+        degree: int = DEGREE,
     ) -> Response:
         """`predict` compiled to polynomials; rows in C order of (time, node, xyz)."""
-        what = self._rows(quantity, nodes)
-        return self._compiled(np.atleast_1d(np.asarray(times, float)), what, degree)
+        hours = np.atleast_1d(np.asarray(times, float)).tolist()
+        return Response.stack(self._compiled([Wanted.of(quantity, nodes)], hours, degree)[0])
 
     def deformation_modes(self, nodes: Sequence[int]) -> Array:
         return self.base.deformation_modes(nodes)
@@ -222,17 +233,18 @@ class Driven:
     def mode_covariance(self, time_h: float) -> Array:
         return self.base.mode_covariance(time_h)
 
-    def mode_response(self, time_h: float, mixing: Array, degree: int = 5) -> Response:
+    def mode_response(self, time_h: float, mixing: Array, degree: int = DEGREE) -> Response:
         """The Q rows T c(t) E(t) for mixing T (Q, B) of the deformation's modes."""
-        return self.mode_responses([time_h], mixing, degree)[0]
+        return self._compiled([self._mixed(mixing)], [time_h], degree)[0][0]
 
-    def mode_responses(
-        self, times: Sequence[float], mixing: Array, degree: int = 5
-    ) -> list[Response]:
-        """`mode_response` of each time, to the last bit; cheaper than one by one."""
+    def mode_responses(self, times: Sequence[float], mixing: Array) -> list[Response]:
+        """`mode_response` of each time after 0, to the last bit; cheaper, and kept."""
+        self.base.check_times(times)
+        found = self._kept.at(self._mixed(mixing), times)
+        return [found[float(t)] for t in times]
+
+    def _mixed(self, mixing: Array) -> Wanted:
         width = self.base.parts[DEFORMATION].factors.space.shape[1]
         if mixing.ndim != 2 or mixing.shape[1] != width:
             raise InputError("T", mixing.shape, "does not fit the modes", f"give (Q, {width})")
-        fine = None if self.anchor is None else self.anchor.mixed(self.base, mixing)
-        what = (Followed.mixed(self.base, mixing), fine)
-        return each(self._compiled(np.array(times, float), what, degree), len(times))
+        return Wanted.of(DEFORMATION, mixing=mixing)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from core.answers import Input
 from core.response import Response
 from core.surrogate.compile import fitting
+from core.surrogate.history import Answer
 from core.surrogate.reach import missed
 
 Array = NDArray[np.float64]
@@ -61,6 +62,16 @@ class Fit:
         (low, high), none = self.box, np.zeros(rows)
         zero = np.zeros((rows, len(fitting(len(low), self.degree)[1])))
         return Response(self._names, low, high, self.degree, zero, zero, none, none, zero)
+
+    def by_time(self, first: Answer, rest: Answer, per_ceeq: bool) -> list[Response]:
+        """At each of T times, from mean, sd (n, T, R) and mean CEEQ (n, T) at the first points, and
+        from mean and mean CEEQ at the others.
+
+        Time by time: rows are the same to the last bit whatever else is asked for with them.
+        """
+        y, ceeq = (np.concatenate([first[k], rest[k]]) for k in (0, 2))
+        sd, times = first[1], range(y.shape[1])
+        return [self.fitted(y[:, t], sd[:, t], ceeq[:, t, None], per_ceeq) for t in times]
 
     def fitted(self, y: Array, sd: Array, ceeq: Array, per_ceeq: bool) -> Response:
         """Rows (S, R) at one time, mean CEEQ (S, 1) there; sd (S', R) at the first points."""

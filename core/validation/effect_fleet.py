@@ -69,16 +69,24 @@ def design(seed: int = SEED) -> Array:
     One t1t_rate per rotor, in one of `ROTORS` equal slices of the middle half of its prior: at its
     ends an effect would leave the box that the wide model was trained in.
     """
-    network, x = rotor_blade_network(), np.empty((ROTORS, BLADES, len(BOUNDS)))
-    for r in range(ROTORS):
-        rng = stream(seed, "fleet", r)
-        for j, name in enumerate(BOUNDS):
-            parameter = network.parameter(name)
-            if parameter.level == "shared":
-                place = np.full(BLADES, 0.25 + 0.5 * (r + rng.random()) / ROTORS)
-            else:
-                place = rng.random(BLADES)
-            x[r, :, j] = parameter.prior.quantile(place)
+
+    def of(rotor: int) -> Array:
+        return drawn(stream(seed, "fleet", rotor), lambda u: 0.25 + 0.5 * (rotor + u) / ROTORS)
+
+    return np.stack([of(r) for r in range(ROTORS)])
+
+
+def drawn(rng: np.random.Generator, shared: Callable[[float], float]) -> Array:
+    """Inputs of a rotor's blades, (blades, 4): local ones from their priors, shared ones at a place
+    in theirs, 0 … 1, that `shared` makes of a number drawn from 0 … 1."""
+    network, x = rotor_blade_network(), np.empty((BLADES, len(BOUNDS)))
+    for j, name in enumerate(BOUNDS):
+        parameter = network.parameter(name)
+        if parameter.level == "shared":
+            place = np.full(BLADES, shared(rng.random()))
+        else:
+            place = rng.random(BLADES)
+        x[:, j] = parameter.prior.quantile(place)
     return x
 
 

@@ -5,6 +5,7 @@
     fleet-100   100 blades at three visits, five ages (`effect_fleet`); effects scaled to a size
     fleet-scans one of these rotors, and 3-D scans of two blades of five at the first and at
                 the last visit, of 96 nodes each (`effect_scans`)
+    fleet-scans-2  another rotor of 100 blades, scanned as well
 
 A size is a multiple of the noise: by so much the mean of the concerned blades changes at the last
 visit. Effects are run by finite elements at one strength each, and scaled in proportion from
@@ -13,9 +14,9 @@ there, up at most to twice that.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,14 +170,18 @@ def fleet_100() -> Plan:
     """Rotors of 100 blades, three readings each."""
     with np.load(fleet.SHIPPED, allow_pickle=False) as data:
         elongation, share = data["elongation"], data["share"]
-    offset = np.array([fleet.joined_h(b) for b in range(fleet.BLADES)])
+    return _fleet("fleet-100", elongation, dict(zip(fleet.EFFECTS, share, strict=True)))
+
+
+def _fleet(name: str, elongation: Array, shares: Mapping[str, Array]) -> Plan:
+    """Of elongations (R, B, V + 1) and shares by effect, the last of each at the horizon."""
     coat = np.arange(fleet.BLADES) % 3
-    every = dict(zip(fleet.EFFECTS, share, strict=True))
+    every = dict(shares)
     every["worn lot"] = np.where((coat == 0)[None, :, None], every["wear"], 1.0)
     return Plan(
-        "fleet-100",
+        name,
         np.array(fleet.VISITS_H),
-        offset,
+        np.array([fleet.joined_h(b) for b in range(fleet.BLADES)]),
         coat,
         elongation[:, :, :-1],
         {effect: own[:, :, :-1] for effect, own in every.items()},
@@ -189,27 +194,26 @@ def fleet_100() -> Plan:
 
 
 @cache
-def fleet_scans() -> Plan:
-    """The rotor of `fleet_100` whose blades' shapes are known, and scans of these."""
-    whole, visits = fleet_100(), [0, len(fleet.VISITS_H) - 1]
-    nodes, shape, change = scans.load()
-    every = {effect: one[None, :, visits] for effect, one in change.items()}
+def fleet_scans(rotor: str = scans.FIRST) -> Plan:
+    """A rotor of 100 blades whose shapes are known, and scans of these; the first is one of
+    `fleet_100`."""
+    kept, visits = scans.load(rotor), [0, len(fleet.VISITS_H) - 1]
+    name = "fleet-scans" if rotor == scans.FIRST else "fleet-scans-2"
+    of_one = {effect: own[None] for effect, own in kept.shares.items()}
+    whole = _fleet(name, kept.elongation[None], of_one)
+    every = {effect: one[None, :, visits] for effect, one in kept.change.items()}
     every["worn lot"] = np.where((whole.coat == 0)[None, :, None, None, None], every["wear"], 0.0)
     scanned = tuple(b for b in range(fleet.BLADES) if b % 5 in (0, 2))
-    seen = Scanned(tuple(visits), scanned, nodes, shape[None, :, visits], every)
-    own = slice(scans.ROTOR, scans.ROTOR + 1)
-    return replace(
-        whole,
-        name="fleet-scans",
-        elongation=whole.elongation[own],
-        shares={effect: one[own] for effect, one in whole.shares.items()},
-        horizon=None if whole.horizon is None else whole.horizon[own],
-        horizon_shares={effect: one[own] for effect, one in (whole.horizon_shares or {}).items()},
-        scans=seen,
-    )
+    shape = kept.shape[None, :, visits]
+    return replace(whole, scans=Scanned(tuple(visits), scanned, kept.nodes, shape, every))
 
 
-PLANS = {"rotor-20": rotor_20, "fleet-100": fleet_100, "fleet-scans": fleet_scans}
+PLANS: Mapping[str, Callable[[], Plan]] = {
+    "rotor-20": rotor_20,
+    "fleet-100": fleet_100,
+    "fleet-scans": fleet_scans,
+    "fleet-scans-2": partial(fleet_scans, scans.SECOND),
+}
 
 
 def plan(name: str) -> Plan:

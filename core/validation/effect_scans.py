@@ -1,17 +1,22 @@
-"""The 3-D deformation of `effect_fleet`'s blades: what a scanner sees of effects of physics.
+"""The 3-D deformation of fleets' blades: what a scanner sees of effects of physics.
 
-Of rotor `ROTOR`, the one in which every effect of two noises is about as strong as it was run:
-deformation, less that at once after loading, of nodes of the outer skin, at a blade's hours at the
+    first   rotor `ROTOR` of `effect_fleet`, the one in which every effect of two noises is about
+            as strong as it was run; its elongation is there
+    second  a rotor of its own, other blades and hotter by a hundredth (`GAS`): what is found of
+            the first need not be its peculiarity
+
+Deformation, less that at once after loading, of nodes of the outer skin, at a blade's hours at the
 visits and at the horizon. Without effects on the mesh ``default``, on which the
 surrogate was trained; an effect is the change that it makes on the mesh ``coarse``. The nodes are
 those that both meshes have at the same place, so that nothing is interpolated.
 
-    bladetwin study truths --scans
+    bladetwin study truths --scans [--rotor second]
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -24,14 +29,25 @@ from core.blade.kept import kept_runs
 from core.builtin.inspection_plan import scanned_nodes
 from core.builtin.plans import WIDER
 from core.errors import InputError
-from core.validation.effect_fleet import BLADES, EFFECTS, course, design, own_h
+from core.rng import stream
+from core.validation import effect_fleet as fleet
+from core.validation.effect_fleet import BLADES, EFFECTS, course, own_h
 
 Array = NDArray[np.float64]
 Nodes = NDArray[np.int64]
-SHIPPED = Path(__file__).with_name("effect_scans.npz")
+FIRST, SECOND = "first", "second"
+FILES = {FIRST: "effect_scans.npz", SECOND: "effect_scans_second.npz"}
 ROTOR, SAME = 1, 1e-9  # mm
+GAS = 0.7  # place of the second rotor's gas in its prior, 0.94 of the nominal
 UNIT = 1e-4  # mm, in which shapes are kept: a scan's noise is 300 times as large
 COURSES = ("default", "sound", *EFFECTS)
+
+
+def shipped(rotor: str = FIRST) -> Path:
+    """The file of a rotor; InputError where there is none of the name."""
+    if rotor not in FILES:
+        raise InputError("rotor", rotor, "is unknown", f"use {', '.join(FILES)}")
+    return Path(__file__).with_name(FILES[rotor])
 
 
 @cache
@@ -48,9 +64,18 @@ def nodes() -> dict[str, Nodes]:
     return {"default": skin[both], "coarse": there[both]}
 
 
-def run(blade: int, what: str) -> Array:
-    """Deformation [mm] at `own_h`, (V + 1, N, 3); ``default``, ``sound`` or an effect."""
-    inputs = dict(zip(BOUNDS, map(float, design()[ROTOR, blade]), strict=True))
+@cache
+def design(rotor: str = FIRST) -> Array:
+    """Inputs of all blades in the order of `BOUNDS`, (B, 4)."""
+    if rotor == FIRST:
+        return np.asarray(fleet.design()[ROTOR])
+    return fleet.drawn(stream(fleet.SEED, "scanned fleet", 1), lambda _: GAS)
+
+
+def run(rotor: str, blade: int, what: str) -> Array:
+    """Elongation and deformation [mm] at `own_h`, (V + 1, 1 + 3 N); ``default``, ``sound`` or an
+    effect."""
+    inputs = dict(zip(BOUNDS, map(float, design(rotor)[blade]), strict=True))
     times, mesh = np.array([0.0, *own_h(blade)]), "default" if what == "default" else "coarse"
     if what in ("default", "sound"):
         done: BladeRun = simulate(inputs, mesh, time_h=times)
@@ -58,44 +83,75 @@ def run(blade: int, what: str) -> Array:
         changed, bounds = course(what, inputs, blade), {**BOUNDS, **WIDER}
         done = simulate_history(changed, mesh, time_h=times, bounds=bounds)
     at = done.displacement[:, nodes()[mesh]]
-    return np.asarray(at[1:] - at[0], dtype=np.float64)
+    return np.column_stack([done.elongation[1:], (at[1:] - at[0]).reshape(len(times) - 1, -1)])
 
 
-def runs() -> dict[str, tuple[int, str]]:
-    """All runs by name: blade, what."""
-    return {f"{what}-{b:03d}": (b, what) for what in COURSES for b in range(BLADES)}
+def runs(rotor: str = FIRST) -> dict[str, tuple[str, int, str]]:
+    """All runs by name: rotor, blade, what."""
+    return {f"{what}-{b:03d}": (rotor, b, what) for what in COURSES for b in range(BLADES)}
 
 
 def make(
     folder: str | Path,
-    out: str | Path = SHIPPED,
+    out: str | Path,
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
+    rotor: str = FIRST,
 ) -> Path:
     """All runs as one small file (to `UNIT`); a cut campaign goes on in `folder`."""
-    return packed(kept_runs(Path(folder) / "scans", runs(), run, workers, progress), out)
+    own = Path(folder) / f"scans-{rotor}"
+    return packed(kept_runs(own, runs(rotor), run, workers, progress), out)
 
 
-def packed(done: Mapping[str, Array], out: str | Path = SHIPPED) -> Path:
-    """Deformation without effects, and the change by each; InputError where a run is missing."""
+def packed(done: Mapping[str, Array], out: str | Path) -> Path:
+    """What is without effects, and the change by each; InputError where a run is missing."""
     if missing := [name for name in runs() if name not in done]:
         raise InputError("runs", len(missing), "are missing", "run the campaign to its end")
     plain, sound, *changed = (
         np.array([done[f"{what}-{b:03d}"] for b in range(BLADES)]) for what in COURSES
     )
-    changes = np.array([one - sound for one in changed])
-    kept = [np.round(one / UNIT) for one in (plain, changes)]
+    shape = (*plain.shape[:2], -1, 3)
+    changes = np.array([(one - sound)[..., 1:].reshape(shape) for one in changed])
+    kept = [np.round(one / UNIT) for one in (plain[..., 1:].reshape(shape), changes)]
     np.savez_compressed(
         out,
         nodes=nodes()["default"].astype(np.int32),
         deformation=kept[0].astype(np.int32),
         change=kept[1].astype(np.int32),
+        elongation=np.round(plain[..., 0], 7),
+        share=np.round([one[..., 0] / sound[..., 0] for one in changed], 6),
     )
     return Path(out)
 
 
-def load(path: str | Path = SHIPPED) -> tuple[Nodes, Array, dict[str, Array]]:
-    """Nodes (N,), deformation without effects (B, V + 1, N, 3) [mm], and what each effect adds."""
-    with np.load(path, allow_pickle=False) as data:
-        shape, change = (UNIT * data[name].astype(float) for name in ("deformation", "change"))
-        return data["nodes"].astype(np.int64), shape, dict(zip(EFFECTS, change, strict=True))
+@dataclass(frozen=True)
+class Truths:
+    """Of a rotor's B blades at V visits and the horizon.
+
+    nodes       (N,); shape: deformation without effects [mm], (B, V + 1, N, 3)
+    change      by effect, what it adds to the shape
+    elongation  without effects [mm], (B, V + 1); shares: by effect, with it over that without
+    """
+
+    nodes: Nodes
+    shape: Array
+    change: Mapping[str, Array]
+    elongation: Array
+    shares: Mapping[str, Array]
+
+
+def load(rotor: str = FIRST) -> Truths:
+    """What ships of a rotor."""
+    with np.load(shipped(rotor), allow_pickle=False) as data:
+        kept = dict(data)
+    if rotor == FIRST:  # elongations are with those of its fleet
+        with np.load(fleet.SHIPPED, allow_pickle=False) as data:
+            kept |= {"elongation": data["elongation"][ROTOR], "share": data["share"][:, ROTOR]}
+    change, share = (dict(zip(EFFECTS, kept[name], strict=True)) for name in ("change", "share"))
+    return Truths(
+        kept["nodes"].astype(np.int64),
+        UNIT * kept["deformation"].astype(float),
+        {effect: UNIT * one.astype(float) for effect, one in change.items()},
+        kept["elongation"],
+        share,
+    )

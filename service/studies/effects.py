@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +29,8 @@ def effects(
     clean: Annotated[int, typer.Option(help="Sets of each kind without an effect.")] = 40,
     planted: Annotated[int, typer.Option(help="Sets of each planted effect.")] = 16,
     plan: Annotated[
-        str, typer.Option(help="rotor-20, fleet-100 or fleet-scans: blades and visits.")
+        str,
+        typer.Option(help="Blades and visits: rotor-20, fleet-100, fleet-scans, fleet-scans-2."),
     ] = "rotor-20",
     size: Annotated[
         float, typer.Option(help="Change at the last visit in noises, where the plan is scaled.")
@@ -92,6 +94,9 @@ def effects(
 def truths(
     fleet: Annotated[bool, typer.Option("--fleet", help="Those of the plan fleet-100.")] = False,
     scans: Annotated[bool, typer.Option("--scans", help="Those of the plan fleet-scans.")] = False,
+    rotor: Annotated[
+        str, typer.Option(help="With --scans: second, those of fleet-scans-2.")
+    ] = "first",
     work: Annotated[Path, typer.Option(help="Folder of the runs; a cut campaign goes on.")] = Path(
         "bladetwin-data/truths"
     ),
@@ -104,11 +109,15 @@ def truths(
     from core.validation import effect_fleet, effect_scans, effect_truths
 
     out.mkdir(parents=True, exist_ok=True)
-    made_by = effect_scans if scans else effect_fleet if fleet else effect_truths
-    file = out / made_by.SHIPPED.name
-    with bar("runs", len(made_by.runs())) as step:
-        made_by.make(work, file, processes, lambda done, _: step(done))
-    typer.echo(f"truths of {len(made_by.runs())} runs in {file}")
+    if scans:
+        shipped, todo = effect_scans.shipped(rotor), effect_scans.runs(rotor)
+        make = partial(effect_scans.make, rotor=rotor)
+    else:
+        made_by = effect_fleet if fleet else effect_truths
+        shipped, todo, make = made_by.SHIPPED, made_by.runs(), made_by.make
+    with bar("runs", len(todo)) as step:
+        file = make(work, out / shipped.name, processes, lambda done, _: step(done))
+    typer.echo(f"truths of {len(todo)} runs in {file}")
 
 
 def outcome_plot(table: Mapping[str, Mapping[str, float]], file: Path) -> None:

@@ -18,8 +18,9 @@ from core.diagnosis.separate import Separation, Told, a_set
 from core.model import rotor_blade, rotor_blade_wide
 from core.observation import Inspection
 from core.planning.ahead import Drawn, expected
-from core.planning.campaigns import SCANNED, Awaited, Campaign, awaited, campaigns
+from core.planning.campaigns import SCANNED, Campaign, awaited, campaigns, compiled_for
 from core.planning.candidates import ANOTHER, Candidate, candidates
+from core.planning.moments import Awaited
 from core.surrogate.driven import Driven
 from core.validation.simulate import scan
 from tests.core.calibration.test_exact import conjugate
@@ -149,21 +150,35 @@ def test_blades_of_several_ages_are_compiled_for_at_once(monkeypatch: pytest.Mon
     state = update(model, RotorSpec("r", tuple(hours), 400, 3), data)
     made, whole = [], Driven._compiled
 
-    def counted(self: Driven, times: np.ndarray, *what: Any) -> Any:
-        made.append(times.tolist())
-        return whole(self, times, *what)
+    def counted(self: Driven, wanted: Any, times: Any, *more: Any) -> Any:
+        made.append(([one.quantity for one in wanted], list(times)))
+        return whole(self, wanted, times, *more)
 
     monkeypatch.setattr(Driven, "_compiled", counted)
     asked = [c for c in candidates(model, tuple(hours), data, [0.0]) if c.quantity == "elongation"]
     several = expected(model, state, asked)
-    assert sorted(made) == [[8e3, 16e3], [16e3]]
+    length, shape = ["elongation"], ["deformation"]
+    assert sorted(made) == [(length, [8e3, 16e3]), (length, [16e3])]
     assert expected(model, state, asked[1:2]).mean[0] == several.mean[1]
     made.clear()
-    for one in campaigns(model, tuple(hours), data):
-        if one.quantity != "ceeq" and one.ahead_h > 0:
-            awaited(model, state, one)
-    later = [h + one.ahead_h for h in (8e3, 16e3)]
-    assert made == [later, later[1:], later, later[1:]], "elongations, then scans"
+    whole_rotor = [c for c in campaigns(model, tuple(hours), data) if c.ahead_h > 0]
+    some = [one for one in whole_rotor if one.quantity != "ceeq"]
+    each = [awaited(model, state, one) for one in some]
+    later = [h + one.ahead_h for one in some[:1] for h in (8e3, 16e3)]
+    expect = [(length, later), (length, later[1:]), (shape, later), (shape, later[1:])]
+    assert made == expect, "elongations, then scans"
+
+    model = with_effects(rotor_blade_wide(), [wear], facts, {"elongation": 0.02}, hours)
+    made.clear()
+    compiled_for(model, state, asked, some)
+    both = [["elongation", "deformation"]]
+    assert [names for names, _ in made] == 2 * both, "all at once, of each of the two models"
+    for one, before in zip(some, each, strict=True):
+        again = awaited(model, state, one)
+        for name in ("mean", "own", "common"):
+            assert np.array_equal(getattr(again, name), getattr(before, name)), name
+    assert expected(model, state, asked).mean.tolist() == several.mean.tolist()
+    assert len(made) == 2, "nothing is compiled a second time"
 
 
 def test_every_quantity_is_read_by_everybody_and_of_a_formula_there_are_no_shapes() -> None:

@@ -24,6 +24,7 @@ from core.prior import Prior
 from core.surrogate import driven, kept
 from core.surrogate.driven import Driven
 from core.surrogate.formula import FormulaInput, FormulaModel
+from core.surrogate.kept import Wanted
 
 KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
 TIMES = np.array(KEPT["time_h"])[1:]
@@ -63,32 +64,64 @@ def test_hours_asked_for_together_answer_to_the_last_bit_as_one_by_one(
     """And are compiled once: what follows a call of `ready` compiles nothing."""
     hours, made = [9e3, 2e4, 5e4], []
     x, whole = points(WORN, driven.MANY), Driven._compiled
+    length, strain = Wanted.of("elongation"), Wanted.of("ceeq", [TIP])
+    mixing = np.eye(3, BLADE.parts["deformation"].factors.space.shape[1])
+    shape = Wanted.of("deformation", mixing=mixing)
 
-    def counted(self: Driven, times: np.ndarray, *what: Any) -> Any:
-        made.append(times.tolist())
-        return whole(self, times, *what)
+    def counted(self: Driven, wanted: Any, times: Any, *more: Any) -> Any:
+        made.append((list(wanted), list(times)))
+        return whole(self, wanted, times, *more)
 
     monkeypatch.setattr(Driven, "_compiled", counted)
     together, alone = replace(WORN), replace(WORN)
-    together.ready(driven.MANY - 1, "elongation", hours)
+    together.ready(driven.MANY - 1, {length: hours})
     assert made == [], "so few are followed one by one"
-    together.ready(driven.MANY, "elongation", [0.0, *hours, 9e3])
-    assert made == [hours]
-    got = [together.predict(x, "elongation", np.array([t])) for t in hours]
-    assert made == [hours]
-    for t, (mean, sd) in zip(hours, got, strict=True):
-        own = alone.predict(x, "elongation", np.array([t]))
-        assert np.array_equal(own[0], mean)
-        assert np.array_equal(own[1], sd)
-    assert made == [hours, *([t] for t in hours)]
-    mixing = np.eye(3, BLADE.parts["deformation"].factors.space.shape[1])
-    for t, several in zip(hours, WORN.mode_responses(hours, mixing), strict=True):
-        for a, b in zip(
-            several.evaluate(x), WORN.mode_response(t, mixing).evaluate(x), strict=True
-        ):
-            assert np.array_equal(a, b)
+    together.ready(driven.MANY, {length: [0.0, *hours, 9e3], strain: hours, shape: hours[:2]})
+    assert made == [([length, strain, shape], hours)]
+    lengths = [together.predict(x, "elongation", np.array([t])) for t in hours]
+    strains = [together.predict(x, "ceeq", np.array([t]), [TIP]) for t in hours]
+    shapes = [one.evaluate(x) for one in together.mode_responses(hours[:2], mixing)]
+    assert len(made) == 1, "all is there"
+    for t, several in zip(hours, lengths, strict=True):
+        same(several, alone.predict(x, "elongation", np.array([t])))
+    for t, several in zip(hours, strains, strict=True):
+        same(several, alone.predict(x, "ceeq", np.array([t]), [TIP]))
+    for t, several in zip(hours, shapes, strict=False):
+        same(several, alone.mode_response(t, mixing).evaluate(x))
+    one_by_one = [(own, t) for own in (length, strain, shape) for t in hours][:-1]
+    assert made[1:] == [([own], [t]) for own, t in one_by_one]
+    together.mode_responses(hours, mixing)
+    assert made[-1] == ([shape], hours[2:]), "only what is new"
     with pytest.raises(RangeError, match="9000000000"):
-        together.ready(driven.MANY, "elongation", [9e9])
+        together.ready(driven.MANY, {length: [9e9]})
+
+
+def test_many_hours_are_compiled_some_at_a_time_and_answer_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No more of a scan's rows is held than of `TOGETHER` hours; a quantity that none of them asks
+    for is left out."""
+    x, hours, made, whole = points(WORN, driven.MANY), [9e3, 2e4, 3e4, 5e4], [], Driven._compiled
+    length, strain = Wanted.of("elongation"), Wanted.of("ceeq", [TIP])
+
+    def counted(self: Driven, wanted: Any, times: Any, *more: Any) -> Any:
+        made.append((list(wanted), list(times)))
+        return whole(self, wanted, times, *more)
+
+    at_once = replace(WORN).predict(x, "elongation", np.array(hours))
+    monkeypatch.setattr(Driven, "_compiled", counted)
+    monkeypatch.setattr(kept, "TOGETHER", 2)
+    some = replace(WORN)
+    some.ready(len(x), {length: hours, strain: hours[3:]})
+    assert made == [([length], hours[:2]), ([length, strain], hours[2:])]
+    same(some.predict(x, "elongation", np.array(hours)), at_once)
+    assert len(made) == 2
+
+
+def same(got: tuple[np.ndarray, np.ndarray], wanted: tuple[np.ndarray, np.ndarray]) -> None:
+    """Mean and sd, to the last bit."""
+    for a, b in zip(got, wanted, strict=True):
+        assert np.array_equal(a, b)
 
 
 def test_blocks_are_answered_as_if_each_were_asked_for_and_rows_are_worked_out_once(

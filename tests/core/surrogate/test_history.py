@@ -14,7 +14,7 @@ import pytest
 from core.builtin import rotor_blade
 from core.course import Course, pieces
 from core.errors import InputError, RangeError
-from core.surrogate import history
+from core.surrogate import clock, history
 from core.surrogate.followed import Followed, Scales
 
 KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
@@ -32,7 +32,7 @@ def follow(
     edges: Any, inputs: Any, quantity: str, nodes: list[int] | None = None, *, late: bool = False
 ) -> Any:
     rows = Followed.of(BLADE, quantity, nodes)
-    return history.follow(BLADE, edges, inputs, edges[1:], inputs, rows, late=late)[:2]
+    return history.follow(BLADE, edges, inputs, edges[1:], inputs, [rows], late=late)[0][:2]
 
 
 @pytest.mark.parametrize(("quantity", "nodes"), ROWS)
@@ -41,7 +41,7 @@ def test_inputs_that_never_change_are_asked_about_once(
     quantity: str, nodes: list[int] | None, doubt: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And answer to the last bit as `follow` does, which asks at every mark."""
-    rows, marks = Followed.of(BLADE, quantity, nodes), np.array([1e3, 2e4, 7e4])
+    rows, marks = [Followed.of(BLADE, quantity, nodes)], np.array([1e3, 2e4, 7e4])
     at = np.repeat(X[:, None], len(marks), axis=1)
     whole = history.follow(BLADE, np.zeros(1), at[:, :0], marks, at, rows, 0.0, doubt=doubt)
     asked, known = [], history._Walk.known
@@ -53,7 +53,37 @@ def test_inputs_that_never_change_are_asked_about_once(
     monkeypatch.setattr(history._Walk, "known", counted)
     got = history.constant(BLADE, X, marks, rows, doubt=doubt)
     assert asked == [len(X)]
-    assert all(np.array_equal(a, b) for a, b in zip(got, whole, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(got[0], whole[0], strict=True))
+
+
+@pytest.mark.parametrize("doubt", [True, False])
+@pytest.mark.parametrize("late", [True, False])
+def test_quantities_followed_together_answer_to_the_last_bit_as_one_by_one(
+    doubt: bool, late: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the process is asked once for all of them."""
+    edges, marks = np.array([0.0, 1e4, 2e4]), np.array([5e3, 1e4, 4e4])
+    inputs, at = (np.repeat(X[:, None], count, axis=1) for count in (2, 3))
+    inputs[:, 1, 1] = at[:, 2, 1] = 0.9
+    rows = [Followed.of(BLADE, quantity, nodes) for quantity, nodes in ROWS]
+    rows.append(Followed.mixed(BLADE, np.eye(3, BLADE.deformation_modes([TIP]).shape[2])))
+    asked, known = [], history._Walk.known
+
+    def counted(self: Any, x: np.ndarray) -> Any:
+        asked.append(len(x))
+        return known(self, x)
+
+    def found(some: list[Followed]) -> list[history.Answer]:
+        given = (BLADE, edges, inputs, marks, at, some)
+        return history.follow(*given, doubt=doubt, late=late)
+
+    alone = [found([one])[0] for one in rows]
+    monkeypatch.setattr(history._Walk, "known", counted)
+    together = found(rows)
+    assert len(asked) == len(marks) + 2, "marks, and the edges on the way"
+    for one, several in zip(alone, together, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(one, several, strict=True))
+    assert len({mean.tobytes() for mean, _, _ in together}) == len(rows)
 
 
 def test_scales_of_all_rows_at_once_are_those_of_one_row_to_the_last_bit() -> None:
@@ -112,13 +142,13 @@ def test_a_piece_in_two_is_the_same_piece() -> None:
 
 def test_what_is_found_at_one_hour_depends_on_no_other() -> None:
     edges, marks = np.array([0.0, 1e4, 2e4]), np.array([5e3, 1e4, 1.5e4, 3e4])
-    inputs, rows = np.repeat(X[:, None], 2, axis=1), Followed.of(BLADE, "elongation", None)
+    inputs, rows = np.repeat(X[:, None], 2, axis=1), [Followed.of(BLADE, "elongation", None)]
     inputs[:, 1, 1] = 0.9
     last = np.repeat(X[:, None], 4, axis=1)
     last[:, 2:, 1] = 0.9
-    together = history.follow(BLADE, edges, inputs, marks, last, rows)[0]
+    together = history.follow(BLADE, edges, inputs, marks, last, rows)[0][0]
     for m in range(4):
-        alone = history.follow(BLADE, edges, inputs, marks[[m]], last[:, [m]], rows)[0]
+        alone = history.follow(BLADE, edges, inputs, marks[[m]], last[:, [m]], rows)[0][0]
         assert np.array_equal(alone[:, 0], together[:, m])
 
 
@@ -152,10 +182,10 @@ def test_hardening_by_time_is_far_worse(monkeypatch: pytest.MonkeyPatch) -> None
     hours = iter(())
 
     def by_the_clock(curve: Any, weights: Any, strain: Any, late: bool) -> Any:
-        return np.full(strain.shape, np.log(max(next(hours), history.EARLIEST_H)))
+        return np.full(strain.shape, np.log(max(next(hours), clock.EARLIEST_H)))
 
     wrong = []
-    monkeypatch.setattr(history, "_clock", by_the_clock)
+    monkeypatch.setattr(history, "clock", by_the_clock)
     for run in KEPT["runs"]:
         courses = {name: Course.of(given) for name, given in run["inputs"].items()}
         ends = {end for piece in pieces(courses, TIMES[-1], 8) for end in piece}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.blade import build_mesh
+from core.blade import BOUNDS, build_mesh
 from core.calibration.online import Workspace, update
 from core.diagnosis.scoring import scores
 from core.errors import InputError
@@ -16,24 +16,26 @@ from core.model import rotor_blade_wide
 from core.validation import effect_fleet as fleet
 from core.validation import effect_oracle as oracle
 from core.validation import effect_scans as scans
-from core.validation.effect_plans import NOISE, SCAN_NOISE, plan
+from core.validation.effect_plans import NOISE, SCAN_NOISE, STRONGEST, Plan, plan
 from core.validation.effect_sets import PHYSICS, made
 
-SCANS, LONG = plan("fleet-scans"), plan("fleet-100")
+SCANS, SECOND = plan("fleet-scans"), plan("fleet-scans-2")
+LONG = plan("fleet-100")
 
 
-def test_shapes_are_those_of_the_blades_whose_elongation_is_read() -> None:
+@pytest.mark.parametrize(("rotor", "lengths"), [("first", SCANS), ("second", SECOND)])
+def test_shapes_are_those_of_the_blades_whose_elongation_is_read(rotor: str, lengths: Plan) -> None:
     """Radial shift of the tip section's outer skin goes with the elongation of the same runs, a
     part of it (the blade bends and untwists as well); the control is another blade's."""
-    nodes, shape, change = scans.load()
-    assert np.array_equal(nodes, scans.nodes()["default"])
-    z = build_mesh("default").points[nodes, 2]
+    kept = scans.load(rotor)
+    assert np.array_equal(kept.nodes, scans.nodes()["default"])
+    z = build_mesh("default").points[kept.nodes, 2]
     tip = np.flatnonzero(z == z.max())
     assert len(tip) == 16
-    length = LONG.elongation[scans.ROTOR]
-    pairs = {"default": (shape, length)}
+    length = lengths.elongation[0]
+    pairs = {"default": (kept.shape, length)}
     for effect in fleet.EFFECTS:
-        pairs[effect] = change[effect], length * (LONG.shares[effect][scans.ROTOR] - 1.0)
+        pairs[effect] = kept.change[effect], length * (lengths.shares[effect][0] - 1.0)
     for what, (seen, own) in pairs.items():
         radial = seen[:, :3, tip, 2].mean(axis=2)
         told = [np.corrcoef(x.ravel(), own.ravel())[0, 1] for x in (radial, radial[::-1])]
@@ -42,14 +44,32 @@ def test_shapes_are_those_of_the_blades_whose_elongation_is_read() -> None:
         assert 0.4 < share < 0.9, what
 
 
-def test_a_run_is_what_ships() -> None:
-    blade, (_, _, change) = 3, scans.load()
-    with_it, sound = scans.run(blade, "tertiary"), scans.run(blade, "sound")
-    assert with_it - sound == pytest.approx(change["tertiary"][blade], abs=scans.UNIT)
+@pytest.mark.parametrize("rotor", scans.FILES)
+def test_a_run_is_what_ships(rotor: str) -> None:
+    blade, kept = 3, scans.load(rotor)
+    with_it, sound = scans.run(rotor, blade, "tertiary"), scans.run(rotor, blade, "sound")
+    moved = (with_it - sound)[:, 1:].reshape(kept.change["tertiary"][blade].shape)
+    assert moved == pytest.approx(kept.change["tertiary"][blade], abs=scans.UNIT)
+    share = with_it[:, 0] / sound[:, 0]
+    assert share == pytest.approx(kept.shares["tertiary"][blade], abs=1e-6)
+
+
+def test_the_first_scanned_rotor_is_one_of_the_fleet_and_the_second_is_another() -> None:
+    assert np.array_equal(SCANS.elongation[0], LONG.elongation[scans.ROTOR])
+    assert np.array_equal(SCANS.shares["worn lot"][0], LONG.shares["worn lot"][scans.ROTOR])
+    first, second = scans.design(), scans.design(scans.SECOND)
+    assert not np.any(first == second)
+    gas = second[:, list(BOUNDS).index("t1t_rate")]
+    assert np.ptp(gas) == 0.0
+    assert gas[0] == pytest.approx(0.94)
+    for effect in PHYSICS:  # at two noises none is scaled far
+        assert 0.3 < SECOND.strength(0, effect, 2.0) < STRONGEST
+    with pytest.raises(InputError, match="third"):
+        scans.shipped("third")
 
 
 def test_a_campaign_that_is_not_at_its_end_is_no_file(tmp_path: Path) -> None:
-    done = {name: np.zeros((4, 2, 3)) for name in list(scans.runs())[:-1]}
+    done = {name: np.zeros((4, 7)) for name in list(scans.runs())[:-1]}
     with pytest.raises(InputError, match="1 are missing"):
         scans.packed(done, tmp_path / "x.npz")
     assert not (tmp_path / "x.npz").exists()

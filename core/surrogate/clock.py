@@ -1,0 +1,72 @@
+"""When a memory is reached: the time at which creep under other inputs has come as far.
+
+    t*:  t* exp(g(t*)) = e
+
+of `core.surrogate.history`, for strains that grow. The curve g goes on beyond the last instant of
+the runs with the slope that it has there, up to `BEYOND` times that instant.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import RangeError
+from core.surrogate.followed import Curves
+
+Array = NDArray[np.float64]
+BEYOND = 3.0
+EARLIEST_H = 1e-6
+STEPS = 60
+CLOSE = 1e-7  # last step of log t by Newton: what it leaves goes with its square
+HALVED = 1e-11  # last by halves
+
+
+def clock(curve: Curves, weights: Array, strain: Array, late: bool = False) -> Array:
+    """log t* (n, R) at which t exp(g(t)) reaches `strain` (n, R), for it grows.
+
+    By Newton's steps from the far end, where creep is slow and log E nearly straight over log t; by
+    halves where one would leave what is known to hold it, or shrinks less than the step before last
+    by half (Press et al., Numerical Recipes, 9.4). A row that has arrived rests, so that it depends
+    on no other.
+
+    weights  of the curves (n, A, R)
+    late     where it is reached only after `BEYOND`: that time, in place of a RangeError
+    """
+    found = np.full(strain.shape, np.log(EARLIEST_H))
+    rows = np.flatnonzero(np.any(strain > 0, axis=1))
+    if not rows.size:
+        return found
+    w, grown = weights[rows], strain[rows] > 0
+    wanted = np.log(np.maximum(strain[rows], 1e-300))
+    low = np.full(wanted.shape, found.flat[0])
+    at = high = np.full(wanted.shape, curve.last + np.log(BEYOND))
+    short = high + curve(w, high) - wanted
+    if late:
+        wanted, short = wanted + np.minimum(short, 0.0), np.maximum(short, 0.0)
+    elif np.any(short < 0):
+        raise RangeError(
+            "creep strain",
+            float(strain.max()),
+            f"is not reached within {BEYOND:g} times the horizon under the inputs that follow",
+            "train on longer runs",
+        )
+    moved = before = high - low
+    for _ in range(STEPS):
+        low, high = np.where(short < 0, at, low), np.where(short < 0, high, at)
+        slope = 1.0 + curve.slope(w, at)
+        newton = at - short / np.where(slope > 0, slope, 1.0)
+        shrinks = 2.0 * np.abs(short) <= np.abs(before * slope)
+        good = (slope > 0) & (newton >= low) & (newton <= high) & shrinks
+        following = np.where(good, newton, 0.5 * (low + high))
+        before, moved, at = moved, np.abs(following - at), following
+        left = np.any((moved >= np.where(good, CLOSE, HALVED)) & grown, axis=1)
+        found[rows[~left]] = np.where(grown, at, found.flat[0])[~left]
+        if not left.any():
+            return found
+        rows, grown = rows[left], grown[left]
+        w, wanted, low, high = (one[left] for one in (w, wanted, low, high))
+        at, moved, before = (one[left] for one in (at, moved, before))
+        short = at + curve(w, at) - wanted
+    found[rows] = np.where(grown, at, found.flat[0])
+    return found

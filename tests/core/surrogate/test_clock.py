@@ -1,0 +1,83 @@
+"""When a memory is reached: exact for a power law, and whatever way a surrogate's curve bends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from core.errors import RangeError
+from core.model import rotor_blade_wide
+from core.surrogate.clock import BEYOND, EARLIEST_H, STEPS, clock
+from core.surrogate.driven import Driven
+from core.surrogate.followed import Curves, Followed
+
+LOG_T = np.log(np.geomspace(1.0, 5e4, 12))
+POWER = Curves(
+    CubicSpline(LOG_T, np.stack([np.ones(12), LOG_T], axis=1)),
+    float(LOG_T[0]),
+    float(LOG_T[-1]),
+    np.zeros((1, 2, 1)),
+    slice(0, 1),
+)
+MANY = 1500
+RNG = np.random.default_rng(2)
+
+
+def left(curve: Curves, w: np.ndarray, strain: np.ndarray, log_t: np.ndarray) -> np.ndarray:
+    """log of the strain that is reached at these times over what is wanted."""
+    return np.asarray(log_t + curve(w, log_t) - np.log(strain))
+
+
+def test_a_power_law_is_solved_exactly() -> None:
+    """E = A t^m, so that t* = (e / A)^(1/m), within the runs and beyond them."""
+    m, log_a = RNG.uniform(0.3, 3.0, 50), RNG.uniform(-20.0, -8.0, 50)
+    wanted = RNG.uniform(np.log(2.0), np.log(BEYOND * 5e4) - 0.01, 50)
+    w = np.stack([log_a, m - 1.0], axis=1)[:, :, None]
+    found = clock(POWER, w, np.exp(log_a + m * wanted)[:, None])
+    assert found[:, 0] == pytest.approx(wanted, abs=1e-10)
+
+
+def test_what_has_not_grown_is_at_the_beginning_and_what_is_never_reached_is_told() -> None:
+    w = np.array([[-10.0, 0.0], [-10.0, 0.0]])[:, :, None]
+    nothing = clock(POWER, w, np.array([[0.0], [np.exp(-10.0) * 100.0]]))
+    assert nothing[:, 0] == pytest.approx([np.log(EARLIEST_H), np.log(100.0)])
+    assert np.array_equal(clock(POWER, w, np.zeros((2, 1))), np.full((2, 1), np.log(EARLIEST_H)))
+    far = np.full((2, 1), np.exp(-10.0) * 1e9)
+    with pytest.raises(RangeError, match="3 times the horizon"):
+        clock(POWER, w, far)
+    assert clock(POWER, w, far, True)[:, 0] == pytest.approx(np.log(BEYOND * 5e4))
+
+
+def test_every_row_arrives_however_its_curve_bends_and_depends_on_no_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """CEEQ of nodes all over the blade, at inputs all over the wide runs, after other inputs: at
+    the ends of the box some curves hardly rise for decades, where Newton's steps alone go round in
+    circles."""
+    model = rotor_blade_wide().surrogate
+    assert isinstance(model, Driven)
+    base, nodes = model.base, [7, 400, 1500, 2900]
+    z = -np.cos(np.pi * RNG.random((MANY, len(base.inputs))))
+    x, other = (base.low + 0.5 * (one + 1.0) * (base.high - base.low) for one in (z, 0.9 * z))
+    rows = Followed.of(base, "ceeq", nodes).curves
+    w, before = (
+        rows.weights(base.process.mean(base.scaled(one), [rows.columns])[0]) for one in (x, other)
+    )
+    at = np.log(RNG.uniform(500.0, 5e4, (MANY, len(nodes))))
+    strain = np.exp(at + rows(before, at))
+    end = np.full(at.shape, rows.last + np.log(BEYOND))
+    within = np.minimum(strain, np.exp(end + rows(w, end)))
+    assert 0 < np.mean(within < strain) < 0.02, "some are not reached"
+    asked, slope = [0], Curves.slope
+
+    def counted(self: Curves, *given: np.ndarray) -> np.ndarray:
+        asked[0] += 1
+        return slope(self, *given)
+
+    monkeypatch.setattr(Curves, "slope", counted)
+    found = clock(rows, w, strain, True)
+    assert asked[0] < STEPS
+    assert np.abs(left(rows, w, within, found)).max() < 1e-9
+    some = RNG.permutation(MANY)[:37]
+    assert np.array_equal(clock(rows, w[some], strain[some], True), found[some])
