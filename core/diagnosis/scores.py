@@ -11,8 +11,9 @@ means,
 
     U = Σ_b gᵀ q_b + Σ_i h_bi,      h_bi = Cov[g_i, r_i],   r_i = (y_i − f_i) / V_i
 
-g is known at some particles of each blade; its regression on the answers f over these, g ≈ Σ_j
-kappa_ij f_j, and the covariances over all particles give h_bi = Σ_j kappa_ij Cov[f_j, r_i]. For a
+g is known at some particles of each blade; its regression over these on answers f and inputs x, g ≈
+Σ_j kappa_ij phi_j, and what is known over all particles give the mean of g, corrected by kappa's
+share of what the few are off, and h_bi = Σ_j kappa_ij Cov[phi_j, r_i]. For a
 gain that is kappa f_i and h < 0,
 without which a gain would be found in every clean rotor, as residuals lean to where priors pull
 the fit, and accelerating creep, which grows faster than the answer, in most of them even with a
@@ -39,7 +40,7 @@ Arrays are padded to the blade with most rows: (B, n, …); what is beyond a bla
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -50,7 +51,31 @@ from core.calibration.target import BladeRows
 from core.observation import Inspection
 
 Array = NDArray[np.float64]
-DIRECTIONS = 5  # of the answers over these, on which an effect is regressed
+DIRECTIONS = 8  # of answers and inputs over these, on which an effect is regressed
+SURE = 0.03  # of the largest: a direction that is
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Inputs on which an effect is regressed besides the answers.
+
+    at    of K particles (…, K, d); mean: over all, (…, d); lean: Cov[x_j, r_i], (…, n, d)
+    """
+
+    at: Array
+    mean: Array
+    lean: Array
+
+    @staticmethod
+    def padded(each: Sequence[Beside], rows: int) -> Beside:
+        """Of all blades, with zeros where one has fewer inputs or rows."""
+        points, width = len(each[0].at), max(len(one.mean) for one in each)
+        at = np.zeros((len(each), points, width))
+        mean, lean = np.zeros((len(each), width)), np.zeros((len(each), rows, width))
+        for b, one in enumerate(each):
+            n, d = one.lean.shape
+            at[b, :, :d], mean[b, :d], lean[b, :n, :d] = one.at, one.mean, one.lean
+        return Beside(at, mean, lean)
 
 
 @dataclass(frozen=True)
@@ -65,6 +90,7 @@ class Scores:
     points   inputs at K particles, (K,) each, one mapping a blade; answers there, (B, K, n)
     unsure   sd of what the simulation does not know of each row, (B, n); none: of nothing
     pull     Cov[df_i/dθ, r_i] for each shared parameter, (B, n, S); none: slopes do not vary
+    beside   the inputs, on which effects are regressed as well; none: on the answers alone
     """
 
     blades: tuple[str, ...]
@@ -80,6 +106,7 @@ class Scores:
     answers: Array
     unsure: Array | None = None
     pull: Array | None = None
+    beside: Beside | None = None
 
     @property
     def real(self) -> NDArray[np.bool_]:
@@ -134,7 +161,21 @@ class Scores:
         mean, centred = values.mean(axis=1), values - values.mean(axis=1, keepdims=True)
         left, size, right, spread = self._directions
         kappa = np.einsum("bdj,bd,bkd,bki->bji", right, size, left, centred) / spread[:, :, None]
-        return mean, np.einsum("bji,bij->bi", kappa, self.lean)
+        at, middle, lean = self._regressors
+        mean = mean + np.einsum("bj,bji->bi", middle - at.mean(axis=1), kappa)
+        return mean, np.einsum("bji,bij->bi", kappa, lean)
+
+    @cached_property
+    def _regressors(self) -> tuple[Array, Array, Array]:
+        """Answers and inputs at the points (B, K, m), their means over all particles (B, m), and
+        their covariances with the residuals (B, n, m)."""
+        if (more := self.beside) is None:
+            return self.answers, self.answer, self.lean
+        return (
+            np.concatenate([self.answers, more.at], axis=2),
+            np.concatenate([self.answer, more.mean], axis=1),
+            np.concatenate([self.lean, more.lean], axis=2),
+        )
 
     def in_proportion(self, share: Array) -> tuple[Array, Array]:
         """Mean g and h of a change of a share (B, n) of the answer, (B, n) each."""
@@ -142,13 +183,14 @@ class Scores:
 
     @cached_property
     def _directions(self) -> tuple[Array, Array, Array, Array]:
-        """The answers at the points by their few main directions: left vectors (B, K, D),
-        reciprocal sizes (B, D), right vectors (B, D, n), and the answers' sds (B, n)."""
-        off = self.answers - self.answers.mean(axis=1, keepdims=True)
+        """Answers and inputs at the points by their few main directions: left vectors (B, K, D),
+        reciprocal sizes (B, D), right vectors (B, D, m), and their sds (B, m)."""
+        at = self._regressors[0]
+        off = at - at.mean(axis=1, keepdims=True)
         spread = off.std(axis=1) + 1e-300
         left, size, right = np.linalg.svd(off / spread[:, None, :], full_matrices=False)
         few = min(DIRECTIONS, size.shape[1])
-        sure = size[:, :few] > 1e-3 * np.maximum(size[:, :1], 1e-300)
+        sure = size[:, :few] > SURE * np.maximum(size[:, :1], 1e-300)
         back = np.where(sure, 1.0 / np.where(sure, size[:, :few], 1.0), 0.0)
         return left[:, :, :few], back, right[:, :few], spread
 

@@ -1,13 +1,13 @@
 """Scores from a rotor's state: what each blade's particles say of its readings (`scores`).
 
-A row's residual over its variance, averaged over the particles; the sensitivities of the answers to
-local and shared parameters, by regression over the same particles; and the answers at a few of
-them, for effects of physics.
+A row's residual over its variance, averaged over the particles (`core.diagnosis.stein`); the
+sensitivities of the answers to local and shared parameters; and answers and inputs at a few of the
+particles, for effects of physics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +18,10 @@ from core.calibration.space import locals_of, nominal, shared_prior
 from core.calibration.state import Posterior, RotorState, blade_posterior
 from core.calibration.target import BladeRows
 from core.calibration.workspace import Workspace
+from core.diagnosis.answering import Answering
 from core.diagnosis.information import bounded, given, information, made_by_ends
-from core.diagnosis.scores import Scores
-from core.discrepancy import total
+from core.diagnosis.scores import Beside, Scores
+from core.diagnosis.stein import fields, steadied
 from core.errors import InputError
 from core.model import Model
 from core.network import Parameter
@@ -29,7 +30,7 @@ from core.prior import Prior
 from core.readings import digest_of
 
 Array = NDArray[np.float64]
-POINTS = 32  # particles of a blade at which effects of physics are computed
+POINTS = 64  # particles of a blade at which effects of physics are computed
 SLOPES = 256  # particles of a blade at which slopes by its own parameters are taken
 STEP = 0.05  # of a prior's sd, for them
 
@@ -92,6 +93,7 @@ def scores(
         answers,
         unsure,
         pull,
+        Beside.padded([one.beside for one in made], shape[1]),
     )
 
 
@@ -124,6 +126,7 @@ class _Blade:
     points: Mapping[str, Array]
     answers: Array
     unsure: Array
+    beside: Beside
 
 
 def _blade(
@@ -141,53 +144,44 @@ def _blade(
         [posterior.column(n) if n not in fixed else np.full(len(w), fixed[n]) for n in names],
         axis=1,
     )
+    own_rows = Answering(posterior, rows, names, x)
 
-    def answered(
-        moved: str | None = None, to: Array | None = None, of: NDArray[np.int64] | None = None
-    ) -> tuple[Array, Array]:
-        """The rows and their surrogate's sd (P, n), at particles `of`, one parameter moved."""
-        at = x.copy() if of is None else x[of]
-        if to is not None and moved in names:
-            at[:, names.index(moved)] = to
+    def answered(moved: str, to: Array, of: NDArray[np.int64] | None = None) -> Array:
+        return own_rows.at(moved, to, of)[0][:, :count]
 
-        def column(name: str) -> Array:
-            if to is not None and name == moved:
-                return to
-            return posterior.column(name) if of is None else posterior.column(name)[of]
-
-        f, sd = (a[:, :count] for a in rows.response.evaluate(at))
-        for i, one in enumerate(rows.discrepancy[:count]):
-            if one.gain or one.offset:
-                gain = 1.0 + total(one.gain, column)
-                f[:, i] = gain * f[:, i] + total(one.offset, column)
-                sd[:, i] = gain * sd[:, i]
-        return f, sd
-
-    f, sd = answered()
-    noise = [posterior.column(s) if isinstance(s, str) else s for s in rows.sigma[:count]]
-    sigma2 = np.stack([np.broadcast_to(np.square(s), len(w)) for s in noise], axis=1)
-    v = sigma2 + rows.extra[:count] + (rows.relative[:count] * rows.y[:count]) ** 2
-    v = v * rows.discount[:count] + sd**2  # the surrogate's scale holds the discount already
+    f, sd = own_rows.at()
+    v, f, sd = own_rows.spread(sd)[:, :count], f[:, :count], sd[:, :count]
     locals_ = [p for p in locals_of(model) if p.name in names]
     others = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
     columns = np.array([posterior.column(n) for n in others]).reshape(len(others), len(w)).T
     answer, off = w @ f, columns - w @ columns
     size = np.sqrt(w @ off**2) + 1e-300
     typical, r = 1.0 / (w @ (1.0 / v)), (rows.y[:count] - f) / v
-    slope, pull = (np.zeros((count, len(others))) for _ in range(2))
+    slope, each = np.zeros((count, len(others))), np.zeros((len(w), count, len(others)))
     for k, name in enumerate(others):
         own = shared_prior(model, name)
         ends = tuple(np.clip(columns[:, k] + e * size[k], own.low, own.high) for e in (1, -1))
         apart = np.maximum(ends[0] - ends[1], 1e-300)
-        each = (answered(name, ends[0])[0] - answered(name, ends[1])[0]) / apart[:, None]
-        slope[:, k] = w @ each
-        pull[:, k] = w @ ((each - slope[:, k]) * r)
+        each[:, :, k] = (answered(name, ends[0]) - answered(name, ends[1])) / apart[:, None]
+        slope[:, k] = w @ each[:, :, k]
+    u, toward = own_rows.slopes(locals_)
+    boxes = np.array([p.prior.box for p in locals_]).reshape(-1, 2)
+    middle, residual = w @ x, r[:, :, None]
+    q, lean, leaning, pull = _split(
+        (
+            r,
+            residual * (f - answer)[:, None],
+            residual * (x - middle)[:, None],
+            residual * (each - slope),
+        ),
+        lambda values: steadied(values, fields(u, boxes, toward, w), w),
+    )
     some = _evenly(w, f, SLOPES)
     spread = np.zeros((count, len(locals_)))
     for k, p in enumerate(locals_):
         at, sd_ = posterior.column(p.name)[some], np.sqrt(_own_variance(p, posterior))
         ends = tuple(np.clip(at + e * STEP * sd_, p.prior.low, p.prior.high) for e in (1, -1))
-        change = answered(p.name, ends[0], some)[0] - answered(p.name, ends[1], some)[0]
+        change = answered(p.name, ends[0], some) - answered(p.name, ends[1], some)
         by_own = np.mean(change / (ends[0] - ends[1])[:, None], axis=0)
         spread[:, k] = sd_ * by_own
         if (mean := f"mean.{p.name}") in others:  # it moves the blades with it
@@ -195,7 +189,6 @@ def _blade(
     some = _evenly(w, f, POINTS)
     scanned = np.array([rows.readings[o].values.size > 1 for o in rows.of[:count]])
     mesh = (rows.relative[:count] * rows.y[:count]) ** 2 + rows.extra[:count] * scanned
-    q = w @ r
     box = any(made_by_ends(p.prior) for p in locals_ if p.population is None)
     seen = information(typical, spread, given(off, f - answer, w), w)
     return _Blade(
@@ -204,11 +197,20 @@ def _blade(
         slope,
         pull,
         answer,
-        (w[:, None] * r).T @ (f - answer),
+        lean,
         dict(zip(names, x[some].T, strict=True)),
         f[some],
         np.sqrt(w @ sd**2 + mesh),
+        Beside(x[some], w @ x, leaning),
     )
+
+
+def _split(values: Sequence[Array], mean: Callable[[Array], Array]) -> list[Array]:
+    """Means of arrays (N, …) over their first axis, taken at once."""
+    shapes = [one.shape[1:] for one in values]
+    means = mean(np.hstack([one.reshape(len(one), -1) for one in values]))
+    cuts = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
+    return [one.reshape(s) for one, s in zip(np.split(means, cuts), shapes, strict=True)]
 
 
 def _evenly(w: Array, f: Array, count: int) -> NDArray[np.int64]:

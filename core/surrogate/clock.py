@@ -22,16 +22,19 @@ CLOSE = 1e-7  # last step of log t by Newton: what it leaves goes with its squar
 HALVED = 1e-11  # last by halves
 
 
-def clock(curve: Curves, weights: Array, strain: Array, late: bool = False) -> Array:
+def clock(
+    curve: Curves, weights: Array, strain: Array, late: bool = False, near: Array | None = None
+) -> Array:
     """log t* (n, R) at which t exp(g(t)) reaches `strain` (n, R), for it grows.
 
-    By Newton's steps from the far end, where creep is slow and log E nearly straight over log t; by
-    halves where one would leave what is known to hold it, or shrinks less than the step before last
-    by half (Press et al., Numerical Recipes, 9.4). A row that has arrived rests, so that it depends
-    on no other.
+    By Newton's steps from where it may be, else from the far end, where creep is slow and log E
+    nearly straight over log t; by halves where one would leave what is known to hold it, or shrinks
+    less than the step before last by half (Press et al., Numerical Recipes, 9.4). A row that has
+    arrived rests, so that it depends on no other.
 
     weights  of the curves (n, A, R)
     late     where it is reached only after `BEYOND`: that time, in place of a RangeError
+    near     log times (n, R) about there
     """
     found = np.full(strain.shape, np.log(EARLIEST_H))
     rows = np.flatnonzero(np.any(strain > 0, axis=1))
@@ -40,21 +43,26 @@ def clock(curve: Curves, weights: Array, strain: Array, late: bool = False) -> A
     w, grown = weights[rows], strain[rows] > 0
     wanted = np.log(np.maximum(strain[rows], 1e-300))
     low = np.full(wanted.shape, found.flat[0])
-    at = high = np.full(wanted.shape, curve.last + np.log(BEYOND))
-    short = high + curve(w, high) - wanted
-    if late:
-        wanted, short = wanted + np.minimum(short, 0.0), np.maximum(short, 0.0)
-    elif np.any(short < 0):
-        raise RangeError(
-            "creep strain",
-            float(strain.max()),
-            f"is not reached within {BEYOND:g} times the horizon under the inputs that follow",
-            "train on longer runs",
-        )
+    high = np.full(wanted.shape, curve.last + np.log(BEYOND))
+    at = high if near is None else np.clip(near[rows], low, high)
+    g, slope = curve.with_slope(w, at)
+    short = at + g - wanted
+    if (far := np.flatnonzero(np.any(short < 0, axis=1))).size:
+        missed = wanted[far] - high[far] - curve(w[far], high[far])
+        if late:
+            wanted[far] -= np.maximum(missed, 0.0)
+            short[far] += np.maximum(missed, 0.0)
+        elif np.any(missed > 0):
+            raise RangeError(
+                "creep strain",
+                float(strain.max()),
+                f"is not reached within {BEYOND:g} times the horizon under the inputs that follow",
+                "train on longer runs",
+            )
     moved = before = high - low
     for _ in range(STEPS):
         low, high = np.where(short < 0, at, low), np.where(short < 0, high, at)
-        slope = 1.0 + curve.slope(w, at)
+        slope = 1.0 + slope
         newton = at - short / np.where(slope > 0, slope, 1.0)
         shrinks = 2.0 * np.abs(short) <= np.abs(before * slope)
         good = (slope > 0) & (newton >= low) & (newton <= high) & shrinks
@@ -67,6 +75,7 @@ def clock(curve: Curves, weights: Array, strain: Array, late: bool = False) -> A
         rows, grown = rows[left], grown[left]
         w, wanted, low, high = (one[left] for one in (w, wanted, low, high))
         at, moved, before = (one[left] for one in (at, moved, before))
-        short = at + curve(w, at) - wanted
+        g, slope = curve.with_slope(w, at)
+        short = at + g - wanted
     found[rows] = np.where(grown, at, found.flat[0])
     return found

@@ -40,19 +40,22 @@ EXTRAPOLATED = 0.012  # sd of a change beyond the runs' last instant, relative
 
 @dataclass(frozen=True)
 class _Grown:
-    """What has grown of rows: strain, totals and their doubt (n, R)."""
+    """What has grown of rows: strain, totals and their doubt (n, R); log t of clocks of their
+    own."""
 
     strain: Array
     total: Array
     doubt: Array
+    log_t: Array | None = None
 
 
 @dataclass(frozen=True)
 class _Memory:
-    """What has grown: mean CEEQ (n, 1), and rows of each quantity."""
+    """What has grown: mean CEEQ (n, 1), and rows of each quantity; log t there."""
 
     mean_ceeq: Array
     rows: tuple[_Grown, ...]
+    log_t: Array | None = None
 
     @staticmethod
     def of(n: int, what: Sequence[Followed]) -> _Memory:
@@ -191,15 +194,14 @@ class _Walk:
     def on(self, now: _Memory, known: _Known, hours: float) -> _Memory:
         """After some hours under inputs of which so much is known."""
         memory, e, begun = self.memory, known.memory, now.mean_ceeq
-        before = clock(memory, e, begun, self.late)
+        before = clock(memory, e, begun, self.late, now.log_t)
         after = np.log(np.exp(before) + hours)
         ceeq = np.exp(after + memory(e, after))
         if self.late:  # what was not reached is carried along
             ceeq += _short(begun, np.exp(before + memory(e, before)))
         step, each = _Step(before, after, begun, ceeq, hours), (self.what, known.own, now.rows)
-        return _Memory(
-            ceeq, tuple(self._grown(*one, step, known.v) for one in zip(*each, strict=True))
-        )
+        rows = tuple(self._grown(*one, step, known.v) for one in zip(*each, strict=True))
+        return _Memory(ceeq, rows, after)
 
     def _grown(self, what: Followed, y: Array, now: _Grown, step: _Step, v: Array) -> _Grown:
         """Rows of one quantity after a step."""
@@ -210,7 +212,7 @@ class _Walk:
             change = g1 * step.ceeq - (0.0 if step.first else own(y, before) * begun)
         else:
             if what.own_clock:
-                before = clock(own, y, strain, self.late)
+                before = clock(own, y, strain, self.late, now.log_t)
                 after = np.log(np.exp(before) + step.hours)
             y1 = np.exp(after + own(y, after))
             y0 = 0.0 * y1 if step.first else np.exp(before + own(y, before))
@@ -225,7 +227,7 @@ class _Walk:
             doubt = doubt + np.abs(k) * np.sqrt(v)[:, None]
         beyond = np.clip((np.exp(after) - np.exp(self.memory.last)) / step.hours, 0.0, 1.0)
         doubt = doubt + EXTRAPOLATED * np.abs(change) * beyond
-        return _Grown(strain, now.total + change, doubt)
+        return _Grown(strain, now.total + change, doubt, after if what.own_clock else None)
 
 
 def _short(strain: Array, reached: Array) -> Array:

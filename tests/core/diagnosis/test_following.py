@@ -81,7 +81,7 @@ def test_an_effect_that_some_blades_have_already_is_in_what_another_one_adds_to_
 
     some, every = added(lot.network), added(everyone)
     none = added(replace(everyone, drifts=()))
-    assert np.array_equal(some[0], every[0])
+    assert np.allclose(some[0], every[0], rtol=1e-12)
     assert np.allclose(some[1], none[1], rtol=1e-9)
     assert not np.allclose(every[0], none[0], rtol=1e-3), "negative control"
 

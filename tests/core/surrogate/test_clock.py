@@ -36,6 +36,9 @@ def test_a_power_law_is_solved_exactly() -> None:
     w = np.stack([log_a, m - 1.0], axis=1)[:, :, None]
     found = clock(POWER, w, np.exp(log_a + m * wanted)[:, None])
     assert found[:, 0] == pytest.approx(wanted, abs=1e-10)
+    for near in (np.full((50, 1), -20.0), wanted[:, None] + 1.0):
+        again = clock(POWER, w, np.exp(log_a + m * wanted)[:, None], False, near)
+        assert again == pytest.approx(found, abs=1e-10)
 
 
 def test_what_has_not_grown_is_at_the_beginning_and_what_is_never_reached_is_told() -> None:
@@ -46,7 +49,10 @@ def test_what_has_not_grown_is_at_the_beginning_and_what_is_never_reached_is_tol
     far = np.full((2, 1), np.exp(-10.0) * 1e9)
     with pytest.raises(RangeError, match="3 times the horizon"):
         clock(POWER, w, far)
-    assert clock(POWER, w, far, True)[:, 0] == pytest.approx(np.log(BEYOND * 5e4))
+    with pytest.raises(RangeError, match="3 times the horizon"):
+        clock(POWER, w, far, False, np.full((2, 1), 5.0))
+    for near in (None, np.full((2, 1), 5.0)):
+        assert clock(POWER, w, far, True, near)[:, 0] == pytest.approx(np.log(BEYOND * 5e4))
 
 
 def test_every_row_arrives_however_its_curve_bends_and_depends_on_no_other(
@@ -69,15 +75,29 @@ def test_every_row_arrives_however_its_curve_bends_and_depends_on_no_other(
     end = np.full(at.shape, rows.last + np.log(BEYOND))
     within = np.minimum(strain, np.exp(end + rows(w, end)))
     assert 0 < np.mean(within < strain) < 0.02, "some are not reached"
-    asked, slope = [0], Curves.slope
+    asked, both = [0], Curves.with_slope
 
-    def counted(self: Curves, *given: np.ndarray) -> np.ndarray:
+    def counted(self: Curves, *given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         asked[0] += 1
-        return slope(self, *given)
+        return both(self, *given)
 
-    monkeypatch.setattr(Curves, "slope", counted)
+    monkeypatch.setattr(Curves, "with_slope", counted)
     found = clock(rows, w, strain, True)
     assert asked[0] < STEPS
     assert np.abs(left(rows, w, within, found)).max() < 1e-9
+    near = found + RNG.normal(size=found.shape)
+    again = clock(rows, w, strain, True, near)
+    assert np.abs(left(rows, w, within, again)).max() < 1e-9
     some = RNG.permutation(MANY)[:37]
     assert np.array_equal(clock(rows, w[some], strain[some], True), found[some])
+
+
+def test_a_curve_and_its_slope_are_those_of_the_spline() -> None:
+    """Before, at, between and beyond the instants; one time for all rows, or one each."""
+    w = RNG.normal(size=(9, 2, 3))
+    one = np.array([-4.0, *LOG_T[[0, 3, 11]], 2.2, 7.7, 10.0, 11.9, 12.4])[:, None]
+    for at in (one, one + RNG.normal(size=(9, 3))):
+        g, slope = POWER.with_slope(w, at)
+        assert g == pytest.approx(POWER(w, at), abs=1e-12)
+        each = np.broadcast_to(at, g.shape)
+        assert slope == pytest.approx(np.where(each >= POWER.first, w[:, 1], 0.0), abs=1e-9)

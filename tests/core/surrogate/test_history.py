@@ -181,7 +181,7 @@ def test_hardening_by_time_is_far_worse(monkeypatch: pytest.MonkeyPatch) -> None
     right = np.abs(errors("elongation", None, None)[0][:, -1])
     hours = iter(())
 
-    def by_the_clock(curve: Any, weights: Any, strain: Any, late: bool) -> Any:
+    def by_the_clock(curve: Any, weights: Any, strain: Any, *more: Any) -> Any:
         return np.full(strain.shape, np.log(max(next(hours), clock.EARLIEST_H)))
 
     wrong = []
