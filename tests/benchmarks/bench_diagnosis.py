@@ -1,12 +1,13 @@
 """A diagnosis of 100 blades, as a worker makes it: its steps, and how long each takes.
 
-    python tests/benchmarks/bench_diagnosis.py [VISITS | fleet]
+    python tests/benchmarks/bench_diagnosis.py [VISITS | fleet | many]
 
 Finite-element elongations of `core.builtin.worn_plan` at VISITS (default 6) equal steps to
 24,000 h, with 0.02 mm of noise; one coating lot wears, one visit reads 0.02 mm too much. All of it
 is diagnosed by `rotor-blade-wide` over the whole grammar with pairs, before and after included.
 With `fleet` it is a hundred blades of five ages at three visits, whose coatings all wear, which
 such readings do not tell from other causes: the inspections that would are worked out as well.
+With `many` it is one whose gas steps, and too many names for an answer share the evidence.
 Peak memory is that of the process.
 """
 
@@ -58,9 +59,11 @@ def of_a_lot(visits: int) -> tuple[RotorSpec, list[BladeRecord], Sequence[Inspec
     return RotorSpec("bench", tuple(names), PARTICLES, 0), records, given
 
 
-def of_a_fleet() -> tuple[RotorSpec, list[BladeRecord], Sequence[Inspection]]:
-    """All coatings wear: an effect that cannot be told from others."""
-    case = made(plan("fleet-100"), "wear", 0, 424242, PARTICLES).case
+def of_a_fleet(
+    condition: str, seed: int
+) -> tuple[RotorSpec, list[BladeRecord], Sequence[Inspection]]:
+    """Blades of five ages with an effect that cannot be told from others."""
+    case = made(plan("fleet-100"), condition, 0, seed, PARTICLES).case
     facts = sorted(case.facts.items())
     records = [BladeRecord(b, lot=f.lot, coating_lot=f.coating_lot) for b, f in facts]
     return case.spec, records, case.readings
@@ -68,7 +71,9 @@ def of_a_fleet() -> tuple[RotorSpec, list[BladeRecord], Sequence[Inspection]]:
 
 def main() -> None:
     asked, model = sys.argv[1] if len(sys.argv) > 1 else "6", rotor_blade_wide()
-    spec, records, given = of_a_fleet() if asked == "fleet" else of_a_lot(int(asked))
+    fleets = {"fleet": ("wear", 424242), "many": ("step", 7975784)}
+    rotor = of_a_fleet(*fleets[asked]) if asked in fleets else of_a_lot(int(asked))
+    spec, records, given = rotor
     steps: list[tuple[str, float, float]] = []
 
     def progress(what: str, done: int, total: int) -> None:
