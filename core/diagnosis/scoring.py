@@ -7,7 +7,7 @@ particles, for effects of physics.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -166,16 +166,10 @@ def _blade(
         slope[:, k] = w @ each[:, :, k]
     u, toward = own_rows.slopes(locals_)
     boxes = np.array([p.prior.box for p in locals_]).reshape(-1, 2)
-    middle, residual = w @ x, r[:, :, None]
-    q, lean, leaning, pull = _split(
-        (
-            r,
-            residual * (f - answer)[:, None],
-            residual * (x - middle)[:, None],
-            residual * (each - slope),
-        ),
-        lambda values: steadied(values, fields(u, boxes, toward, w), w),
-    )
+    better, middle = steadied(fields(u, boxes, toward, w), w), w @ x
+    told = better[:, None] * r
+    q, lean, leaning = told.sum(axis=0), told.T @ (f - answer), told.T @ (x - middle)
+    pull = np.einsum("ki,kis->is", told, each - slope)
     some = _evenly(w, f, SLOPES)
     spread = np.zeros((count, len(locals_)))
     for k, p in enumerate(locals_):
@@ -201,16 +195,8 @@ def _blade(
         dict(zip(names, x[some].T, strict=True)),
         f[some],
         np.sqrt(w @ sd**2 + mesh),
-        Beside(x[some], w @ x, leaning),
+        Beside(x[some], middle, leaning),
     )
-
-
-def _split(values: Sequence[Array], mean: Callable[[Array], Array]) -> list[Array]:
-    """Means of arrays (N, …) over their first axis, taken at once."""
-    shapes = [one.shape[1:] for one in values]
-    means = mean(np.hstack([one.reshape(len(one), -1) for one in values]))
-    cuts = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
-    return [one.reshape(s) for one, s in zip(np.split(means, cuts), shapes, strict=True)]
 
 
 def _evenly(w: Array, f: Array, count: int) -> NDArray[np.int64]:

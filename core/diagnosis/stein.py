@@ -9,7 +9,8 @@ so what such a field's mean over the particles is off zero, it tells of their er
 other mean's as far as that goes along with it. With c the fields at the particles and beta the
 regression of r on c,
 
-    mean r ≈ r̄ − betaᵀ c̄
+    mean r ≈ r̄ − betaᵀ c̄ = Σ_k omega_k r_k,     omega_k = w_k (1 − c̄ᵀ C⁻¹ (c_k − c̄)),
+    C = Σ_k w_k (c_k − c̄)(c_k − c̄)ᵀ
 
 (control variates: Assaraf & Caffarel, Phys. Rev. Lett. 83, 1999; Mira, Solgi & Imparato, Statistics
 and Computing 23, 2013). Where answers are linear in u and priors wide, residuals are combinations
@@ -50,19 +51,22 @@ def fields(u: Array, ends: Array, slope: Array, w: Array) -> Array:
     return np.asarray(found if count <= allowed else found[:, :0])
 
 
-def steadied(values: Array, c: Array, w: Array) -> Array:
-    """Means of values (N, q) over particles of weights w (N,), with fields c (N, m): (q,).
+def steadied(c: Array, w: Array) -> Array:
+    """Weights (N,) by which the particles' means are those with control variates c (N, m).
+
+    The correction is linear in what is averaged, so it is one of the weights w (N,); of some
+    particles they may be below zero.
 
     >>> rng = np.random.default_rng(0)
     >>> u, w = rng.normal(size=(400, 1)), np.full(400, 1 / 400)
-    >>> c = fields(u, np.array([[-9.0, 9.0]]), -u, w)
-    >>> abs(float(w @ u[:, 0])) > 0.01 > 1e-3 > abs(float(steadied(u, c, w)[0]))
+    >>> better = steadied(fields(u, np.array([[-9.0, 9.0]]), -u, w), w)
+    >>> abs(float(w @ u[:, 0])) > 0.01 > 1e-3 > abs(float(better @ u[:, 0]))
     True
+    >>> round(float(better.sum()), 9)
+    1.0
     """
-    mean = w @ values
     if not c.shape[1]:
-        return np.asarray(mean)
+        return w
     c = c / (np.sqrt(w @ c**2) + 1e-300)
-    off, root = w @ c, np.sqrt(w)[:, None]
-    beta = np.linalg.lstsq(root * (c - off), root * (values - mean), rcond=FAINT)[0]
-    return np.asarray(mean - off @ beta)
+    off, root = w @ c, np.sqrt(w)
+    return np.asarray(w - root * (off @ np.linalg.pinv(root[:, None] * (c - off), rcond=FAINT)))

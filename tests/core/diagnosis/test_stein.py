@@ -37,7 +37,7 @@ def test_at_a_bound_the_mean_residual_is_unbiased_and_far_surer(y: float) -> Non
         slope = (y - u) / sigma**2
         r = slope
         c = fields(u, ends, slope, w)
-        found.append((w @ r[:, 0], steadied(r, c, w)[0], steadied(r, slope, w)[0]))
+        found.append([one @ r[:, 0] for one in (w, steadied(c, w), steadied(slope, w))])
     plain, ours, wrong = (np.array(one) - exact for one in zip(*found, strict=True))
     assert ours.std() < 0.4 * plain.std()
     assert abs(ours.mean()) < 4 * ours.std() / np.sqrt(300) + 0.01 * plain.std()
@@ -51,8 +51,18 @@ def test_fields_are_as_many_as_the_particles_carry() -> None:
         for n in (400, 12 * EACH, 12 * EACH - 1, 3 * EACH, 3 * EACH - 1)
     ]
     assert sizes == [12, 12, 3, 3, 0]
-    few = steadied(u, np.empty((400, 0)), np.full(400, 1 / 400))
-    assert few == pytest.approx(u.mean(axis=0))
+    w = np.full(400, 1 / 400)
+    assert steadied(np.empty((400, 0)), w) is w
+
+
+def test_weights_say_what_a_regression_on_the_fields_says() -> None:
+    rng = np.random.default_rng(6)
+    c, values, w = rng.normal(0.1, 1.0, (200, 4)), rng.normal(size=(200, 3)), rng.random(200)
+    w /= w.sum()
+    root, off, mean = np.sqrt(w)[:, None], w @ c, w @ values
+    beta = np.linalg.lstsq(root * (c - off), root * (values - mean), rcond=None)[0]
+    assert steadied(c, w) @ values == pytest.approx(mean - off @ beta, rel=1e-9)
+    assert steadied(c, w) @ c == pytest.approx(np.zeros(4), abs=1e-12)
 
 
 def _fields_of(
