@@ -26,6 +26,7 @@ def kept(name: str) -> dict[str, Any]:
     [
         ("effects-clean", CLEAN, 134),
         ("effects-clean-2", CLEAN, 134),
+        ("effects-clean-3", CLEAN, 24),
         ("effects-fleet-physics", PHYSICS, 6),
         ("effects-scans", ("clean", *PHYSICS, "pulse"), 2),
         ("effects-scans-clean", ("clean",), 8),
@@ -69,6 +70,15 @@ def test_by_todays_rules_heavy_tails_alarm_as_seldom_as_asked_and_one_false_clai
     assert said == [(CLEAN[2], ["gas temperature"])]
     assert "one set with bursts is called an effect" in TEXT
     assert kept("effects-scans-clean")["table"]["clean"]["alarms"] == 0.0
+
+
+def test_with_control_variates_clean_sets_alarm_as_seldom_as_asked() -> None:
+    found = kept("effects-clean-3")
+    alarms = [round(24 * found["table"][kind]["alarms"]) for kind in CLEAN]
+    assert alarms == [0, 0, 3]
+    assert "3 of 72" in TEXT
+    assert found["marks"]["clean, alarms"] < 0.075
+    assert all(one["word"] != "effect" for one in found["sets"])
 
 
 def test_physics_of_two_noises_is_noticed_and_not_named_and_never_wrongly() -> None:
