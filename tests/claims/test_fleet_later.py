@@ -32,6 +32,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-scans-clean", ("clean",), 8),
         ("effects-scans-all", CONDITIONS, 4),
         ("effects-fleet-2", CONDITIONS, 4),
+        ("effects-scans-second", CONDITIONS, 1),
     ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
@@ -148,6 +149,28 @@ def test_in_scans_most_names_are_right_and_what_is_missed_is_said() -> None:
     assert [kind for kind, share in nearer.items() if share > 0.3] == ["worn lot"], "missed, said"
     told = [found["improvement"][kind] for kind in NAMED]
     assert all(one["better"] == 1.0 and 0.90 <= one["inside 95"] <= 0.98 for one in told)
+
+
+def test_on_a_second_scanned_rotor_most_names_are_right_too_and_what_is_missed_is_said() -> None:
+    first, second = kept("effects-scans-all"), kept("effects-scans-second")
+    assert second["plan"] == "fleet-scans-2"
+    outcome = {one["condition"]: one["outcome"] for one in second["sets"]}
+    assert {kind for kind in NAMED if outcome[kind] != "right"} == {"fouling"}
+    assert outcome["fouling"] == "in the set"
+    assert [kind for kind in CONDITIONS if outcome[kind] == "wrong"] == ["some blades late"]
+    assert second["marks"]["named, alarms"] == second["marks"]["alike, not separable"] == 1.0
+    assert second["marks"]["clean, alarms"] == 0.0
+    sets = [one for found in (first, second) for one in found["sets"]]
+    named = [one["outcome"] for one in sets if one["condition"] in NAMED]
+    assert (len(named), named.count("right"), named.count("wrong")) == (40, 35, 1)
+    assert "35 of 40" in TEXT
+    rest = {"pulse", "alternating", "some blades late"}
+    free = [one["outcome"] for one in sets if one["condition"] in rest]
+    assert (len(free), free.count("right")) == (15, 13), "missed, and said"
+    assert "13 of 15" in TEXT
+    nearer = {kind: 1 - second["improvement"][kind]["forecast"] for kind in PHYSICS}
+    assert {kind for kind, share in nearer.items() if share >= 0.7} == {"fouling"}
+    assert "80 % with fouling, 67 with wear, 66 with accelerating creep, 61 with a step" in TEXT
 
 
 def test_by_todays_rules_sensors_are_named_in_fleets_and_physics_is_not() -> None:
