@@ -18,17 +18,21 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+A = TypeVar("A")
+B = TypeVar("B")
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Set to 1 for the processes: libraries read them when they are loaded."""
 WATCH_S = 0.5
 CHUNK = 1024  # rows
 _LEAVES = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="rows")
+_OTHERS = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="others")
 
 
 def by_rows(work: Callable[..., tuple[Array, ...]], *arrays: Array) -> tuple[Array, ...]:
@@ -47,6 +51,21 @@ def by_rows(work: Callable[..., tuple[Array, ...]], *arrays: Array) -> tuple[Arr
         return work(*arrays)
     made = list(_LEAVES.map(lambda part: work(*part), parts))
     return tuple(np.concatenate(column) for column in zip(*made, strict=True))
+
+
+def both(one: Callable[[], A], other: Callable[[], B]) -> tuple[A, B]:
+    """What two calls return, made side by side; they may ask for `by_rows`, and not for `both`.
+
+    >>> both(lambda: 1, lambda: "b")
+    (1, 'b')
+    """
+    later = _OTHERS.submit(other)
+    try:
+        first = one()
+    except BaseException:
+        later.cancel()
+        raise
+    return first, later.result()
 
 
 @contextmanager

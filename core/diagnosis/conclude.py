@@ -59,12 +59,12 @@ class Turn:
     cells: tuple[Cell, ...] = ()
     before: tuple[Cell, ...] = ()
 
-    @property
+    @cached_property
     def evidence(self) -> dict[str, float]:
         """Share of the evidence of each name."""
         return evidence_of(self.hypotheses)
 
-    @property
+    @cached_property
     def causes(self) -> dict[str, str]:
         """The cause of each name; of one that is no cell's, itself."""
         return {cell.name: cell.cause for cell in self.cells}

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from core.archive import Input
 from core.drift import Drift
 from core.errors import InputError
+from core.pools import both
 from core.response import Response
 from core.surrogate.anchor import Anchor
 from core.surrogate.fit import FEWER, Fit
@@ -201,8 +202,10 @@ class Driven:
         if later.size:
             x = fit.points
             few = len(x) // FEWER
-            known = self._along(x[:few], time[later], what)
-            more = self._along(x[few:], time[later], what, doubt=False)
+            known, more = both(
+                lambda: self._along(x[:few], time[later], what),
+                lambda: self._along(x[few:], time[later], what, doubt=False),
+            )
             for rows, (own, _), first, rest in zip(parts, what, known, more, strict=True):
                 for at, row in zip(later, fit.by_time(first, rest, own.per_ceeq), strict=True):
                     rows[at] = row

@@ -6,14 +6,16 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import Future
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from core.archive.claims import started
-from core.pools import THREADS, process_pool
+from core.pools import CHUNK, THREADS, both, by_rows, process_pool
 
 ORPHANS = """
 import sys, time
@@ -73,3 +75,23 @@ def test_what_waits_is_dropped_where_the_caller_fails() -> None:
     with pytest.raises(KeyError):
         failing()
     assert sum(one.cancelled() for one in waiting) > 30
+
+
+def test_both_run_side_by_side_and_share_their_rows_out() -> None:
+    """Each waits for the other to be there: one after the other would never end."""
+    meet = threading.Barrier(2, timeout=20)
+    big = np.arange(3.0 * CHUNK)
+
+    def doubled(sign: float) -> float:
+        meet.wait()
+        return float(by_rows(lambda x: (2 * sign * x,), big)[0][-1])
+
+    assert both(lambda: doubled(1.0), lambda: doubled(-1.0)) == (2 * big[-1], -2 * big[-1])
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_what_either_of_both_raises_is_raised(place: int) -> None:
+    calls = [lambda: 1.0, lambda: 1.0]
+    calls[place] = lambda: 1.0 / 0
+    with pytest.raises(ZeroDivisionError):
+        both(*calls)

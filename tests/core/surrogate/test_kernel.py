@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -11,6 +12,7 @@ from core.errors import ModelError
 from core.monomials import monomials
 from core.surrogate.kernel import Hyper, SharedGP, correlation
 from core.surrogate.likelihood import fit_hyper, log_likelihood
+from core.surrogate.near import nearness
 
 Array = NDArray[np.float64]
 HYPER = Hyper((0.9, 2.3), 1e-4, 1)
@@ -190,3 +192,16 @@ def test_coefficients_that_are_nothing_in_every_run_do_not_count() -> None:
     assert found.lengths == pytest.approx(plain.lengths, rel=1e-4)
     assert (found.nugget, found.trend) == (pytest.approx(plain.nugget, rel=1e-4), plain.trend)
     assert found != Hyper((0.7, 0.7), 1e-5, 1)
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (7, 30), (1030, 64)])
+def test_correlations_have_the_same_bits_without_numba(
+    n: int, m: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(n)
+    z, other = rng.uniform(-1, 1, (n, 5)), rng.uniform(-1, 1, (m, 5))
+    other[0], lengths = z[0], np.full(5, 0.7)  # a distance of zero, which rounding makes negative
+    compiled = correlation(z, other, lengths)
+    assert nearness.signatures  # that is what made them
+    monkeypatch.delitem(sys.modules, "numba")
+    assert np.array_equal(compiled, correlation(z, other, lengths))
