@@ -18,7 +18,8 @@ adopt       an effect in the model, as a calibrated amplitude
 diagnose    all of it in turn
 search      what is calibrated, taken and given up again; choice: names first, then courses
 conclude    the word, every name on its own turn
-halves      whether an amplitude holds between halves of blades and readings
+amplitudes  what readings say of effects in the model; halves: whether they hold between halves of
+            blades and readings; concerned: whether all blades have the effect
 alternatives  what else the readings allow: forecasts by other courses
 transfer    whether an effect holds in another condition
 report      before and after, on readings that neither model used

@@ -10,7 +10,9 @@ from core.answers import Answers, Stacked
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
 from core.calibration.workspace import Workspace
 from core.diagnosis.adopt import amplitude, typical_noise, with_effects
+from core.diagnosis.amplitudes import amplitudes
 from core.diagnosis.clock import readers
+from core.diagnosis.concerned import Concerned, concerned
 from core.diagnosis.conclude import Rival
 from core.diagnosis.families import families_for
 from core.diagnosis.grammar import Cell, Facts, cells
@@ -132,6 +134,14 @@ class Case:
     def parted(self) -> Parted:
         """Its readings in halves that are calibrated by themselves."""
         return Parted(self.spec, self.readings)
+
+    def concerned(self, model: Model, state: RotorState, taken: Rival) -> tuple[Concerned, ...]:
+        """Whether all blades have the effects in a model; model, state without any effect."""
+        seen = self.seen(taken.model, taken.state)
+        facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
+        noise = self.noise(model, state)
+        given = amplitudes(model, taken.state, seen, taken.effects, facts, noise)
+        return concerned(seen, given)
 
     def halves(self, model: Model, state: RotorState, taken: Rival) -> tuple[Held, ...]:
         """Whether the effects in a model hold in halves: by amplitude, or each half by itself.

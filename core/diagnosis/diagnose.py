@@ -14,8 +14,9 @@
     5. What was taken but could not be told from its rivals leaves again where chance explains the
        readings without it: a name that is not settled must not keep those that are from being said.
        So does one beside which the others' amplitudes do not hold (`leaving`).
-    6. The amplitudes have to hold (`verdict`) and to lie inside of their room, and what is left has
-       to be chance (`conclude`).
+    6. The amplitudes have to hold (`verdict`), to lie inside of their room and to be those of all
+       blades that the effect is said of (`concerned`), and what is left has to be chance
+       (`conclude`).
 
 Everything is a function of the readings that count, the facts of the blades and the seed.
 """
@@ -128,6 +129,7 @@ def diagnose(
             taken, after = fewer.rest, fewer.p
             gone.append(fewer.told)
             turns = [search.standing(turn, taken) for turn in turns]
+    concerns = case.concerned(model, state, taken) if taken.effects else ()
     verdict = conclude(
         first,
         [c.name for c in taken.effects],
@@ -137,8 +139,12 @@ def diagnose(
         case.halves(model, state, taken),
         search.refused,
         gone,
-        [end for c in taken.effects if (end := _end(c, model, taken)) is not None],
+        [
+            *(end for c in taken.effects if (end := _end(c, model, taken)) is not None),
+            *(one.told() for one in concerns if not one.stands),
+        ],
     )
+    verdict = replace(verdict, concerns=concerns)
     if verdict.word == "effect":
         later = leaving_runs(taken.model, taken.state, case.present)
         verdict = replace(verdict, reasons=(*verdict.reasons, *later))

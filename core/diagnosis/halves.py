@@ -20,10 +20,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.state import RotorState, shared_posterior
-from core.diagnosis.adopt import amplitude, expected
+from core.calibration.state import RotorState
+from core.diagnosis.amplitudes import amplitudes
 from core.diagnosis.grammar import Cell, Facts
-from core.diagnosis.masks import masks
 from core.diagnosis.parted import BLADES, HOURS
 from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
@@ -31,7 +30,6 @@ from core.diagnosis.verdict import WIDE, Held
 from core.model import Model
 
 Array = NDArray[np.float64]
-NOTHING = 1e-6  # of the largest slope: what polynomials make of none
 
 
 def halves(
@@ -48,24 +46,13 @@ def halves(
     before  the model without the effects; state, seen: with them
     again   what each half says by itself of an effect: its cell, expected size, how it is halved
     """
-    shared = shared_posterior(state.meta, state.arrays.__getitem__)
-    others = [n for n in state.meta["shared"] if not n.startswith("sigma_obs.")]
-    concerned = masks(effects, seen, facts) > 0
     found: list[Held] = []
-    for c, cell in enumerate(effects):
-        name, origin = amplitude(cell, before.network)
-        size = expected(cell, noise)
-        mean = float(shared.particles.w @ shared.column(name)) - origin
-        k = others.index(name)
-        g = np.where(concerned[:, :, c], seen.slope[:, :, k], 0.0)
-        told = np.abs(g) > NOTHING * np.max(np.abs(g), initial=0.0)  # of a step: those after
-        g = np.where(told, g, 0.0)
-        h = np.where(told, seen.pull[:, :, k], 0.0) if seen.pull is not None else 0.0 * g
-        for by, half in splits(seen, g):
-            if abs(mean) > WIDE * size:
-                found.append(again(cell, size, by))
+    for one in amplitudes(before, state, seen, effects, facts, noise):
+        for by, half in splits(seen, one.slope):
+            if abs(one.mean) > WIDE:
+                found.append(again(one.cell, one.size, by))
             else:
-                found.append(between(seen, g * size, h * size, half, cell, by, mean / size))
+                found.append(between(seen, one.slope, one.pull, half, one.cell, by, one.mean))
     return tuple(found)
 
 

@@ -63,6 +63,7 @@ def to_json(
         "no_room": [{"names": list(names), "why": why} for names, why in found.refused],
         "tried": tried(found.first),
         "holds": [h.to_json() for h in verdict.held],
+        "concerns": [c.to_json() for c in verdict.concerns],
         "parameters": {
             "before": shared(found.before[1]),
             "after": shared(after[1]),

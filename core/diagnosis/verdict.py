@@ -17,11 +17,14 @@ left is scanned again with the misfits without a name (bins of hours) among what
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis, best_of, credible, evidence_of, weighed
 from core.diagnosis.scan import Scan
+
+if TYPE_CHECKING:
+    from core.diagnosis.concerned import Concerned
 
 Word = Literal["adequate", "effect", "not separable", "unattributed"]
 ALARM = 0.05  # family-wise
@@ -93,6 +96,7 @@ class Verdict:
     hypotheses  all that have a noticeable share of the evidence, largest first
     tried       log mean Bayes factor of every family, and of misfits without a name
     reasons     in words
+    concerns    whether all blades that effects are said of have them
     """
 
     word: Word
@@ -106,6 +110,7 @@ class Verdict:
     held: tuple[Held, ...]
     reasons: tuple[str, ...]
     several: tuple[str, ...] = ()
+    concerns: tuple[Concerned, ...] = ()
 
 
 def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Verdict:

@@ -545,6 +545,16 @@ class FoundTried(TypedDict):
     log_bf: float | None
 
 
+class FoundConcern(TypedDict):
+    effect: str
+    blades: int
+    all: float
+    share: float
+    some_nat: float
+    those: list[str]
+    stands: bool
+
+
 class FoundParameters(TypedDict):
     before: dict[str, Any]
     after: dict[str, Any]
@@ -634,6 +644,7 @@ class Found(TypedDict):
     no_room: list[FoundNoRoom]
     tried: list[FoundTried]
     holds: list[dict[str, Any]]
+    concerns: NotRequired[list[FoundConcern]]
     parameters: FoundParameters
     readings: FoundReadings
     models: AdoptionModels

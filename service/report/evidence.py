@@ -7,7 +7,7 @@ from typing import Any
 
 from service.report import figures
 from service.report.markup import Child, Markup, el
-from service.report.sections import ALARM, CONFIRMED, LEFT, OLDER, SHOWN, changes
+from service.report.sections import ALARM, CONFIRMED, LEFT, NAMED, OLDER, SHOWN, changes
 from service.report.tables import cell, figure, note, section, table
 from service.report.words import joined, number, with_sd
 
@@ -78,7 +78,27 @@ def held(found: Json) -> Markup:
         "Amplitudes in multiples of the expected size; they agree within three sd. Where a large "
         f"one does not, each half by itself has to have each effect by {CONFIRMED:g} nat."
     )
-    return section(title, table(head, rows, (2, 3, 4)), note(said))
+    return section(title, table(head, rows, (2, 3, 4)), note(said), *concerned(found))
+
+
+def concerned(found: Json) -> list[Child]:
+    """Whether all blades that effects are said of have them; nothing in older reports."""
+    rows: list[list[Child]] = []
+    for one in found.get("concerns", ()):
+        word, kind = "all", "better"
+        if not one["stands"]:
+            word, kind = ("some", "mark") if one["all"] <= 1.0 - NAMED else ("open", "mark")
+        if_some = f"{100 * one['share']:.0f}"
+        numbers = [str(one["blades"]), number(100 * one["all"]), if_some, number(one["some_nat"])]
+        rows.append([one["effect"], *numbers, cell(word, kind=kind)])
+    if not rows:
+        return []
+    head = ["", "blades", "all have it [%]", "if some: of them [%]", "some against all [nat]", ""]
+    said = (
+        "Whether each effect is in all blades that it is said of, or in some of them that nobody "
+        f"knows (a third as likely before): claimed where all have {NAMED:.0%} of the evidence."
+    )
+    return [table(head, rows, (1, 2, 3, 4)), note(said)]
 
 
 def parameters(found: Json) -> Markup:

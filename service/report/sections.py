@@ -13,7 +13,7 @@ from service.report.tables import cell, figure, note, section, table
 from service.report.words import capital, number, sentence, with_sd
 
 Json = Mapping[str, Any]
-ALARM, LEFT, CONFIRMED = 0.05, 0.01, 5.0  # of core.diagnosis.verdict
+ALARM, LEFT, CONFIRMED, NAMED = 0.05, 0.01, 5.0, 0.90  # of core.diagnosis.verdict
 SHOWN = 12
 OLDER = "This diagnosis was made by a release that did not keep {}. Ask for a new one to have them."
 

@@ -144,7 +144,16 @@ ADOPTION = having(
     at=TEXT,
 )
 FOUND = having(
-    ("adds", "alternatives", "conditions", "not_adopted", "pictures", "separating", "widened"),
+    (
+        "adds",
+        "alternatives",
+        "concerns",
+        "conditions",
+        "not_adopted",
+        "pictures",
+        "separating",
+        "widened",
+    ),
     verdict=VERDICT,
     names=each(TEXT),
     reasons=each(TEXT),
@@ -158,6 +167,17 @@ FOUND = having(
     no_room=each(having(names=each(TEXT), why=TEXT)),
     tried=each(having(what=TEXT, log_bf=maybe(NUMBER))),
     holds=each(ANY),
+    concerns=each(
+        having(
+            effect=TEXT,
+            blades=WHOLE,
+            all=NUMBER,
+            share=NUMBER,
+            some_nat=NUMBER,
+            those=each(TEXT),
+            stands=YES,
+        )
+    ),
     parameters=having(before=ANY, after=ANY),
     readings=having(delivered=WHOLE, used=WHOLE),
     models=having(before=TEXT, after=TEXT),

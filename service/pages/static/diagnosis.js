@@ -99,7 +99,14 @@ function result(found, unitName) {
         { name: "Log Bayes factor [nat]", value: (t) => fixed(t.log_bf, 2), sort: (t) => t.log_bf, number: true },
       ], found.tried.slice(0, MOST)))) : null,
       found.no_room.length ? h("p", { class: "small" }, `No room for: ${found.no_room.map((n) => `${n.names.join(" + ")} (${n.why})`).join("; ")}`) : null,
-      found.holds.length ? aside("Does it hold between halves", h("pre", { tabindex: 0 }, JSON.stringify(found.holds, null, 1))) : null),
+      found.holds.length ? aside("Does it hold between halves", h("pre", { tabindex: 0 }, JSON.stringify(found.holds, null, 1))) : null,
+      found.concerns?.length ? aside("Do all blades have it", scroll("Do all blades have it", table([
+        { name: "Effect", value: (c) => c.effect },
+        { name: "Blades", value: (c) => String(c.blades), sort: (c) => c.blades, number: true },
+        { name: "All have it [%]", value: (c) => fixed(100 * c.all, 1), sort: (c) => c.all, number: true },
+        { name: "If some: of them [%]", value: (c) => fixed(100 * c.share, 0), sort: (c) => c.share, number: true },
+        { name: "Some against all [nat]", value: (c) => fixed(c.some_nat, 1), sort: (c) => c.some_nat, number: true },
+      ], found.concerns))) : null),
   ];
 }
 
