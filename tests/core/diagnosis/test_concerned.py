@@ -28,14 +28,16 @@ def test_it_is_the_ratio_of_the_exact_densities() -> None:
     seen, _ = fleet.rotor(3, lambda b, k: 0.4 * (b % 3 == 0) * (k == 2))
     g = np.zeros(seen.q.shape)
     g[:, 2] = 0.1
-    told = concerned(seen, [Amplitude(CELL, 1.2, 0.1, g, np.zeros(g.shape))])
+    pull = 0.2 * np.random.default_rng(4).normal(size=g.shape)
+    told = concerned(seen, [Amplitude(CELL, 1.2, 0.1, g, pull)])
     c = np.linalg.inv(seen.information)
     off = np.einsum("bij,bj->bi", c, seen.q)  # y − f with the effect at 1.2 in all
 
     def log_p(moved: float) -> np.ndarray:
         nothing = np.zeros(len(g[0]))
         each = zip(off, g, c, strict=True)
-        return np.array([multivariate_normal(nothing, k).logpdf(o - moved * s) for o, s, k in each])
+        normal = [multivariate_normal(nothing, k).logpdf(o - moved * s) for o, s, k in each]
+        return np.array(normal) + moved * pull.sum(axis=1)
 
     all_have = log_p(0.0).sum()
     shares = []
