@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,8 @@ class Concerned:
     """Which blades have an effect that is said of `blades` of them.
 
     nat    K, of some against all; share: the likeliest, if some
-    those  blades that rather have it than not, if some, the surest first
+    those  blades that rather have it than not, if some, the surest first; none where all may be
+           claimed
     """
 
     effect: str
@@ -107,8 +108,9 @@ def concerned(seen: Scores, effects: Iterable[Amplitude]) -> tuple[Concerned, ..
         c = np.einsum("bi,bi->b", g, seen.q) + one.pull.sum(axis=1)
         nat, share, has = shared_out(c[at], own[at], one.mean)
         order = [i for i in np.argsort(-has, kind="stable") if has[i] > 0.5]
+        told = Concerned(one.cell.name, len(at), nat, share, ())
         names = tuple(seen.blades[at[i]] for i in order)
-        found.append(Concerned(one.cell.name, len(at), nat, share, names))
+        found.append(told if told.stands else replace(told, those=names))
     return tuple(found)
 
 

@@ -129,6 +129,7 @@ def test_what_all_blades_have_is_claimed_of_all() -> None:
     assert one.verdict.word == "effect"
     assert told.stands
     assert told.all > 0.99
+    assert told.those == ()
 
 
 def test_words_say_which_it_is() -> None:
