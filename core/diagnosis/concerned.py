@@ -1,28 +1,36 @@
 """Whether all blades that an effect is said of have it, or only some of them.
 
 With the effect in the model at the amplitude a that all blades agree on, let blade b have a + d
-in place of a. Its readings' log likelihood, its own parameters integrated out, changes by
+in place of a. Its readings say of d, its own parameters integrated out and to second order
+(`core.diagnosis.scores`),
 
-    l_b(d) = c_b d − I_b d² / 2,      c_b = gᵀ q_b + h_b,      I_b = gᵀ Q_b g,      g = df/da
+    c_b ~ N(I_b d, phi I_b),      c_b = gᵀ q_b + h_b,      I_b = gᵀ Q_b g,      g = df/da
 
-to second order (`core.diagnosis.scores`). If a share s of the blades had it, nobody knows which,
-and the others nothing, those would have a / s, and the readings of all
+where phi is one if the noise is known. It is not: it is calibrated along, and takes amplitudes that
+differ for its own, so that blades scatter less about theirs than they should. If a share s of the
+blades had the effect, nobody knows which, and the others nothing, those would have a / s. With
 
-    K_s = Σ_b log[ (1 − s) e^{l_b(−a)} + s e^{l_b(a/s − a)} ]
+    l_b(d, phi) = −(c_b − I_b d)² / (2 phi I_b) − ½ log phi
 
-nats more or less than if all have it. "Some" is any of `SHARES`, each as likely as the other.
-Beforehand "all" is `ALL` times as likely: lots, coatings, visits and instruments are known, and an
-effect follows them more often than nothing that anybody knows.
+all blades, or a share of them, have the evidence
 
-    K = log mean_s e^{K_s},      P(all | readings) = ALL / (ALL + e^K)
+    E_1 = log mean_phi exp Σ_b l_b(0, phi)
+    E_s = log mean_phi exp Σ_b log[ (1 − s) e^{l_b(−a, phi)} + s e^{l_b(a/s − a, phi)} ]
+
+over phi evenly on a logarithmic scale (`PHI`). "Some" is any of `SHARES`, each as likely as the
+other. Beforehand "all" is omega times as likely: `FAULT` of a fault of those who read, which may be
+of whatever was read on one shift or in one fixture, `PHYSICS` of all else, which reaches blades by
+gas, air, lot or coating. Where readings tell nothing, physics is of all.
+
+    K = log mean_s e^{E_s} − E_1,      P(all | readings) = omega / (omega + e^K)
 
 An effect is claimed of all where that is `NAMED`. Half a noise in every blade, and three halves in
 a third of them, are the same to a mean and nearly the same to a scatter, which few readings of a
 blade with parameters of its own hardly show; so there the answer is that it is open, K ≈ 0, and
-where all have two noises it is not, K < −10. Blades that have it may share what no fact tells.
+where all have two noises it is not, K < −6. Blades that have it may share what no fact tells.
 
 Of fewer than `LEAST_BLADES` blades nothing is asked, nor of amplitudes of more than `WIDE` expected
-sizes, where l_b is far from a parabola: each half of the blades has to find these by itself
+sizes, where the law is far from linear: each half of the blades has to find these by itself
 (`core.diagnosis.parted`).
 """
 
@@ -39,11 +47,12 @@ from numpy.typing import NDArray
 from core.diagnosis.amplitudes import Amplitude
 from core.diagnosis.scatter import LEAST_BLADES
 from core.diagnosis.scores import Scores
-from core.diagnosis.verdict import NAMED, WIDE
+from core.diagnosis.verdict import NAMED, WIDE, Verdict
 
 Array = NDArray[np.float64]
 SHARES = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])  # more are nearly all
-ALL = 3.0  # times as likely as "some", before anything is read
+FAULT, PHYSICS = 3.0, 10.0  # times as likely in all as in some, before anything is read
+PHI = np.geomspace(0.35, 2.0, 25)
 SHOWN = 12  # blades in words
 
 
@@ -51,7 +60,7 @@ SHOWN = 12  # blades in words
 class Concerned:
     """Which blades have an effect that is said of `blades` of them.
 
-    nat    K, of some against all; share: the likeliest, if some
+    nat    K, of some against all; share: the likeliest, if some; odds: omega
     those  blades that rather have it than not, if some, the surest first; none where all may be
            claimed
     """
@@ -60,18 +69,19 @@ class Concerned:
     blades: int
     nat: float
     share: float
-    those: tuple[str, ...]
+    odds: float
+    those: tuple[str, ...] = ()
 
     @property
     def all(self) -> float:
         """P(all | readings)."""
-        return ALL / (ALL + math.exp(min(self.nat, 700.0)))
+        return self.odds / (self.odds + math.exp(min(self.nat, 700.0)))
 
     @property
     def stands(self) -> bool:
         """Whether it may be claimed of all.
 
-        >>> [Concerned("wear", 99, nat, 0.3, ()).stands for nat in (-1.2, 0.0, 9.0)]
+        >>> [Concerned("zero", 99, nat, 0.3, FAULT).stands for nat in (-1.2, 0.0, 9.0)]
         [True, False, False]
         """
         return self.all >= NAMED
@@ -108,7 +118,8 @@ def concerned(seen: Scores, effects: Iterable[Amplitude]) -> tuple[Concerned, ..
         c = np.einsum("bi,bi->b", g, seen.q) + one.pull.sum(axis=1)
         nat, share, has = shared_out(c[at], own[at], one.mean)
         order = [i for i in np.argsort(-has, kind="stable") if has[i] > 0.5]
-        told = Concerned(one.cell.name, len(at), nat, share, ())
+        odds = FAULT if one.cell.family.kind == "sensor" else PHYSICS
+        told = Concerned(one.cell.name, len(at), nat, share, odds)
         names = tuple(seen.blades[at[i]] for i in order)
         found.append(told if told.stands else replace(told, those=names))
     return tuple(found)
@@ -121,17 +132,38 @@ def shared_out(c: Array, own: Array, a: float) -> tuple[float, float, Array]:
 
     Ten blades that show one amplitude of four sds, and the same mean in two of them:
 
-    >>> alike, two = np.zeros(10), np.r_[16.0 * np.full(2, 4.0), -16.0 * np.ones(8)]
+    >>> alike, two = np.linspace(-6.0, 6.0, 10), np.r_[16.0 * np.full(2, 4.0), -16.0 * np.ones(8)]
     >>> [round(shared_out(c, np.full(10, 16.0), 1.0)[0]) for c in (alike, two)]
-    [-42, 313]
+    [-23, 163]
     """
-    without = -c * a - 0.5 * own * a**2
-    ratio = np.array([math.log(s / (1.0 - s)) for s in SHARES])[:, None]
-    d = (a / SHARES - a)[:, None]
-    log_odds = ratio + c * d - 0.5 * own * d**2 - without
-    log_none = np.log1p(-SHARES)[:, None] + without
-    each = np.sum(log_none + np.logaddexp(0.0, log_odds), axis=1)
-    best = int(np.argmax(each))
-    nat = float(np.logaddexp.reduce(each) - math.log(len(each)))
-    has = 1.0 / (1.0 + np.exp(-np.clip(log_odds[best], -700.0, 700.0)))
+    shares, phi = SHARES[:, None, None], PHI[:, None]
+    scale = 2.0 * phi * own
+
+    def density(d: Array | float) -> Array:
+        return np.asarray(-((c - own * d) ** 2) / scale - 0.5 * np.log(phi))
+
+    have = np.log(shares) + density(a / shares - a)
+    both = np.logaddexp(np.log1p(-shares) + density(-a), have)
+    some = np.logaddexp.reduce(both.sum(axis=2), axis=1)
+    every = np.logaddexp.reduce(density(0.0).sum(axis=1))
+    best = int(np.argmax(some))
+    likely = both[best].sum(axis=1)
+    weight = np.exp(likely - likely.max())
+    has = weight @ np.exp(have[best] - both[best]) / weight.sum()
+    nat = float(np.logaddexp.reduce(some) - math.log(len(some)) - every)
     return nat, float(SHARES[best]), has
+
+
+def heard(verdict: Verdict, told: tuple[Concerned, ...]) -> Verdict:
+    """A verdict once it is known which blades have the effects in the model.
+
+    What not all have is not claimed of them. Where that is open, an effect is not claimed, and of
+    names that share the evidence it is said.
+    """
+    verdict = replace(verdict, concerns=told)
+    unsure = tuple(one.told() for one in told if not one.stands)
+    if not unsure or verdict.word not in ("effect", "not separable"):
+        return replace(verdict, reasons=(*verdict.reasons, *unsure))
+    if verdict.word == "effect" or any(one.all <= 1.0 - NAMED for one in told):
+        return replace(verdict, word="unattributed", names=(), reasons=unsure)
+    return replace(verdict, reasons=(*verdict.reasons, *unsure))

@@ -158,7 +158,7 @@ def conclude(
     after    p of what is left; held: whether amplitudes agree between halves
     refused  hypotheses that the runs have no room for, with the reason
     gone     effects that were taken and left again (`leaving`), in words
-    ends     amplitudes that lean on the end of their room, effects that not all have, in words
+    ends     amplitudes that lean on the end of their room, in words
     """
     reasons = [*_against(names, after, held, refused), *ends]
     if reasons:

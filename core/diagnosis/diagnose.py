@@ -32,6 +32,7 @@ from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude
 from core.diagnosis.alternatives import shares
 from core.diagnosis.case import Case
+from core.diagnosis.concerned import heard
 from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.densities import leans
 from core.diagnosis.grammar import Cell
@@ -129,7 +130,6 @@ def diagnose(
             taken, after = fewer.rest, fewer.p
             gone.append(fewer.told)
             turns = [search.standing(turn, taken) for turn in turns]
-    concerns = case.concerned(model, state, taken) if taken.effects else ()
     verdict = conclude(
         first,
         [c.name for c in taken.effects],
@@ -139,12 +139,9 @@ def diagnose(
         case.halves(model, state, taken),
         search.refused,
         gone,
-        [
-            *(end for c in taken.effects if (end := _end(c, model, taken)) is not None),
-            *(one.told() for one in concerns if not one.stands),
-        ],
+        [end for c in taken.effects if (end := _end(c, model, taken)) is not None],
     )
-    verdict = replace(verdict, concerns=concerns)
+    verdict = heard(verdict, case.concerned(model, state, taken) if taken.effects else ())
     if verdict.word == "effect":
         later = leaving_runs(taken.model, taken.state, case.present)
         verdict = replace(verdict, reasons=(*verdict.reasons, *later))

@@ -160,7 +160,8 @@ class Scores:
         """Mean g and h of a change that is `values` (B, K, n) at the points, (B, n) each."""
         mean, centred = values.mean(axis=1), values - values.mean(axis=1, keepdims=True)
         left, size, right, spread = self._directions
-        kappa = np.einsum("bdj,bd,bkd,bki->bji", right, size, left, centred) / spread[:, :, None]
+        along = size[:, :, None] * (np.swapaxes(left, 1, 2) @ centred)
+        kappa = np.swapaxes(right, 1, 2) @ along / spread[:, :, None]
         at, middle, lean = self._regressors
         mean = mean + np.einsum("bj,bji->bi", middle - at.mean(axis=1), kappa)
         return mean, np.einsum("bji,bij->bi", kappa, lean)
