@@ -95,9 +95,9 @@ def concerned(found: Json) -> list[Child]:
         return []
     head = ["", "blades", "all have it [%]", "if some: of them [%]", "some against all [nat]", ""]
     said = (
-        "Whether each effect is in all blades that it is said of, or in some that nobody knows. It "
-        f"is claimed where all have {NAMED:.0%} of the evidence; beforehand they are three times as "
-        "likely of a fault of those who read, ten times of all else."
+        "Whether each effect is in all blades that it is said of, or in some that nobody knows. "
+        f"It is claimed where all have {NAMED:.0%} of the evidence; beforehand they are three "
+        "times as likely of a fault of those who read, ten times of all else."
     )
     return [table(head, rows, (1, 2, 3, 4)), note(said)]
 

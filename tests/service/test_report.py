@@ -274,6 +274,20 @@ def test_an_older_result_still_renders_and_says_what_is_missing(verdict: str) ->
     assert Read(page_of(bare)).active == []
 
 
+def test_whether_all_blades_have_an_effect_is_told() -> None:
+    found = told("effect")
+    said = " ".join(Read(page_of(found)).said.split())
+    assert "campaign offset (campaign spring) 12 93.1 30 −1.5 all" in said
+    (one,) = found["concerns"]
+    for p_all, word in ((0.4, "open"), (0.02, "some")):
+        one |= {"all": p_all, "stands": False}
+        said = " ".join(Read(page_of(found)).said.split())
+        assert f"12 {100 * p_all:.2g}" in said
+        assert f"30 −1.5 {word}" in said
+    del found["concerns"]
+    assert "all have it" not in Read(page_of(found)).said, "older results do not tell"
+
+
 def test_scores_that_are_not_finite_are_shown_as_missing() -> None:
     found = told("effect", gained_nat=None, p=None, p_after=None)
     for key in ("rmse", "log_score", "bias"):

@@ -43,6 +43,8 @@ def told(verdict: str, blade: str = "B1", campaign: str = "spring", **changes: A
                   {"what": "by age", "log_bf": 4.0}, {"what": "fouling, all", "log_bf": -1.0}],
         "holds": [{"effect": name, "by": "early and late", "amplitudes": [1.0, 1.2], "sd": 0.2,
                    "agrees": True, "stands": True, "gained_nat": None}] * named,
+        "concerns": [{"effect": name, "blades": 12, "all": 0.9312, "share": 0.3, "some_nat": -1.5,
+                      "those": [], "stands": True}] * named,
         "parameters": {"before": {"t1t_rate": {"mean": 0.9, "sd": 0.01}},
                        "after": {"t1t_rate": {"mean": 0.91, "sd": 0.01}}},
         "readings": {"delivered": 12, "used": 12},
