@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import MutableMapping, Sequence
+from itertools import count
 from typing import Any
 
 from core.calibration.online import Workspace, update
@@ -47,6 +48,8 @@ from core.observation import Inspection
 from core.surrogate.driven import Driven
 from service.ports import BladeRecord, Json, Progress
 from service.variant import effects_between
+
+RANKED = 10  # steps at most, of inspections that would split what is not separable
 
 
 def read_families(
@@ -109,7 +112,13 @@ def diagnosed(
 
     kept  where an earlier attempt found the posteriors; those are not searched again
     """
-    total = STEPS + 4 + 2 * len(conditions(spec.known, sorted({r.blade for r in readings})))
+    elsewhere = conditions(spec.known, sorted({r.blade for r in readings}))
+    total = STEPS + 4 + max(RANKED, 1 + 2 * len(elsewhere))
+    later = count(STEPS + 4)
+
+    def then(what: str) -> None:
+        progress(what, min(next(later), total - 1), total)
+
     own = {b.id: Facts(b.lot, b.coating_lot) for b in blades}
     facts = with_offsets(own, readings, {})
     serving = tuple(b.id for b in blades if b.retired_seq is None)
@@ -145,21 +154,20 @@ def diagnosed(
             (found.before[1], after[1]),
             case.present,
         )
-    progress("pictures and inspections to come", total - 1, total)
-    split = splitting(found, case, work, lambda what: progress(what, total - 1, total))
+    then("pictures and inspections to come")
+    split = splitting(found, case, work, then)
     apart = None if split is None else separation_json(split)
     others = None
     if found.verdict.word in ("effect", "not separable") and compare_h is not None and quantity:
         others = alternatives(found.before, found.rivals, case, quantity, compare_h)
     told = to_json(found, case, both, pictures(found, case), apart, wide, others)
     if claimed and compare_h is not None:
-        steps = iter(range(STEPS + 3, total - 1))
         held = transferred(
             (found.before[0], found.after[0]),
             spec,
             readings,
             quantity,
-            lambda what: progress(what, next(steps), total),
+            then,
             work,
             (found.before[1], found.after[1]),
         )

@@ -103,11 +103,24 @@ def diagnosed(fleet: SqlStore, settings: Settings, off: float) -> Json:
     post_inspections(fleet, "r1", visits(off))
     science = formula_science()
     job, _ = request_diagnosis(fleet, science, "r1", (), compare=True, horizon_h=None)
-    make_worker(fleet, science, settings, "d", "diagnose").drain()
+    worker, steps = make_worker(fleet, science, settings, "d", "diagnose"), []
+    tell = worker.jobs.progress
+
+    def noting(*given: Any) -> Any:
+        told = tell(*given)
+
+        def step(what: str, done: int, total: int) -> None:
+            told(what, done, total)
+            steps.append((done, total))
+
+        return step
+
+    worker.jobs.progress = noting  # type: ignore[method-assign]
+    worker.drain()
     ended = find_diagnosis(fleet, "r1", job.id)
     assert ended.status == "done", ended.error
     assert ended.result is not None
-    return {"rotor": "r1", "result": ended.result}
+    return {"rotor": "r1", "result": ended.result, "steps": steps}
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +154,14 @@ def test_a_campaign_that_read_five_noises_too_long_is_named_with_its_amplitude(
     assert said is not None, shown
     assert float(said[1]) == pytest.approx(size["mean"], rel=0.01)
     assert "3 readings that neither model used" in shown
+
+
+def test_its_steps_go_forward_to_one_end(whole: Json) -> None:
+    done, totals = zip(*whole["steps"], strict=True)
+    assert len(done) > 5
+    assert list(done) == sorted(done)
+    assert len(set(totals)) == 1
+    assert 0 == done[0] < done[-1] < totals[0]
 
 
 def test_the_same_blades_without_the_offset_are_adequate(
