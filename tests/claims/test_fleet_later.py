@@ -33,6 +33,8 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-scans-all", CONDITIONS, 4),
         ("effects-fleet-2", CONDITIONS, 4),
         ("effects-scans-second", CONDITIONS, 1),
+        ("effects-late", ("some blades late",), 6),
+        ("effects-late-second", ("some blades late",), 6),
     ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
@@ -44,7 +46,8 @@ def test_every_set_is_there_and_the_seed_comes_from_the_commit(
     assert study.table(found["sets"]) == found["table"]
     assert study.marks(found["table"]) == pytest.approx(found["marks"])
     assert improvement(found["sets"]) == found["improvement"]
-    assert found["seed"] == int(found["commit"][:6], 16)
+    begin = 1 if name == "effects-late-second" else 0  # beside one of the same commit
+    assert found["seed"] == int(found["commit"][begin : begin + 6], 16)
 
 
 def test_clean_sets_alarm_as_seldom_as_asked_and_those_of_heavy_tails_too_often() -> None:
@@ -171,6 +174,27 @@ def test_on_a_second_scanned_rotor_most_names_are_right_too_and_what_is_missed_i
     nearer = {kind: 1 - second["improvement"][kind]["forecast"] for kind in PHYSICS}
     assert {kind for kind, share in nearer.items() if share >= 0.7} == {"fouling"}
     assert "80 % with fouling, 67 with wear, 66 with accelerating creep, 61 with a step" in TEXT
+
+
+def test_a_third_of_the_blades_late_is_hardly_called_an_offset_of_all() -> None:
+    sets = [s for name in ("effects-late", "effects-late-second") for s in kept(name)["sets"]]
+    assert [one["outcome"] for one in sets].count("right") == 11
+    assert 11 / len(sets) >= 0.9
+    assert "**11 of 12** sets with a third of the blades late get no name" in TEXT
+    (wrong,) = (one for one in sets if one["outcome"] == "wrong")
+    assert f"an offset of that visit ({wrong['gained_nat']:.1f} nat)" in TEXT
+    refused = [one["reasons"][0] for one in sets if one["effects"] and one is not wrong]
+    assert sum("is open" in why for why in refused) == 2
+    assert sum("not in all 100 blades" in why and "about 40%" in why for why in refused) == 1
+    assert len(refused) == 3
+    rest = [
+        one["outcome"]
+        for name in ("effects-scans-all", "effects-scans-second")
+        for one in kept(name)["sets"]
+        if one["condition"] in ("pulse", "alternating")
+    ]
+    assert (len(rest), rest.count("right")) == (10, 10)
+    assert "21 of 22 of what is outside" in TEXT
 
 
 def test_by_todays_rules_sensors_are_named_in_fleets_and_physics_is_not() -> None:
