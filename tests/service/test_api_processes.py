@@ -34,6 +34,16 @@ from tests.service.test_processes import (
     until,
 )
 
+HALF = b"\r\n".join(
+    (
+        b"POST /v1/rotors HTTP/1.1",
+        b"Host: 127.0.0.1",
+        b"Content-Type: application/json",
+        b"Content-Length: 90",
+        b"",
+        b'{"id": ',
+    )
+)
 HEALTH = 'bladetwin_http_requests_total{method="GET",route="/healthz",status="200"}'
 
 
@@ -152,6 +162,35 @@ def test_a_dead_one_takes_no_request_along_that_comes_later_and_loses_no_count(
         process.kill()
         process.wait()
         until("the end of all", lambda: not any(alive(p) for p in (own, other)))
+
+
+def test_all_begin_to_end_at_once_though_one_has_still_to_wait(tmp_path: Path) -> None:
+    """The first one has half of a request: the other has ended before it gives that one up."""
+    url = f"sqlite:///{tmp_path / 'bladetwin.db'}"
+    settings = Settings(database_url=url, science="fake", api_processes=2, workers=0)
+    with serving(settings) as (process, client), ExitStack() as held:
+        until("two that answer", lambda: len(answering(process.pid)) == 2)
+        _, port = place(client)
+        own, other = answering(process.pid)
+        until("connections at both", lambda: min(spread(process.pid, port)) > 0)
+
+        def at_the_first() -> socket.socket | None:
+            before = connections(own, port)
+            one = held.enter_context(socket.create_connection(("127.0.0.1", port)))
+            one.sendall(HALF)
+            time.sleep(0.2)
+            if connections(own, port) > before:
+                return one
+            one.close()
+            return None
+
+        half = next(one for _ in range(60) if (one := at_the_first()) is not None)
+        process.send_signal(signal.SIGTERM)
+        until("the end of the other", lambda: not alive(other))
+        half.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            half.recv(1)
+        assert process.wait(PATIENCE_S) == 0
 
 
 def test_no_further_process_outlives_a_server_that_was_killed(tmp_path: Path) -> None:
