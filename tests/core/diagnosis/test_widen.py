@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
 
 from core.calibration.online import RotorSpec, RotorState, begun, update
+from core.calibration.state import blade_posterior
 from core.diagnosis import Case, Facts
+from core.diagnosis import widen as module
 from core.diagnosis.report import before_after
 from core.diagnosis.widen import EARNED, Widened, widen
+from core.model import Model
+from core.prediction import predict
 from core.quantity import Discrepancy
 from tests.core.calibration.bar import bar, measured
+from tests.core.diagnosis import fleet
 from tests.core.diagnosis.test_diagnose import OFFSET
 
 MODEL, BLADES, TIMES = bar(), 12, (0.4e4, 0.8e4, 1.2e4, 1.6e4, 2.0e4)
@@ -66,6 +74,58 @@ def test_its_evidence_is_that_of_the_same_model_calibrated_from_nothing(
     case, base, found = bent
     alone = begun(found.model, SPEC, case.readings).log_evidence
     assert found.gained == pytest.approx(alone - base.meta["log_evidence"], abs=0.25)
+
+
+def test_shares_and_sds_are_those_of_the_fleets_predictions(
+    bent: tuple[Case, RotorState, Widened],
+) -> None:
+    case, base, found = bent
+
+    def variances(model: Model, state: RotorState, blades: Sequence[str], of: str) -> float:
+        sds = []
+        for blade in blades:
+            posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
+            sds.append(predict(model, posterior, "y", [HORIZON], noise=False).sd[of][0])
+        return float(np.mean(np.square(sds)))
+
+    after = variances(found.model, found.state, SPEC.blades, "total")
+    own = variances(found.model, found.state, SPEC.blades, "discrepancy")
+    assert found.share == pytest.approx(own / after)
+    assert found.sds[1] ** 2 == pytest.approx(after)
+    assert found.sds[0] ** 2 == pytest.approx(variances(MODEL, base, SPEC.blades, "total"))
+    left = replace(case, serving=("b2", "b7"))
+    told = module._spread(found.model, found.state, left, "y", HORIZON)
+    both = [
+        variances(found.model, found.state, ("b2", "b7"), of) for of in ("total", "discrepancy")
+    ]
+    assert told == pytest.approx(tuple(both))
+    assert told[0] != pytest.approx(after), "blades that have left are not in it"
+
+
+def test_what_is_not_found_well_enough_is_not_borne_out(
+    bent: tuple[Case, RotorState, Widened],
+) -> None:
+    *_, found = bent
+    health = {**found.state.meta["health"], "met_floor": False}
+    lost = replace(found.state, meta={**found.state.meta, "health": health})
+    assert not replace(found, state=lost).borne_out
+    assert not replace(found, gained=EARNED - 0.01).borne_out
+
+
+def test_the_scores_say_what_two_modes_gain_exactly_where_all_is_linear() -> None:
+    """Against the densities of all readings, whose shared parameter is normal too."""
+    seen, _ = fleet.rotor(6, lambda b, k: 0.1 * k**2)
+    blades, rows = seen.q.shape
+    hours = np.array([[0.2, 0.5, 0.9], [0.3, -0.4, 0.1]])
+    g = np.tile(hours.T, (blades, 1, 1))
+    noise = block_diag(*np.linalg.inv(seen.information))
+    slope, prior = seen.slope.reshape(-1, 1), seen.prior
+    spread = noise + slope @ np.diag(prior) @ slope.T
+    y, modes = spread @ seen.q.reshape(-1), g.reshape(blades * rows, 2)
+    nothing = np.zeros(len(y))
+    with_it = multivariate_normal(nothing, spread + modes @ modes.T).logpdf(y)
+    exact = with_it - multivariate_normal(nothing, spread).logpdf(y)
+    assert module._gain(seen, g, np.zeros(g.shape)) == pytest.approx(exact, abs=1e-6)
 
 
 def test_late_readings_that_neither_used_are_foreseen_nearer_with_it(
