@@ -116,3 +116,20 @@ def test_two_values_or_too_many_are_no_conditions() -> None:
 def test_every_blade_belongs_to_the_condition_of_its_value(value: float) -> None:
     found = {v: blades for _, v, blades in conditions(KNOWN, BLADES)}
     assert found[value] == tuple(sorted(b for b in BLADES if KNOWN[b]["load"] == value))
+
+
+def test_readings_of_another_quantity_are_not_what_the_models_are_held_against() -> None:
+    """Twice y, which a second gauge reads, of blades that are held out too."""
+    both, more = [], []
+    for model in models():
+        made = model.surrogate
+        assert isinstance(made, FormulaModel)
+        y, (own,) = made.formulas["y"], model.network.quantities
+        twice = replace(own, name="z")
+        network = replace(model.network, quantities=(own, twice))
+        formulas = {"y": y, "z": lambda x, t, y=y: 2.0 * y(x, t)}
+        both.append(Model(network, FormulaModel(made.inputs, formulas, "twice")))
+    for r in readings(0.4):
+        more += [r, replace(r, id=f"{r.id}z", quantity="z", values=2.0 * r.values)]
+    for one in transferred((both[0], both[1]), SPEC, more, "y"):
+        assert one.before.count == one.after.count == 3 * EACH
