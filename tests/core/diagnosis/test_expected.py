@@ -13,8 +13,11 @@ from core.diagnosis import Case, Facts
 from core.diagnosis.adopt import amplitude, with_effects
 from core.diagnosis.expected import joined, without
 from core.diagnosis.scan import Scan
+from core.model import Model
 from tests.core.calibration.bar import bar, measured
-from tests.core.diagnosis.test_diagnose import OFFSET
+from tests.core.diagnosis.test_diagnose import MODEL as BENT
+from tests.core.diagnosis.test_diagnose import OFFSET, readings
+from tests.core.diagnosis.test_diagnose import SPEC as BENT_SPEC
 
 MODEL, BLADES = bar(), 14
 SPEC = RotorSpec("r", tuple(f"b{b}" for b in range(BLADES)), 1000, 3)
@@ -88,3 +91,18 @@ def test_without_the_effect_the_model_as_it_was_is_expected(
     assert amplitude(scan.cells[i], MODEL.network)[0] not in back.names
     rate = known.names.index("rate")
     assert abs(back.mean[rate] - known.mean[rate]) < 1.0 * np.sqrt(known.covariance[rate, rate])
+
+
+def test_what_wakes_is_expected_about_where_it_slept() -> None:
+    """An input whose nominal value is 0.4, and acts by 0.25 more."""
+    parameters = tuple(
+        replace(p, nominal=0.4) if p.name == "bend" else p for p in BENT.network.parameters
+    )
+    model = Model(replace(BENT.network, parameters=parameters), BENT.surrogate)
+    data = readings(lambda b, t: 0.65 * t**2)
+    case = Case(BENT_SPEC, data, {b: Facts() for b in BENT_SPEC.blades})
+    state = update(model, BENT_SPEC, data)
+    scan = case.scan(model, state)
+    i = next(k for k, c in enumerate(scan.cells) if c.name == "bend")
+    found = joined(model, state, scan, [i], model, case.noise(model, state))
+    assert found.mean[found.names.index("bend")] == pytest.approx(0.65, abs=0.05)

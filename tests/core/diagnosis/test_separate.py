@@ -11,6 +11,7 @@ from scipy.stats import norm
 
 from core.calibration.online import update
 from core.calibration.state import RotorSpec
+from core.diagnosis import separate as module
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.separate import (
@@ -253,3 +254,48 @@ def test_what_is_told_names_candidates_and_what_each_rival_expects(
     assert len(one["expected"]) == 2
     with pytest.raises(InputError, match="two or more"):
         separate(found[0].rivals[:1], [])
+
+
+def test_a_set_of_one_is_that_reading_where_rivals_differ_in_how_sure_they_are_too() -> None:
+    p, mean, sd = np.array([0.3, 0.7]), np.array([[0.0], [0.3]]), np.array([[0.2], [1.1]])
+    gain, share, settled = one_reading(p, mean, sd)
+    told = a_set(p, mean, np.square(sd)[:, :, None])
+    assert told.gain == pytest.approx(gain[0], abs=2e-3)
+    assert told.share == pytest.approx(share[0], abs=2e-3)
+    assert told.settled == pytest.approx(settled[0], abs=5e-3)
+    assert gain[0] > 0.2
+
+
+def test_a_set_stops_growing_where_too_little_is_added(
+    found: tuple[Separation, list[Inspection]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    got, _ = found
+    asked = [c for c, _ in got.single[:4]]
+    gains = [t.gain for _, t in separate(got.rivals, asked).grown]
+    assert len(gains) > 2
+    monkeypatch.setattr(module, "NOTHING", 1.01 * (gains[1] - gains[0]))
+    assert len(separate(got.rivals, asked).grown) == 1
+    monkeypatch.setattr(module, "NOTHING", 0.99 * (gains[1] - gains[0]))
+    assert len(separate(got.rivals, asked).grown) >= 2
+
+
+def test_blades_that_tell_as_much_are_counted(found: tuple[Separation, list[Inspection]]) -> None:
+    got, _ = found
+    best = got.single[0][0]
+    told = separation_json(got)["single"][0]
+    same = [t.gain for c, t in got.single if (c.instrument, c.ahead_h) == ("g2", best.ahead_h)]
+    assert told["blades_alike"] == sum(g >= 0.9 * max(same) for g in same)
+    one = replace(got, single=(got.single[0], *((c, replace(t, gain=0.0)) for c, t in got.single)))
+    assert separation_json(replace(one, mean=got.mean[:, [0, *range(len(got.single))]],
+                                   sd=got.sd[:, [0, *range(len(got.single))]])
+    )["single"][0]["blades_alike"] == 1  # fmt: skip
+
+
+def test_a_rival_without_a_share_is_no_division_by_nothing(
+    found: tuple[Separation, list[Inspection]],
+) -> None:
+    got, _ = found
+    first, second = got.rivals
+    told = separate((first, replace(second, weight=0.0)), [c for c, _ in got.single[:3]])
+    assert np.isfinite([t.gain for _, t in told.single]).all()
+    assert max(t.gain for _, t in told.single) < 1e-6, "nothing is left to tell"
