@@ -18,11 +18,10 @@ all blades, or a share of them, have the evidence
     E_s = log mean_phi exp Σ_b log[ (1 − s) e^{l_b(−a, phi)} + s e^{l_b(a/s − a, phi)} ]
 
 over phi evenly on a logarithmic scale (`PHI`). "Some" is any of `SHARES`, each as likely as the
-other. Beforehand "all" is omega times as likely: `FAULT` of a fault of those who read, which may be
-of whatever was read on one shift or in one fixture, `PHYSICS` of all else, which reaches blades by
-gas, air, lot or coating. Where readings tell nothing, physics is of all.
+other. Beforehand "all" is `ALL` times as likely: gas, air, lots, coatings, visits and instruments
+are what blades have in common, so that where readings tell nothing, an effect is of all of them.
 
-    K = log mean_s e^{E_s} − E_1,      P(all | readings) = omega / (omega + e^K)
+    K = log mean_s e^{E_s} − E_1,      P(all | readings) = ALL / (ALL + e^K)
 
 An effect is claimed of all where that is `NAMED`. Half a noise in every blade, and three halves in
 a third of them, are the same to a mean and nearly the same to a scatter, which few readings of a
@@ -51,7 +50,7 @@ from core.diagnosis.verdict import NAMED, WIDE, Verdict
 
 Array = NDArray[np.float64]
 SHARES = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])  # more are nearly all
-FAULT, PHYSICS = 3.0, 10.0  # times as likely in all as in some, before anything is read
+ALL = 10.0  # times as likely in all as in some, before anything is read
 PHI = np.geomspace(0.35, 2.0, 25)
 SHOWN = 12  # blades in words
 
@@ -60,7 +59,7 @@ SHOWN = 12  # blades in words
 class Concerned:
     """Which blades have an effect that is said of `blades` of them.
 
-    nat    K, of some against all; share: the likeliest, if some; odds: omega
+    nat    K, of some against all; share: the likeliest, if some
     those  blades that rather have it than not, if some, the surest first; none where all may be
            claimed
     """
@@ -69,19 +68,19 @@ class Concerned:
     blades: int
     nat: float
     share: float
-    odds: float
+    cause: str = ""
     those: tuple[str, ...] = ()
 
     @property
     def all(self) -> float:
         """P(all | readings)."""
-        return self.odds / (self.odds + math.exp(min(self.nat, 700.0)))
+        return ALL / (ALL + math.exp(min(self.nat, 700.0)))
 
     @property
     def stands(self) -> bool:
         """Whether it may be claimed of all.
 
-        >>> [Concerned("zero", 99, nat, 0.3, FAULT).stands for nat in (-1.2, 0.0, 9.0)]
+        >>> [Concerned("zero", 99, nat, 0.3).stands for nat in (-1.2, 0.5, 9.0)]
         [True, False, False]
         """
         return self.all >= NAMED
@@ -118,8 +117,7 @@ def concerned(seen: Scores, effects: Iterable[Amplitude]) -> tuple[Concerned, ..
         c = np.einsum("bi,bi->b", g, seen.q) + one.pull.sum(axis=1)
         nat, share, has = shared_out(c[at], own[at], one.mean)
         order = [i for i in np.argsort(-has, kind="stable") if has[i] > 0.5]
-        odds = FAULT if one.cell.family.kind == "sensor" else PHYSICS
-        told = Concerned(one.cell.name, len(at), nat, share, odds)
+        told = Concerned(one.cell.name, len(at), nat, share, one.cell.cause)
         names = tuple(seen.blades[at[i]] for i in order)
         found.append(told if told.stands else replace(told, those=names))
     return tuple(found)
@@ -157,13 +155,19 @@ def shared_out(c: Array, own: Array, a: float) -> tuple[float, float, Array]:
 def heard(verdict: Verdict, told: tuple[Concerned, ...]) -> Verdict:
     """A verdict once it is known which blades have the effects in the model.
 
-    What not all have is not claimed of them. Where that is open, an effect is not claimed, and of
-    names that share the evidence it is said.
+    Where one is not in all, nothing is claimed. One of which it is open is not claimed, others
+    beside it are; of names that share the evidence it is said.
     """
-    verdict = replace(verdict, concerns=told)
-    unsure = tuple(one.told() for one in told if not one.stands)
+    unsure = [one for one in told if not one.stands]
+    reasons = tuple(one.told() for one in unsure)
+    said = replace(verdict, concerns=told, reasons=(*verdict.reasons, *reasons))
     if not unsure or verdict.word not in ("effect", "not separable"):
-        return replace(verdict, reasons=(*verdict.reasons, *unsure))
-    if verdict.word == "effect" or any(one.all <= 1.0 - NAMED for one in told):
-        return replace(verdict, word="unattributed", names=(), reasons=unsure)
-    return replace(verdict, reasons=(*verdict.reasons, *unsure))
+        return said
+    alone = replace(said, word="unattributed", names=(), reasons=reasons)
+    if any(one.all <= 1.0 - NAMED for one in unsure):
+        return alone
+    if verdict.word == "not separable":
+        return said
+    open_ = {name for one in unsure for name in (one.effect, one.cause)}
+    left = tuple(name for name in verdict.names if name not in open_)
+    return replace(said, names=left) if left else alone

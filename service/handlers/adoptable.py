@@ -70,6 +70,10 @@ def holding(job: JobRecord, result: Json) -> None:
     if fails:
         where = ", ".join(f"{c['input']} = {c['value']:g}" for c in fails)
         raise AdoptionError(job.id, "adopted unasked", f"it does not hold at {where}", remedy)
+    open_ = [c["effect"] for c in result.get("concerns") or () if not c["stands"]]
+    if open_:
+        problem = f"whether all blades have {' and '.join(open_)} is open, and all would get it"
+        raise AdoptionError(job.id, "adopted unasked", problem, remedy)
     varies = [h for h in result.get("holds") or () if not h["agrees"]]
     if varies:
         how = ", ".join(f"of {h.get('effect', 'it')} {h['by']}" for h in varies)

@@ -96,8 +96,8 @@ def concerned(found: Json) -> list[Child]:
     head = ["", "blades", "all have it [%]", "if some: of them [%]", "some against all [nat]", ""]
     said = (
         "Whether each effect is in all blades that it is said of, or in some that nobody knows. "
-        f"It is claimed where all have {NAMED:.0%} of the evidence; beforehand they are three "
-        "times as likely of a fault of those who read, ten times of all else."
+        f"It is claimed where all have {NAMED:.0%} of the evidence; beforehand they are ten times "
+        "as likely."
     )
     return [table(head, rows, (1, 2, 3, 4)), note(said)]
 

@@ -35,6 +35,8 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-scans-second", CONDITIONS, 1),
         ("effects-late", ("some blades late",), 6),
         ("effects-late-second", ("some blades late",), 6),
+        ("effects-scans-named", NAMED, 1),
+        ("effects-scans-named-second", NAMED, 1),
     ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
@@ -46,7 +48,8 @@ def test_every_set_is_there_and_the_seed_comes_from_the_commit(
     assert study.table(found["sets"]) == found["table"]
     assert study.marks(found["table"]) == pytest.approx(found["marks"])
     assert improvement(found["sets"]) == found["improvement"]
-    begin = 1 if name == "effects-late-second" else 0  # beside one of the same commit
+    beside = ("effects-late-second", "effects-scans-named-second")  # ones of the same commit
+    begin = 1 if name in beside else 0
     assert found["seed"] == int(found["commit"][begin : begin + 6], 16)
 
 
@@ -195,6 +198,32 @@ def test_a_third_of_the_blades_late_is_hardly_called_an_offset_of_all() -> None:
     ]
     assert (len(rest), rest.count("right")) == (10, 10)
     assert "21 of 22 of what is outside" in TEXT
+
+
+def test_what_has_a_name_keeps_it_beside_the_rival_of_some_blades() -> None:
+    both = [kept(name) for name in ("effects-scans-named", "effects-scans-named-second")]
+    sets = [one for found in both for one in found["sets"]]
+    assert [one["outcome"] for one in sets].count("right") == 14
+    assert "**14 of 16** get it alone" in TEXT
+    silent = {one["condition"] for one in sets if one["outcome"] == "silent"}
+    assert silent == {"fouling", "tertiary"}
+    assert len(sets) == 16
+    reasons = [why for one in sets for why in one["reasons"]]
+    assert not any("is open" in why or "not in all" in why for why in reasons)
+    nearer = {k: round(100 * (1 - v["forecast"])) for k, v in both[1]["improvement"].items()}
+    assert [nearer[k] for k in ("wear", "fouling", "step", "tertiary", "worn lot")] == [
+        74, 71, 84, 82, 58,
+    ]  # fmt: skip
+    assert "74 % with wear, 71 with fouling, 84 with a step, 82 with accelerating creep" in TEXT
+    first = both[0]["improvement"]
+    assert [round(100 * (1 - first[k]["forecast"])) for k in ("wear", "worn lot")] == [54, 86]
+    better = sum(found["improvement"][kind]["better"] for found in both for kind in NAMED)
+    assert better == 15
+    known = ("effects-scans-all", "effects-scans-second")
+    older = [one for name in known for one in kept(name)["sets"] if one["condition"] in NAMED]
+    right = [one["outcome"] for one in (*sets, *older)].count("right")
+    assert (right, len(sets) + len(older)) == (49, 56)
+    assert "49 of 56 right names (87.5 %), 1 of 56 wrong" in TEXT
 
 
 def test_by_todays_rules_sensors_are_named_in_fleets_and_physics_is_not() -> None:

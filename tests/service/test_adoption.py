@@ -15,6 +15,7 @@ import pytest
 from sqlalchemy import text, update
 from typer.testing import CliRunner
 
+from core.diagnosis.concerned import Concerned
 from core.diagnosis.verdict import Held
 from core.log import Entry
 from core.observation import Inspection
@@ -524,6 +525,32 @@ def test_an_amplitude_that_varies_is_not_adopted_unasked(
     assert "the amplitude of wear early and late is not one" in result["not_adopted"]
     assert view_rotor(store, "r1").rotor.head_seq == 12
     adopt(store, science, "r1", found)
+    assert view_rotor(store, "r1").rotor.head_seq == 13
+
+
+@pytest.mark.parametrize("nat", [-5.0, 0.5])
+def test_what_may_be_in_some_blades_only_is_not_adopted_unasked(
+    api: httpx.Client,
+    store: SqlStore,
+    settings: Settings,
+    post: Post,
+    reading: Make,
+    nat: float,
+) -> None:
+    automatic(store, settings, post, reading, "effect")
+
+    class Concerning(Offsets):
+        def diagnose(self, *given: Any) -> Json:
+            one = Concerned("campaign offset", 40, nat, 0.3)
+            return super().diagnose(*given) | {"concerns": [one.to_json()]}
+
+    science = Concerning()
+    found = diagnosed(store, science, make_worker(store, science, settings, "d", "diagnose"))
+    result = find_diagnosis(store, "r1", found).result or {}
+    assert ("not_adopted" in result) is (nat > 0)
+    if nat > 0:
+        assert "whether all blades have campaign offset is open" in result["not_adopted"]
+        adopt(store, science, "r1", found)
     assert view_rotor(store, "r1").rotor.head_seq == 13
 
 

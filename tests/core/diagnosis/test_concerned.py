@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,7 @@ from core.diagnosis import Case, Facts, to_json
 from core.diagnosis import concerned as module
 from core.diagnosis.amplitudes import Amplitude
 from core.diagnosis.concerned import (
-    FAULT,
     PHI,
-    PHYSICS,
     SHARES,
     Concerned,
     concerned,
@@ -30,6 +29,7 @@ from tests.core.diagnosis.test_diagnose import SPEC, found, readings
 
 OFFSET = next(f for f in FAMILIES if f.name == "campaign offset")
 CELL = Cell(OFFSET, "constant", "campaign", "c2")
+ODDS = 3.0  # of simulated rotors: enough of each
 SOME = {2, 3, 8, 9, 14, 15}  # of 16, every second one odd
 
 
@@ -57,7 +57,7 @@ def test_it_is_the_ratio_of_the_exact_densities() -> None:
     assert told.share == SHARES[int(np.argmax(some))]
     theirs = {seen.blades[b] for b in np.flatnonzero(has[told.share] > 0.5)}
     assert set(told.those) == (theirs if not told.stands else set())
-    assert told.all == pytest.approx(3 / (3 + np.mean(some) / every))
+    assert told.all == pytest.approx(10 / (10 + np.mean(some) / every))
 
 
 @pytest.mark.parametrize(("share", "least"), [(1.0, 0.95), (0.3, 0.0)])
@@ -70,7 +70,7 @@ def test_what_all_have_is_told_from_what_a_third_has(share: float, least: float)
         y = 2.0 * has / share + rng.standard_normal(100)
         a = float(y.mean())
         nat, _, _ = shared_out(y - a, np.ones(100), a)
-        stands.append(Concerned("", 100, nat, 0.3, FAULT).stands)
+        stands.append(Concerned("", 100, nat, 0.3).stands)
     assert np.mean(stands) >= least
     assert share == 1.0 or np.mean(stands) <= 0.01
 
@@ -94,14 +94,14 @@ def simulated(calibrated: bool, phi: np.ndarray) -> list[tuple[float, float, flo
     rng = np.random.default_rng(9)
     told, truth = np.empty(4000), np.empty(4000, bool)
     for k in range(len(told)):
-        truth[k] = rng.random() < FAULT / (1 + FAULT)
+        truth[k] = rng.random() < ODDS / (1 + ODDS)
         share = 1.0 if truth[k] else rng.choice(SHARES)
         y = rng.uniform(0.2, 2.0) * (rng.random(50) < share) / share + rng.standard_normal(50)
         own = np.full(50, 1.0 / (y.var() if calibrated else 1.0))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(module, "PHI", phi)
             nat, _, _ = shared_out(own * (y - y.mean()), own, float(y.mean()))
-        told[k] = Concerned("", 50, nat, 0.3, FAULT).all
+        told[k] = ODDS / (ODDS + math.exp(nat))
     return frequencies(told, truth)
 
 
@@ -170,10 +170,10 @@ def test_what_all_blades_have_is_claimed_of_all() -> None:
 
 
 def test_words_say_which_it_is() -> None:
-    open_ = Concerned("wear", 40, 0.0, 0.3, FAULT, ("b1",))
+    open_ = Concerned("wear", 40, 1.2, 0.3, "", ("b1",))
     assert "is open: all have 75% of the evidence" in open_.told()
     names = tuple(f"b{i}" for i in range(15))
-    some = Concerned("wear", 40, 5.0, 0.4, FAULT, names).told()
+    some = Concerned("wear", 40, 5.0, 0.4, "", names).told()
     assert "not in all 40 blades: that some have it has 5.0 nat more, about 40% of them" in some
     assert "b11 and 3 others" in some
 
@@ -182,10 +182,10 @@ def test_words_say_which_it_is() -> None:
     ("word", "nats", "heard_as"),
     [
         ("effect", (-5.0, -5.0), "effect"),
-        ("effect", (-5.0, 0.0), "unattributed"),
+        ("effect", (-5.0, 1.0), "unattributed"),
         ("effect", (5.0,), "unattributed"),
         ("not separable", (-5.0,), "not separable"),
-        ("not separable", (0.0,), "not separable"),
+        ("not separable", (1.0,), "not separable"),
         ("not separable", (-5.0, 5.0), "unattributed"),
         ("unattributed", (5.0,), "unattributed"),
     ],
@@ -195,7 +195,7 @@ def test_an_open_one_is_no_claim_and_one_of_some_no_name(
 ) -> None:
     names = ("wear",) if word != "unattributed" else ()
     first = Verdict(word, 0.01, None, names, None, (), {}, {}, (), ("why",))
-    told = tuple(Concerned("wear", 40, nat, 0.3, FAULT) for nat in nats)
+    told = tuple(Concerned("wear", 40, nat, 0.3) for nat in nats)
     found = heard(first, told)
     assert found.word == heard_as
     assert found.concerns == told
@@ -203,7 +203,18 @@ def test_an_open_one_is_no_claim_and_one_of_some_no_name(
     assert [one.told() in found.reasons for one in told] == [nat > -5.0 for nat in nats]
 
 
-def test_where_nothing_tells_physics_is_of_all_and_a_fault_is_open() -> None:
-    assert Concerned("wear", 40, 0.0, 0.3, PHYSICS).stands
-    assert not Concerned("wear", 40, 0.0, 0.3, FAULT).stands
-    assert not Concerned("wear", 40, 0.5, 0.3, PHYSICS).stands
+def test_where_nothing_tells_an_effect_is_of_all() -> None:
+    assert Concerned("wear", 40, 0.0, 0.3).stands
+    assert not Concerned("wear", 40, 0.2, 0.3).stands
+
+
+def test_beside_an_open_one_others_are_claimed_by_whatever_they_are_called() -> None:
+    first = Verdict("effect", 0.01, None, ("loss", "offset"), None, (), {}, {}, (), ("why",))
+    told = (Concerned("wear", 24, -9.0, 0.3, "loss"), Concerned("offset", 40, 0.5, 0.3, "offset"))
+    found = heard(first, told)
+    assert (found.word, found.names) == ("effect", ("loss",))
+    assert found.reasons == ("why", told[1].told())
+    other = (replace(told[0], nat=0.5), replace(told[1], nat=-9.0))
+    assert heard(first, other).names == ("offset",), "wear is claimed by its cause"
+    neither = (other[0], told[1])
+    assert heard(first, neither).word == "unattributed"
