@@ -20,6 +20,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.quantity",
         "core.prior",
         "core.monomials",
+        "core.monomials_compiled",
         "core.response",
         "core.mixture",
         "core.observation",

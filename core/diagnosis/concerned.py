@@ -59,7 +59,7 @@ SHOWN = 12  # blades in words
 class Concerned:
     """Which blades have an effect that is said of `blades` of them.
 
-    nat    K, of some against all; share: the likeliest, if some
+    nat    K, of some against all; share: the likeliest, if some; cause: of the effect
     those  blades that rather have it than not, if some, the surest first; none where all may be
            claimed
     """

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import sha256
 
 import numpy as np
@@ -200,12 +200,9 @@ class Driven:
         parts = [[fit.nothing(own.curves.forms.shape[2])] * len(time) for own, _ in what]
         later = np.flatnonzero(time > 0)
         if later.size:
-            x = fit.points
-            few = len(x) // FEWER
-            known, more = both(
-                lambda: self._along(x[:few], time[later], what),
-                lambda: self._along(x[few:], time[later], what, doubt=False),
-            )
+            x, few, hours = fit.points, len(fit.points) // FEWER, time[later]
+            sure = partial(self._along, x[:few], hours, what)
+            known, more = both(sure, partial(self._along, x[few:], hours, what, doubt=False))
             for rows, (own, _), first, rest in zip(parts, what, known, more, strict=True):
                 for at, row in zip(later, fit.by_time(first, rest, own.per_ceeq), strict=True):
                     rows[at] = row
