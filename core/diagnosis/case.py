@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,7 +10,7 @@ from core.answers import Answers, Stacked
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
 from core.calibration.workspace import Workspace
 from core.diagnosis.adopt import amplitude, typical_noise, with_effects
-from core.diagnosis.amplitudes import amplitudes
+from core.diagnosis.amplitudes import Amplitude, amplitudes
 from core.diagnosis.clock import readers
 from core.diagnosis.concerned import Concerned, concerned
 from core.diagnosis.conclude import Rival
@@ -137,11 +137,14 @@ class Case:
 
     def concerned(self, model: Model, state: RotorState, taken: Rival) -> tuple[Concerned, ...]:
         """Whether all blades have the effects in a model; model, state without any effect."""
+        return concerned(self.seen(taken.model, taken.state), self._amplitudes(model, state, taken))
+
+    def _amplitudes(self, model: Model, state: RotorState, taken: Rival) -> Iterator[Amplitude]:
+        """Of the effects in a model."""
         seen = self.seen(taken.model, taken.state)
         facts = {b: self.facts.get(b, Facts()) for b in seen.blades}
         noise = self.noise(model, state)
-        given = amplitudes(model, taken.state, seen, taken.effects, facts, noise)
-        return concerned(seen, given)
+        return amplitudes(model, taken.state, seen, taken.effects, facts, noise)
 
     def halves(self, model: Model, state: RotorState, taken: Rival) -> tuple[Held, ...]:
         """Whether the effects in a model hold in halves: by amplitude, or each half by itself.
@@ -158,7 +161,7 @@ class Case:
             name, origin = amplitude(cell, model.network)
             return self.parted.amplitudes(taken.model, cell.name, name, origin, size, by)
 
-        found = halves(model, taken.state, seen, taken.effects, facts, noise, again)
+        found = halves(seen, self._amplitudes(model, state, taken), again)
         if not any(one.alone and not one.agrees for one in found):
             return found
         less = {

@@ -15,39 +15,30 @@ from linear so far from none: each half is asked by itself (`parted`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.state import RotorState
-from core.diagnosis.amplitudes import amplitudes
-from core.diagnosis.grammar import Cell, Facts
+from core.diagnosis.amplitudes import Amplitude
+from core.diagnosis.grammar import Cell
 from core.diagnosis.parted import BLADES, HOURS
 from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
 from core.diagnosis.verdict import WIDE, Held
-from core.model import Model
 
 Array = NDArray[np.float64]
 
 
 def halves(
-    before: Model,
-    state: RotorState,
-    seen: Scores,
-    effects: Sequence[Cell],
-    facts: Mapping[str, Facts],
-    noise: Mapping[str, float],
-    again: Callable[[Cell, float, str], Held],
+    seen: Scores, effects: Iterable[Amplitude], again: Callable[[Cell, float, str], Held]
 ) -> tuple[Held, ...]:
     """Of the effects in a state's model, each in both ways of halving where it concerns enough.
 
-    before  the model without the effects; state, seen: with them
     again   what each half says by itself of an effect: its cell, expected size, how it is halved
     """
     found: list[Held] = []
-    for one in amplitudes(before, state, seen, effects, facts, noise):
+    for one in effects:
         for by, half in splits(seen, one.slope):
             if abs(one.mean) > WIDE:
                 found.append(again(one.cell, one.size, by))
