@@ -3,6 +3,7 @@
     rotor-20    20 blades at six visits, two ages (`fe_rotors`, `effect_truths`); effects as they
                 were run
     fleet-100   100 blades at three visits, five ages (`effect_fleet`); effects scaled to a size
+    fleet-one-age  100 blades at three visits, all of the rotor's age, of another rotor
     fleet-scans one of these rotors, and 3-D scans of two blades of five at the first and at
                 the last visit, of 96 nodes each (`effect_scans`)
     fleet-scans-2  another rotor of 100 blades, scanned as well
@@ -26,6 +27,7 @@ from core.validation import effect_fleet as fleet
 from core.validation import effect_scans as scans
 from core.validation import effect_truths as truths
 from core.validation import fe_rotors
+from core.validation.effect_fleet import FIVE_AGES, ONE_AGE, Fleet
 
 Array = NDArray[np.float64]
 NOISE = 0.02  # mm
@@ -166,22 +168,22 @@ def rotor_20() -> Plan:
 
 
 @cache
-def fleet_100() -> Plan:
+def of_fleet(name: str, of: Fleet) -> Plan:
     """Rotors of 100 blades, three readings each."""
-    with np.load(fleet.SHIPPED, allow_pickle=False) as data:
+    with np.load(of.shipped, allow_pickle=False) as data:
         elongation, share = data["elongation"], data["share"]
-    return _fleet("fleet-100", elongation, dict(zip(fleet.EFFECTS, share, strict=True)))
+    return _fleet(name, of, elongation, dict(zip(fleet.EFFECTS, share, strict=True)))
 
 
-def _fleet(name: str, elongation: Array, shares: Mapping[str, Array]) -> Plan:
+def _fleet(name: str, of: Fleet, elongation: Array, shares: Mapping[str, Array]) -> Plan:
     """Of elongations (R, B, V + 1) and shares by effect, the last of each at the horizon."""
     coat = np.arange(fleet.BLADES) % 3
     every = dict(shares)
     every["worn lot"] = np.where((coat == 0)[None, :, None], every["wear"], 1.0)
     return Plan(
         name,
-        np.array(fleet.VISITS_H),
-        np.array([fleet.joined_h(b) for b in range(fleet.BLADES)]),
+        np.array(of.visits_h),
+        np.array([of.late(b) for b in range(fleet.BLADES)]),
         coat,
         elongation[:, :, :-1],
         {effect: own[:, :, :-1] for effect, own in every.items()},
@@ -196,11 +198,11 @@ def _fleet(name: str, elongation: Array, shares: Mapping[str, Array]) -> Plan:
 @cache
 def fleet_scans(rotor: str = scans.FIRST) -> Plan:
     """A rotor of 100 blades whose shapes are known, and scans of these; the first is one of
-    `fleet_100`."""
-    kept, visits = scans.load(rotor), [0, len(fleet.VISITS_H) - 1]
+    ``fleet-100``."""
+    kept, visits = scans.load(rotor), [0, len(FIVE_AGES.visits_h) - 1]
     name = "fleet-scans" if rotor == scans.FIRST else "fleet-scans-2"
     of_one = {effect: own[None] for effect, own in kept.shares.items()}
-    whole = _fleet(name, kept.elongation[None], of_one)
+    whole = _fleet(name, FIVE_AGES, kept.elongation[None], of_one)
     every = {effect: one[None, :, visits] for effect, one in kept.change.items()}
     every["worn lot"] = np.where((whole.coat == 0)[None, :, None, None, None], every["wear"], 0.0)
     scanned = tuple(b for b in range(fleet.BLADES) if b % 5 in (0, 2))
@@ -210,7 +212,8 @@ def fleet_scans(rotor: str = scans.FIRST) -> Plan:
 
 PLANS: Mapping[str, Callable[[], Plan]] = {
     "rotor-20": rotor_20,
-    "fleet-100": fleet_100,
+    "fleet-100": partial(of_fleet, "fleet-100", FIVE_AGES),
+    "fleet-one-age": partial(of_fleet, "fleet-one-age", ONE_AGE),
     "fleet-scans": fleet_scans,
     "fleet-scans-2": partial(fleet_scans, scans.SECOND),
 }

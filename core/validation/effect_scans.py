@@ -31,7 +31,7 @@ from core.builtin.plans import WIDER
 from core.errors import InputError
 from core.rng import stream
 from core.validation import effect_fleet as fleet
-from core.validation.effect_fleet import BLADES, EFFECTS, course, own_h
+from core.validation.effect_fleet import BLADES, EFFECTS, FIVE_AGES
 
 Array = NDArray[np.float64]
 Nodes = NDArray[np.int64]
@@ -68,19 +68,22 @@ def nodes() -> dict[str, Nodes]:
 def design(rotor: str = FIRST) -> Array:
     """Inputs of all blades in the order of `BOUNDS`, (B, 4)."""
     if rotor == FIRST:
-        return np.asarray(fleet.design()[ROTOR])
+        return np.asarray(FIVE_AGES.design()[ROTOR])
     return fleet.drawn(stream(fleet.SEED, "scanned fleet", 1), lambda _: GAS)
 
 
 def run(rotor: str, blade: int, what: str) -> Array:
-    """Elongation and deformation [mm] at `own_h`, (V + 1, 1 + 3 N); ``default``, ``sound`` or an
-    effect."""
+    """Elongation and deformation [mm] at `Fleet.own_h`, (V + 1, 1 + 3 N); ``default``, ``sound`` or
+    an effect."""
     inputs = dict(zip(BOUNDS, map(float, design(rotor)[blade]), strict=True))
-    times, mesh = np.array([0.0, *own_h(blade)]), "default" if what == "default" else "coarse"
+    times, mesh = (
+        np.array([0.0, *FIVE_AGES.own_h(blade)]),
+        "default" if what == "default" else "coarse",
+    )
     if what in ("default", "sound"):
         done: BladeRun = simulate(inputs, mesh, time_h=times)
     else:
-        changed, bounds = course(what, inputs, blade), {**BOUNDS, **WIDER}
+        changed, bounds = FIVE_AGES.course(what, inputs, blade), {**BOUNDS, **WIDER}
         done = simulate_history(changed, mesh, time_h=times, bounds=bounds)
     at = done.displacement[:, nodes()[mesh]]
     return np.column_stack([done.elongation[1:], (at[1:] - at[0]).reshape(len(times) - 1, -1)])
@@ -145,7 +148,7 @@ def load(rotor: str = FIRST) -> Truths:
     with np.load(shipped(rotor), allow_pickle=False) as data:
         kept = dict(data)
     if rotor == FIRST:  # elongations are with those of its fleet
-        with np.load(fleet.SHIPPED, allow_pickle=False) as data:
+        with np.load(FIVE_AGES.shipped, allow_pickle=False) as data:
             kept |= {"elongation": data["elongation"][ROTOR], "share": data["share"][:, ROTOR]}
     change, share = (dict(zip(EFFECTS, kept[name], strict=True)) for name in ("change", "share"))
     return Truths(

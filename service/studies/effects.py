@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -30,7 +30,9 @@ def effects(
     planted: Annotated[int, typer.Option(help="Sets of each planted effect.")] = 16,
     plan: Annotated[
         str,
-        typer.Option(help="Blades and visits: rotor-20, fleet-100, fleet-scans, fleet-scans-2."),
+        typer.Option(
+            help="Blades and visits: rotor-20, fleet-100, fleet-one-age, fleet-scans or -2."
+        ),
     ] = "rotor-20",
     size: Annotated[
         float, typer.Option(help="Change at the last visit in noises, where the plan is scaled.")
@@ -93,6 +95,9 @@ def effects(
 @app.command()
 def truths(
     fleet: Annotated[bool, typer.Option("--fleet", help="Those of the plan fleet-100.")] = False,
+    one_age: Annotated[
+        bool, typer.Option("--one-age", help="Those of the plan fleet-one-age.")
+    ] = False,
     scans: Annotated[bool, typer.Option("--scans", help="Those of the plan fleet-scans.")] = False,
     rotor: Annotated[
         str, typer.Option(help="With --scans: second, those of fleet-scans-2.")
@@ -109,12 +114,17 @@ def truths(
     from core.validation import effect_fleet, effect_scans, effect_truths
 
     out.mkdir(parents=True, exist_ok=True)
+    todo: Mapping[str, object]
+    make: Callable[..., Path]
     if scans:
         shipped, todo = effect_scans.shipped(rotor), effect_scans.runs(rotor)
         make = partial(effect_scans.make, rotor=rotor)
+    elif fleet or one_age:
+        of = effect_fleet.ONE_AGE if one_age else effect_fleet.FIVE_AGES
+        shipped, todo = of.shipped, effect_fleet.runs(of)
+        make = partial(effect_fleet.make, of=of)
     else:
-        made_by = effect_fleet if fleet else effect_truths
-        shipped, todo, make = made_by.SHIPPED, made_by.runs(), made_by.make
+        shipped, todo, make = effect_truths.SHIPPED, effect_truths.runs(), effect_truths.make
     with bar("runs", len(todo)) as step:
         file = make(work, out / shipped.name, processes, lambda done, _: step(done))
     typer.echo(f"truths of {len(todo)} runs in {file}")

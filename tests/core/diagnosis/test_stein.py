@@ -113,13 +113,14 @@ def test_what_effects_weigh_hardly_depends_on_the_particles(
     the particles have them."""
     given = made(plan("rotor-20"), "worn lot", 0, 5, 500).case
     model = rotor_blade_wide()
+    specs = [replace(given.spec, seed=seed) for seed in (1, 2)]
+    states = [update(model, spec, given.readings) for spec in specs]
 
     def scatter() -> float:
         found = []
-        for seed in (1, 2):
-            spec = replace(given.spec, seed=seed)
+        for spec, state in zip(specs, states, strict=True):
             case = Case(spec, given.readings, given.facts)
-            found.append(case.scan(model, update(model, spec, given.readings)).undiscounted)
+            found.append(case.scan(model, state).undiscounted)
         physics = [i for i, c in enumerate(found[0].cells) if c.family.target == "input"]
         gains = np.array([[scan.gain(i) for i in physics] for scan in found])
         return float(np.sqrt(np.mean(gains.var(axis=0, ddof=1))))

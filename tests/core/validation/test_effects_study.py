@@ -11,9 +11,10 @@ import pytest
 
 from core.diagnosis.verdict import Verdict
 from core.errors import InputError
-from core.validation import effect_gains, fe_rotors
+from core.validation import effect_fleet, effect_gains, fe_rotors
 from core.validation import effect_sets as sets
 from core.validation import effects_study as study
+from core.validation.effect_fleet import FIVE_AGES, ONE_AGE, Fleet
 from core.validation.effect_gains import improvement
 from core.validation.effect_plans import NOISE, plan
 from core.validation.effect_truths import (
@@ -253,10 +254,32 @@ def test_a_fleet_reads_blades_of_five_ages_at_three_visits_and_is_forecast_beyon
         assert np.all(ahead > fleet.elongation[rotor, :, -1])
 
 
+def test_a_fleet_of_one_age_is_as_old_as_its_rotor() -> None:
+    fleet = plan("fleet-one-age")
+    assert np.all(fleet.own_h == fleet.visits_h)
+    assert np.all(np.diff(fleet.elongation, axis=2) > 0)
+    ahead = fleet.ahead(0, None)
+    assert ahead is not None
+    assert np.all(ahead > fleet.elongation[0, :, -1])
+    assert set(sets.conditions(fleet)) == set(sets.CONDITIONS)
+
+
+@pytest.mark.parametrize(("of", "effect"), [(FIVE_AGES, "step"), (ONE_AGE, "tertiary")])
+def test_what_ships_of_a_fleet_is_what_the_finite_elements_say(of: Fleet, effect: str) -> None:
+    blade = 57
+    with np.load(of.shipped, allow_pickle=False) as data:
+        assert np.array_equal(data["inputs"], of.design())
+        kept = data["share"][effect_fleet.EFFECTS.index(effect), 0, blade]
+    anew, sound = (effect_fleet.run(of, 0, blade, what) for what in (effect, "sound"))
+    assert kept == pytest.approx(anew / sound, abs=1e-6)
+    assert np.all(kept[-2:] > 1.0)
+
+
 @pytest.mark.parametrize("effect", ["wear", "worn lot", "fouling", "step", "tertiary", "pulse"])
-def test_a_fleets_effects_have_their_size(effect: str) -> None:
-    fleet = plan("fleet-100")
-    for rotor, size in ((0, 2.0), (1, 0.5)):
+@pytest.mark.parametrize("name", ["fleet-100", "fleet-one-age"])
+def test_a_fleets_effects_have_their_size(name: str, effect: str) -> None:
+    fleet = plan(name)
+    for rotor, size in ((0, 2.0), (fleet.rotors - 1, 0.5)):
         change = fleet.changed(rotor, effect, size) - fleet.elongation[rotor]
         concerned = fleet.coat == 0 if effect == "worn lot" else np.ones(100, bool)
         assert np.all(change[~concerned] == 0.0)
