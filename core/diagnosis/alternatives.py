@@ -99,6 +99,8 @@ def shares(
 
     known   all that was calibrated; prices: what each cell of the grammar had to gain
     """
+    if not taken.effects:
+        return ()
     claims = {n: turn.claim(n) for turn in turns for n in turn.took}
     settled = Counter(c.cause for c in taken.effects if claims.get(c.name) is not None)
     rivals = [

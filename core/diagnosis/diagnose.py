@@ -23,6 +23,7 @@ Everything is a function of the readings that count, the facts of the blades and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +42,7 @@ from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.left_out import left_out
 from core.diagnosis.misread import slips
 from core.diagnosis.search import MOST, Progress, Search, prices
+from core.diagnosis.together import shared
 from core.diagnosis.verdict import Verdict, judge
 from core.errors import InputError
 from core.model import Model
@@ -81,7 +83,10 @@ class Diagnosis:
 
     @property
     def open(self) -> Turn | None:
-        """The first turn that took something which stayed, and does not settle on its name."""
+        """The first turn that took something which stayed, and does not settle on its name; where
+        names earn their place together alone, that which weighed them."""
+        if self.verdict.several and not self.effects:
+            return self.turns[0]
         stayed = {e.cell.name for e in self.effects}
         turns = (t for t in self.turns if stayed.intersection(t.took))
         return next((t for t in turns if not t.settled), None)
@@ -141,6 +146,8 @@ def diagnose(
         gone,
         [end for c in taken.effects if (end := _end(c, model, taken)) is not None],
     )
+    if not taken.effects:
+        verdict = shared(verdict, turns, search.prices)
     verdict = heard(verdict, case.concerned(model, state, taken) if taken.effects else ())
     if verdict.word == "effect":
         later = leaving_runs(taken.model, taken.state, case.present)
@@ -155,8 +162,16 @@ def diagnose(
         tuple((tuple(c.name for c in r.effects), r.gained) for r in search.known.values()),
         tuple(search.refused.items()),
         tuple(turns),
-        shares(taken, [*search.known.values()], turns, search.prices) if taken.effects else (),
+        shares(_leading(taken, turns, verdict), [*search.known.values()], turns, search.prices),
     )
+
+
+def _leading(taken: Rival, turns: Sequence[Turn], verdict: Verdict) -> Rival:
+    """What has rivals: what is in the model, or the weightiest of names that earn it together."""
+    if taken.effects or not verdict.several:
+        return taken
+    single = [names for names in turns[0].rivals if len(names) == 1]
+    return turns[0].rivals[single[-1]]
 
 
 def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:

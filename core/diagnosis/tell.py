@@ -46,6 +46,7 @@ def to_json(
     return {
         "verdict": verdict.word,
         "names": list(verdict.names),
+        "several": list(verdict.several),
         "reasons": [*verdict.reasons, *([] if wide is None else [in_words(wide)])],
         "p": verdict.p,
         "p_after": verdict.after,

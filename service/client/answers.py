@@ -633,6 +633,7 @@ class FoundRestsOn(TypedDict):
 class Found(TypedDict):
     verdict: Literal["adequate", "effect", "not separable", "unattributed"]
     names: list[str]
+    several: NotRequired[list[str]]
     reasons: list[str]
     p: float | None
     p_after: float | None

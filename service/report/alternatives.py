@@ -43,9 +43,13 @@ def alternatives(found: Json) -> Markup | None:
     count = len(told["blades"])
     said = (
         f"The readings allow these of what was calibrated, by their shares of the evidence. They "
-        f"differ in what they foretell of {count} blade{'s' * (count != 1)} on the rotor. An "
-        "adoption puts the effects of this diagnosis into the model, and foretells by these alone."
+        f"differ in what they foretell of {count} blade{'s' * (count != 1)} on the rotor."
     )
+    if found["verdict"] == "effect":
+        said += (
+            " An adoption puts the effects of this diagnosis into the model, and foretells by "
+            "these alone."
+        )
     return section(
         "What else the readings allow",
         el("p", said),

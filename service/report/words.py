@@ -8,6 +8,7 @@ from typing import Any
 
 Json = Mapping[str, Any]
 LARGE = 1e7  # from which on a power of ten says more than digits
+SEVERAL = 6  # names in a sentence
 BLADE_INPUTS: dict[str, tuple[str, float, str]] = {
     "tbc_thickness": ("coating thickness over nominal", 1.0, ""),
     "t1t_rate": ("gas temperature", 600.0, "K"),
@@ -163,7 +164,13 @@ def verdict(found: Json, rotor: str, units: Mapping[str, str]) -> str:
             f"The model of rotor {rotor} lacks something{chance}, and its readings cannot tell "
             f"which of these it is: {joined(found['names'], 'or')}."
         )
-    if found.get("separating"):
+    if several := found.get("several"):
+        shown = several if len(several) <= SEVERAL else [*several[:SEVERAL], "others"]
+        return (
+            f"The model of rotor {rotor} lacks something{chance}, and {len(several)} effects share "
+            f"the evidence, none with enough of it to be named: {joined(shown)}. No cause is named."
+        )
+    if found.get("separating"):  # of a release that did not tell which
         return (
             f"The model of rotor {rotor} lacks something{chance}, and more effects would explain "
             "it than an answer can hold. No cause is named."
@@ -188,10 +195,10 @@ def do_next(found: Json) -> str:
 
 
 def _many(found: Json) -> str:
-    """Where causes are too many to be named, and what would tell them apart is known."""
+    """Where no cause of several can be named, and what would tell them apart is known."""
     if not found.get("separating"):
         return ""
-    return " Many causes would explain it; the inspections below would tell them apart."
+    return " Several causes would explain it; the inspections below would tell them apart."
 
 
 def _wider(found: Json) -> str:

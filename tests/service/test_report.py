@@ -194,9 +194,24 @@ def test_the_inspection_that_splits_the_set_is_told_with_what_it_promises() -> N
 
 
 def test_where_names_are_too_many_none_is_claimed_and_what_to_read_is_told() -> None:
-    found = told("unattributed", separating=told("not separable")["separating"])
-    said = Read(page_of(found)).said
-    assert "more effects would explain it than an answer can hold. No cause is named" in said
+    more = {
+        "separating": told("not separable")["separating"],
+        "alternatives": told("effect")["alternatives"],
+    }
+    found = told("unattributed", several=[f"name {k}" for k in range(8)], **more)
+    said = " ".join(Read(page_of(found)).said.split())
+    shown = ", ".join(f"name {k}" for k in range(6))
+    assert f"8 effects share the evidence, none with enough of it to be named: {shown} and" in said
+    assert "name 6" not in said
+    assert "coating wear, linear 70 % 0.360 ± 0.020" in said, "what each of them forecasts"
+    assert "An adoption puts" not in said, "there is none"
+    assert "An adoption puts" in Read(page_of(told("effect"))).said
+    few = Read(page_of(told("unattributed", several=["wear", "fouling"], **more))).said
+    assert (
+        "2 effects share the evidence, none with enough of it to be named: wear and fouling." in few
+    )
+    older = Read(page_of(told("unattributed", **more))).said
+    assert "more effects would explain it than an answer can hold. No cause is named" in older
     assert "the inspections below would tell them apart" in said
     assert "No name is claimed. The weightiest of many: campaign offset" in said
     assert "What follows is said as if one of these were true" in said
@@ -204,6 +219,7 @@ def test_where_names_are_too_many_none_is_claimed_and_what_to_read_is_told() -> 
     assert "Not among those told apart" not in said
     without = Read(page_of(told("unattributed"))).said
     assert "than an answer can hold" not in without
+    assert "share the evidence" not in without
     assert "The inspection that would" not in without
     assert "would tell them apart" not in without
 

@@ -30,6 +30,7 @@ def told(verdict: str, blade: str = "B1", campaign: str = "spring", **changes: A
     return {
         "verdict": verdict,
         "names": [name, *(["root settling"] if verdict == "not separable" else [])] * named,
+        "several": [],
         "reasons": ["because it is so"],
         "p": 0.31 if verdict == "adequate" else 0.0025,
         "p_after": 0.4 if named else None,
