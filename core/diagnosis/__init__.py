@@ -17,7 +17,7 @@ verdict     adequate | effect | not separable | unattributed
 adopt       an effect in the model, as a calibrated amplitude
 diagnose    all of it in turn
 search      what is calibrated, taken and given up again; choice: names first, then courses
-conclude    the word, every name on its own turn
+conclude    the word, every name on its own turn; together: names that earn a place together alone
 amplitudes  what readings say of effects in the model; halves: whether they hold between halves of
             blades and readings; concerned: whether all blades have the effect
 alternatives  what else the readings allow: forecasts by other courses

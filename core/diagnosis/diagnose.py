@@ -146,8 +146,7 @@ def diagnose(
         gone,
         [end for c in taken.effects if (end := _end(c, model, taken)) is not None],
     )
-    if not taken.effects:
-        verdict = shared(verdict, turns, search.prices)
+    verdict = shared(verdict, turns, search.prices)
     verdict = heard(verdict, case.concerned(model, state, taken) if taken.effects else ())
     if verdict.word == "effect":
         later = leaving_runs(taken.model, taken.state, case.present)

@@ -17,7 +17,7 @@ what shares the evidence is told, what to read next, and what each of them forec
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from core.diagnosis.conclude import Turn
@@ -48,19 +48,31 @@ def together(turn: Turn, prices: Mapping[Cell, float]) -> float:
 
 
 def shared(verdict: Verdict, turns: Sequence[Turn], prices: Mapping[Cell, float]) -> Verdict:
-    """A verdict of which nothing came into the model, with the names that earn a place together.
+    """A verdict of which nothing came into the model, with the names that earn a place together;
+    of one with too many names to be an answer, those that have the most evidence first.
 
     Fewer than two of them are none: a name whose evidence is its own has its price to gain.
     """
+    if verdict.several:
+        return replace(verdict, several=by_share(verdict.several, turns))
     if verdict.word != "unattributed" or not turns or turns[0].took:
         return verdict
-    gained, names = together(turns[0], prices), tuple(sorted(turns[0].in_doubt))
+    gained, names = together(turns[0], prices), by_share(turns[0].in_doubt, turns)
     if gained < EARNED or len(names) < 2:
         return verdict
     first, *rest = verdict.reasons
-    by_share = dict.fromkeys(
-        called for n in turns[0].evidence if (called := turns[0].called(n)) in names
-    )
-    told = ", ".join([*by_share][:SHOWN]) + ", …" * (len(names) > SHOWN)
+    told = ", ".join(names[:SHOWN]) + ", …" * (len(names) > SHOWN)
     why = f"{first} by itself; {len(names)} do together, by {gained:.1f} nat: {told}"
     return replace(verdict, several=names, reasons=(why, *rest))
+
+
+def by_share(names: Iterable[str], turns: Sequence[Turn]) -> tuple[str, ...]:
+    """Names, or causes, in the order of their largest share of a turn's evidence."""
+    shares: dict[str, float] = {}
+    for turn in turns:
+        own: dict[str, float] = {}
+        for name, share in turn.evidence.items():
+            called = turn.called(name)
+            own[called] = own.get(called, 0.0) + share
+        shares = {n: max(own.get(n, 0.0), shares.get(n, 0.0)) for n in own | shares}
+    return tuple(sorted(names, key=lambda n: (-shares.get(n, 0.0), n)))

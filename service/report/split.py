@@ -37,7 +37,8 @@ def split(found: Json) -> Markup | None:
         return section(title, note(why))
     best = told["single"][0]
     names = [joined(r["names"]) for r in told["rivals"]]
-    now = max(r["weight"] for r in told["rivals"]) / sum(r["weight"] for r in told["rivals"])
+    weights = [r["weight"] for r in told["rivals"]]
+    now = sum(w**2 for w in weights) / sum(weights) ** 2  # what is expected of no reading
     parts: list[Child] = []
     if found["verdict"] == "unattributed":
         said = f"No name is claimed. The weightiest of many: {joined(names)}."
@@ -106,7 +107,7 @@ def campaign(one: Json) -> str:
 def promise(one: Json, now: float) -> str:
     """What a reading promises."""
     return (
-        f"It raises the expected share of the true one from at most {percent(now)} to "
+        f"It raises the expected share of the true one from {percent(now)} to "
         f"{percent(one['share'])} and settles the question in {percent(one['settled'])} of cases."
     )
 

@@ -20,7 +20,7 @@ from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis
 from core.diagnosis.rivals import rivals_of
 from core.diagnosis.search import EARNED
-from core.diagnosis.together import together
+from core.diagnosis.together import by_share, together
 from tests.core.diagnosis.test_diagnose import BEND, MODEL, SPEC, readings
 
 ALIKE = tuple(replace(BEND, name=f"bend {k}") for k in range(6))
@@ -93,6 +93,16 @@ def test_sound_readings_seldom_gain_as_much_and_without_priors_they_would() -> N
     assert np.mean(ours >= EARNED) < math.exp(-EARNED)
     free = np.mean(np.logaddexp.reduce(log_bf, axis=1) >= EARNED)
     assert free > math.exp(-EARNED), "a sum of all that pays for no choice"
+
+
+def test_names_come_by_what_they_have_of_the_evidence_causes_by_that_of_all_their_courses() -> None:
+    worn, spalled = (replace(BEND, name=n, cause="coating loss") for n in ("worn", "spalled"))
+    cells = tuple(Cell(f, "constant", "all", None) for f in (worn, spalled, BEND))
+    turn = weighed(np.log([0.35, 0.25, 0.4]), cells)
+    assert turn.in_doubt == ("bend", "coating loss")
+    assert by_share(turn.in_doubt, [turn]) == ("coating loss", "bend")
+    more = weighed(np.log([0.05, 0.9, 0.05]), cells)
+    assert by_share(("bend", "spalled"), [turn, more]) == ("spalled", "bend")
 
 
 def test_a_turn_without_a_single_cell_that_was_calibrated_says_nothing() -> None:
