@@ -158,8 +158,7 @@ def diagnosed(
     split = splitting(found, case, work, then)
     apart = None if split is None else separation_json(split)
     others = None
-    foretold = found.verdict.word in ("effect", "not separable") or found.verdict.several
-    if foretold and compare_h is not None and quantity:
+    if found.foretold and compare_h is not None and quantity:
         others = alternatives(found.before, found.rivals, case, quantity, compare_h)
     told = to_json(found, case, both, pictures(found, case), apart, wide, others)
     if claimed and compare_h is not None:

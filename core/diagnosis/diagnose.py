@@ -82,6 +82,14 @@ class Diagnosis:
     rivals: tuple[tuple[Rival, float], ...] = ()
 
     @property
+    def foretold(self) -> bool:
+        """Whether forecasts by the rivals are told: where names are claimed, or share the evidence.
+
+        What is left unexplained otherwise may be anything, and no rival forecasts it.
+        """
+        return self.verdict.word in ("effect", "not separable") or bool(self.verdict.several)
+
+    @property
     def open(self) -> Turn | None:
         """The first turn that took something which stayed, and does not settle on its name; where
         names earn their place together alone, that which weighed them."""

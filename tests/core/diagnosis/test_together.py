@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from core.calibration.online import update
-from core.diagnosis import Case, Diagnosis, Facts, diagnose
+from core.diagnosis import Case, Diagnosis, Facts, diagnose, to_json
 from core.diagnosis.conclude import Rival, Turn
 from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis
 from core.diagnosis.rivals import rivals_of
 from core.diagnosis.search import EARNED
-from core.diagnosis.together import by_share, together
+from core.diagnosis.together import by_share, shared, together
 from tests.core.diagnosis.test_diagnose import BEND, MODEL, SPEC, readings
 
 ALIKE = tuple(replace(BEND, name=f"bend {k}") for k in range(6))
@@ -48,12 +48,15 @@ def test_one_effect_under_six_names_earns_its_place_by_all_of_them() -> None:
     assert together(found.turns[0], prices) == pytest.approx(gain, abs=1e-6)
     assert {n for r in rivals_of(found, case) for n in r.names} == set(NAMES)
     assert [share for _, share in found.rivals] == pytest.approx([0.2] * 5)
+    assert found.foretold
+    assert to_json(found, case)["several"] == list(NAMES)
 
 
 def test_where_they_do_not_nothing_is_told_of_them() -> None:
     found, case = told(0.05)
     assert found.verdict.word == "unattributed"
-    assert (found.verdict.several, found.rivals) == ((), ())
+    assert (found.verdict.several, found.rivals, found.foretold) == ((), (), False)
+    assert to_json(found, case)["several"] == []
     assert found.verdict.reasons == ("no effect of the grammar earns its place in the model",)
     assert rivals_of(found, case) == []
 
@@ -62,6 +65,20 @@ def test_what_earns_its_place_by_itself_is_told_as_ever() -> None:
     found, _ = told(0.15)
     assert found.effects
     assert found.verdict.reasons[0] == "6 names share the evidence"
+    assert found.foretold
+
+
+def test_what_was_taken_and_left_again_is_no_name_that_shares_the_evidence() -> None:
+    """Nor is anything told anew of a verdict that has names, but in which order they are read."""
+    found, _ = told(0.08)
+    [turn] = found.turns
+    prices = {c: EARNED + math.log(len(turn.cells)) for c in turn.cells}
+    bare = replace(found.verdict, several=(), reasons=("nothing earns its place",))
+    assert shared(bare, [turn], prices).several == NAMES
+    assert shared(bare, [replace(turn, took=("bend 0",))], prices) == bare
+    assert shared(bare, [], prices) == bare
+    many = replace(bare, several=("other", *NAMES[::-1]))
+    assert shared(many, [turn], prices) == replace(many, several=(*NAMES, "other"))
 
 
 def weighed(log_bf: np.ndarray, cells: tuple[Cell, ...]) -> Turn:
