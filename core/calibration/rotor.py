@@ -70,7 +70,8 @@ def weigh(
     """Place and weight the shared nodes for these messages.
 
     start  where they are tried first; none, for what must depend on the messages alone. With one
-           a posterior is wanted for a comparison, and less is done to find it where it is not there
+           a posterior is wanted for a comparison, and less is done to find it where it is not
+           there; nothing, where the start is `alone`
     placed  the placement that these very messages, seed and start had before: nothing is searched
     """
     messages = known.gathered(messages)
@@ -196,6 +197,8 @@ def weigh(
         nearer = nearer and mended(nearer, everyone)
         return nowhere if nearer is None else settled(nearer, LED if d <= 4 else LED_MANY, ASTRAY)
 
+    nowhere = (-1.0, Proposal(np.zeros(d), None))
+
     def found() -> tuple[float, Proposal]:
         """The best share of effective nodes, and its proposal, from nothing but the messages."""
         mends = len(counts) < len(messages) and not tabled
@@ -212,12 +215,12 @@ def weigh(
             best = max(best, settled(place, turns), key=lambda one: one[0])
         return best
 
-    best = nowhere = (-1.0, Proposal(np.zeros(d), None))
+    best, least = nowhere, enough if start is None else PASSABLE
     if placed is not None:
         best = (enough, placed)
     elif start is not None and (expected := start.on(space)) is not None:
-        best = settled(expected, EXPECTED)
-    if best[0] < (enough if start is None else PASSABLE):
+        best, least = settled(expected, EXPECTED), 0.0 if start.alone else PASSABLE
+    if best[0] < least:
         best = max(best, found(), key=lambda one: one[0])
     if best[0] < enough and cheap:
         place = pooled(

@@ -40,11 +40,13 @@ class Start:
     """Expected moments of shared parameters, each on its prior's working scale.
 
     names (d,), mean (d,), covariance (d, d)
+    alone  a posterior that is not found from there is looked for nowhere else
     """
 
     names: tuple[str, ...]
     mean: Array
     covariance: Array
+    alone: bool = False
 
     @staticmethod
     def of(model: Model, state: RotorState) -> Start:

@@ -29,6 +29,7 @@ MOST = 3
 EARNED = 2.0
 SIBLINGS = 5
 STEPS = 3 + MOST * (RIVALS + SIBLINGS + 2)  # at most; few more where effects leave again
+FEW = 2  # effects whose posterior is looked for elsewhere, too, if it is not where it is expected
 LOST = 0.05  # share of effective nodes below which a posterior counts as not found
 NOTICEABLE = 0.01  # share of the evidence from which a rival is calibrated
 
@@ -73,7 +74,7 @@ class Search:
                     self.case.spec,
                     self.case.readings,
                     workspace=self.work,
-                    start=start() if start is not None else None,
+                    start=replace(start(), alone=len(effects) > FEW) if start else None,
                 )
                 gained = made.log_evidence - self.state.meta["log_evidence"]
                 share = made.weighed.ess_ratio

@@ -52,6 +52,19 @@ def test_a_start_that_is_far_off_costs_time_and_changes_nothing() -> None:
     assert made(off)[0].log_evidence == pytest.approx(alone.log_evidence, abs=0.1)
 
 
+def test_where_a_start_is_to_be_alone_nothing_is_looked_for_elsewhere() -> None:
+    sealed, _ = made()
+    known = Start.of(MODEL, sealed.sealed())
+    sd = np.sqrt(np.diag(known.covariance))
+    off = replace(known, mean=known.mean + np.array([-12.0, 8.0]) * sd)
+    (found, many), (lost, few) = made(off), made(replace(off, alone=True))
+    assert 2 * few < many
+    assert 2 * lost.weighed.ess_ratio < found.weighed.ess_ratio, "and its share tells"
+    near, there = made(known.wider(2.0)), made(replace(known.wider(2.0), alone=True))
+    assert near[1] == there[1]
+    assert near[0].sealed().digest == there[0].sealed().digest
+
+
 def test_what_was_found_before_is_not_searched_again() -> None:
     """By another process, from JSON: the same bits for a part of the columns; other readings, or
     another start, are another question."""

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from core.calibration.online import RotorSpec, Workspace, update
+from core.calibration.start import Start
 from core.calibration.state import shared_posterior
 from core.diagnosis import Case, Diagnosis, Facts, diagnose, to_json
 from core.diagnosis import diagnose as module_function
@@ -312,3 +313,25 @@ def test_a_name_whose_evidence_rested_on_what_has_left_is_weighed_without_it() -
     assert word(29.0, 10.0) == second.name
     assert word(29.0, 40.0) is None, "another one gains more where the first is not there"
     assert word(9.0, 0.0) is None, "the first gains as much alone"
+
+
+def test_a_posterior_with_more_than_two_effects_is_looked_for_where_it_is_expected_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = Case(SPEC, readings(lambda b, t: 0.0), {b: Facts() for b in SPEC.blades}, (BEND, OFFSET))
+    state = update(MODEL, SPEC, case.readings)
+    search = Search(MODEL, state, case, Workspace(), lambda what, done, total: None)
+    cells = (
+        Cell(BEND, "constant", "all"),
+        *(Cell(OFFSET, "constant", "instrument", f"gauge {k}") for k in range(2)),
+    )
+    alone: list[bool] = []
+
+    def begun(*given: object, start: Start, **more: object) -> None:
+        alone.append(start.alone)
+        raise InputError("posterior", 0, "is not wanted", "look at the start")
+
+    monkeypatch.setattr("core.diagnosis.search.begun", begun)
+    for count in (1, 2, 3):
+        assert search.calibrated(cells[:count], lambda: Start.of(MODEL, state)) is None
+    assert alone == [False, False, True]
