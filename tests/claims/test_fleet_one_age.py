@@ -40,3 +40,14 @@ def test_where_blades_are_of_one_age_physics_has_no_name_and_nothing_a_wrong_one
     assert "1 of 12 clean sets" in TEXT
     by_oracle = [round(100 * found["possible"][kind]["name"]) for kind in PHYSICS]
     assert by_oracle == [3, 56, 1, 5, 36]
+
+
+def test_clean_fleets_alarm_as_seldom_as_asked_and_none_gets_a_name() -> None:
+    found = kept("effects-clean-4")
+    alarms = [round(134 * found["table"][kind]["alarms"]) for kind in CLEAN]
+    assert alarms == [7, 5, 9]
+    assert found["marks"]["clean, alarms"] < 0.075
+    assert max(alarms) / 134 < 0.075, "of each kind of noise by itself"
+    assert "21 of 402 alarm, 5.2 %" in TEXT
+    assert all(not one["names"] for one in found["sets"])
+    assert {one["word"] for one in found["sets"]} == {"adequate", "unattributed"}
