@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).parent
-KEPT, TODAY = (
+KEPT, LATER, TODAY = (
     json.loads((HERE / f"results/{name}/result.json").read_text())
-    for name in ("effects-power", "effects-power-2")
+    for name in ("effects-power", "effects-power-2", "effects-power-3")
 )
 ASKED = 0.90
 
 
-@pytest.mark.parametrize("kept", [KEPT, TODAY], ids=["before", "today"])
+@pytest.mark.parametrize("kept", [KEPT, LATER, TODAY], ids=["before", "later", "today"])
 def test_alarms_are_told_as_they_are_kept(kept: dict[str, Any]) -> None:
     words = (HERE / "README.md").read_text()
     alarms = {}
@@ -35,7 +35,7 @@ def test_alarms_are_told_as_they_are_kept(kept: dict[str, Any]) -> None:
     assert int(kept["commit"][:6], 16) == kept["seed"]
 
 
-@pytest.mark.parametrize("kept", [KEPT, TODAY], ids=["before", "today"])
+@pytest.mark.parametrize("kept", [KEPT, LATER, TODAY], ids=["before", "later", "today"])
 def test_the_oracles_are_told(kept: dict[str, Any]) -> None:
     words = (HERE / "README.md").read_text()
     told = {name: rows[0] for name, rows in kept["possible"].items()}
