@@ -101,35 +101,37 @@ def before_after(
     states: Sequence[RotorState] = (),
     blades: Sequence[str] = (),
 ) -> BeforeAfter:
-    """Calibrate both models without the held-out readings, and predict these.
-
-    Of a blade whose readings are held out nothing of those hours is used, of no other quantity
-    either: what comes after them is not known when they are foretold.
+    """Calibrate both models without the held-out readings (`parted`), and predict these.
 
     states  of both models with all readings: where to look first
     blades  whose forecast is told; none: all
+    """
+    held, kept = parted(readings, quantity)
+    work = workspace or Workspace()
+    found = []
+    for i, (model, which) in enumerate(zip(models, ("before", "after"), strict=True)):
+        say(f"{which}, without {len(held)} readings")
+        start = with_fewer(model, states[i]) if states else None
+        state = update(model, spec, kept, workspace=work, start=start)
+        scored = score(model, state, held, spec.known)
+        found.append((scored, fleet(model, state, spec, quantity, horizon_h, blades)))
+    (before, then), (after, now) = found
+    return BeforeAfter(quantity, tuple(r.id for r in held), before, after, horizon_h, (then, now))
+
+
+def parted(
+    readings: Sequence[Inspection], quantity: str
+) -> tuple[tuple[Inspection, ...], list[Inspection]]:
+    """What is held out (`held_out`), and what a calibration without it may use.
+
+    Of a blade whose readings are held out nothing of those hours is used, of no other quantity
+    either: what comes after them is not known when they are foretold.
     """
     held = held_out(readings, quantity)
     first: dict[str, float] = {}  # hour of a blade's first reading that is held out
     for r in held:
         first[r.blade] = min(r.time_h, first.get(r.blade, r.time_h))
-    kept = [r for r in readings if r.blade not in first or r.time_h < first[r.blade]]
-    work = workspace or Workspace()
-    scored, forecast = [], []
-    for i, (model, which) in enumerate(zip(models, ("before", "after"), strict=True)):
-        say(f"{which}, without {len(held)} readings")
-        start = with_fewer(model, states[i]) if states else None
-        state = update(model, spec, kept, workspace=work, start=start)
-        scored.append(score(model, state, held, spec.known))
-        forecast.append(fleet(model, state, spec, quantity, horizon_h, blades))
-    return BeforeAfter(
-        quantity,
-        tuple(r.id for r in held),
-        scored[0],
-        scored[1],
-        horizon_h,
-        (forecast[0], forecast[1]),
-    )
+    return held, [r for r in readings if r.blade not in first or r.time_h < first[r.blade]]
 
 
 def score(

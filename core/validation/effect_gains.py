@@ -1,8 +1,10 @@
 """What an effect in the model changes, on simulated rotors whose truth is known.
 
 Both models are calibrated without a sixth of the readings and predict these, and the fleet at the
-plan's horizon (`core.diagnosis.report`). Where several rivals stand, their forecasts at the horizon
-and that of all together are held against the truth, too (`core.diagnosis.alternatives`).
+plan's horizon (`core.diagnosis.report`). What no model of effects could do better is the same rotor
+without the effect, read with the same noise and predicted by the model as it was (``sound``): there
+blades differ as they do, and nothing is missing. Where several rivals stand, their forecasts at the
+horizon and that of all together are held against the truth, too (`core.diagnosis.alternatives`).
 """
 
 from __future__ import annotations
@@ -11,19 +13,23 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from core.calibration.online import Workspace
+from core.calibration.online import Workspace, update
 from core.diagnosis.alternatives import alternatives
 from core.diagnosis.diagnose import Diagnosis
-from core.diagnosis.report import before_after
+from core.diagnosis.expected import with_fewer
+from core.diagnosis.report import Scored, before_after, fleet, parted, score
 from core.validation.effect_sets import CONDITIONS, Set
 from core.validation.records import Record
 
+Array = NDArray[np.float64]
 FORETOLD = ("before", "leading", "together")
 
 
 def compared(told: Diagnosis, given: Set, horizon_h: float, work: Workspace) -> dict[str, Any]:
-    """Both models on readings that they did not use: as they were read, and without noise."""
+    """Both models on readings that they did not use: as they were read, and without noise; and the
+    model as it was on the same rotor without what is planted."""
     models, states = (told.before[0], told.after[0]), (told.before[1], told.after[1])
     horizon = horizon_h or max(r.time_h for r in given.case.readings)
     both = before_after(
@@ -34,25 +40,41 @@ def compared(told: Diagnosis, given: Set, horizon_h: float, work: Workspace) -> 
         workspace=work,
         states=states,
     )
-    exact = np.concatenate([given.exact[name] for name in both.held])
     found: dict[str, Any] = {"held": len(both.held)}
+    exact = np.concatenate([given.exact[name] for name in both.held])
     for when, scored, forecast in zip(
         ("before", "after"), (both.before, both.after), both.forecast, strict=True
     ):
-        off = np.array(scored.means) - exact
-        found[when] = {
-            "rmse": round(scored.rmse, 5),
-            "bias": round(scored.bias, 5),
-            "exact_rmse": round(float(np.sqrt(np.mean(off**2))), 5),
-            "exact_bias": round(float(np.mean(off)), 5),
-            "log_score": round(scored.log_score, 4),
-            "inside_95": round(scored.within_95, 4),
-            "width_95": round(scored.width, 5),
-        }
-        if given.ahead:
-            truth = float(np.mean([given.ahead[b] for b in given.case.spec.blades]))
-            found[when]["forecast_error"] = round(forecast[0] / truth - 1.0, 5)
+        found[when] = _held_against(scored, forecast[0], exact, given.ahead)
+    held, kept = parted(given.without, both.quantity)
+    spec, start = given.case.spec, with_fewer(models[0], states[0])
+    sound = update(models[0], spec, kept, workspace=work, start=start)
+    mean = fleet(models[0], sound, spec, both.quantity, horizon)[0]
+    exact = np.concatenate([given.sound[r.id] for r in held])
+    scored = score(models[0], sound, held, spec.known)
+    found["sound"] = _held_against(scored, mean, exact, given.sound_ahead)
     return found | foretold(told, given, horizon)
+
+
+def _held_against(
+    scored: Scored, mean: float, exact: Array, ahead: Mapping[str, float]
+) -> dict[str, float]:
+    """Predictions against readings and against what these are without noise (n,), and the fleet's
+    forecast mean against the truth, where there is one."""
+    off = np.array(scored.means) - exact
+    found = {
+        "rmse": round(scored.rmse, 5),
+        "bias": round(scored.bias, 5),
+        "exact_rmse": round(float(np.sqrt(np.mean(off**2))), 5),
+        "exact_bias": round(float(np.mean(off)), 5),
+        "log_score": round(scored.log_score, 4),
+        "inside_95": round(scored.within_95, 4),
+        "width_95": round(scored.width, 5),
+    }
+    if ahead:
+        truth = float(np.mean([*ahead.values()]))
+        found["forecast_error"] = round(mean / truth - 1.0, 5)
+    return found
 
 
 def foretold(told: Diagnosis, given: Set, horizon_h: float) -> dict[str, Any]:
@@ -81,6 +103,8 @@ def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
     inside 95    share of the readings in their 95 % interval after
     forecast     error of the fleet's mean at the horizon after over before, means of its sizes,
                  where the plan has a horizon
+    least …      rmse, bias and forecast of the same rotors without the effect, over before: what is
+                 left there no effect can take away
     leading, together   where several rivals stand (`open` sets): the same of the blades that they
                  differ in, by the leading rival and by all of them
     """
@@ -90,22 +114,32 @@ def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
         if not own:
             continue
 
-        def ratio(what: str, own: Sequence[Record] = own) -> float:
-            sizes = [[abs(r[when][what]) for when in ("before", "after")] for r in own]
-            before, after = np.mean(sizes, axis=0)
-            return float(after / before)
+        def ratio(what: str, when: str = "after", own: Sequence[Record] = own) -> float:
+            return float(
+                np.mean([abs(r[when][what]) for r in own])
+                / np.mean([abs(r["before"][what]) for r in own])
+            )
 
-        squares = [[r[when]["exact_rmse"] ** 2 for when in ("before", "after")] for r in own]
-        rms = np.sqrt(np.mean(squares, axis=0))
+        def rmse(when: str, own: Sequence[Record] = own) -> float:
+            return float(np.sqrt(np.mean([r[when]["exact_rmse"] ** 2 for r in own])))
+
+        ahead = "forecast_error" in own[0]["after"]
         held = sum(r["held"] for r in own)
         found[condition] = {
             "sets": len(own),
-            "rmse": float(rms[1] / rms[0]),
+            "rmse": rmse("after") / rmse("before"),
             "bias": ratio("exact_bias"),
             "better": sum(r["after"]["log_score"] > r["before"]["log_score"] for r in own)
             / len(own),
             "inside 95": sum(r["held"] * r["after"]["inside_95"] for r in own) / held,
-        } | ({"forecast": ratio("forecast_error")} if "forecast_error" in own[0]["after"] else {})
+        } | ({"forecast": ratio("forecast_error")} if ahead else {})
+        if all("sound" in r for r in own):
+            least = {"rmse": rmse("sound") / rmse("before"), "bias": ratio("exact_bias", "sound")}
+            least |= {"forecast": ratio("forecast_error", "sound")} if ahead else {}
+            found[condition] = {
+                **found[condition],
+                **{f"least {what}": value for what, value in least.items()},
+            }
         several = [r["rivals"] for r in own if r.get("rivals", {}).get("leading") is not None]
         if several:
             sizes = {k: np.mean([abs(r[k]) for r in several]) for k in FORETOLD}

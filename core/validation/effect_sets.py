@@ -18,7 +18,7 @@ who read elongations, and the formulas' other effects, are not.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ class Set:
 
     exact  readings without noise, by their id, shaped as they are; sound: those without what is
            planted as well
-    ahead  blades' elongation at the plan's horizon
+    ahead  blades' elongation at the plan's horizon; sound_ahead: without what is planted
     """
 
     case: Case
@@ -60,6 +60,15 @@ class Set:
     exact: dict[str, Array]
     sound: dict[str, Array]
     ahead: dict[str, float]
+    sound_ahead: dict[str, float]
+
+    @property
+    def without(self) -> tuple[Inspection, ...]:
+        """The readings with the noise that they have, and without what is planted."""
+        return tuple(
+            replace(r, values=self.sound[r.id] + (r.values - self.exact[r.id]))
+            for r in self.case.readings
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,9 +183,11 @@ def made(
     )
     data = tuple(readings[i] for i in rng.permutation(len(readings)))
     case = Case(spec, data, with_offsets(facts, data, {}))
-    ahead = plan.ahead(rotor, effect, strength)
-    at_horizon = {} if ahead is None else dict(zip(labels.blades, ahead.tolist(), strict=True))
-    return Set(case, labels.right(condition, plan), exact, sound, at_horizon)
+    ahead, sound_ahead = (
+        {} if y is None else dict(zip(labels.blades, y.tolist(), strict=True))
+        for y in (plan.ahead(rotor, what, strength) for what in (effect, None))
+    )
+    return Set(case, labels.right(condition, plan), exact, sound, ahead, sound_ahead)
 
 
 def scans(

@@ -164,7 +164,12 @@ def test_improvement_is_over_all_sets_with_an_effect_in_the_model() -> None:
     assert found["bias"] == found["forecast"] == pytest.approx(0.2)
     assert found["better"] == 0.5
     assert found["inside 95"] == pytest.approx((50 * 0.9 + 150 * 0.98) / 200)
-    assert "open" not in found
+    assert not {"open", "least rmse"} & set(found)
+    sound = {"sound": scored(0.02, 0.0015, 2.1, 0.95)}
+    found = improvement([one | sound, without, two | sound])["wear"]
+    assert found["least rmse"] == pytest.approx(0.5)
+    assert found["least bias"] == found["least forecast"] == pytest.approx(0.05)
+    assert "least rmse" not in improvement([one | sound, two])["wear"]  # of all sets or of none
     rivals = {"count": 2, "before": -0.1, "leading": 0.04, "together": -0.01, "z": -0.2}
     torn = one | {"rivals": rivals | {"leading": None}}
     found = improvement([one | {"rivals": rivals}, torn, two])["wear"]
@@ -198,6 +203,10 @@ def test_a_sound_rotor_is_adequate_and_a_campaign_set_to_zero_anew_is_named() ->
     sound, moved = study.run({"clean": 1, "campaign": 1}, seed=12, particles=1000)
     assert (sound["condition"], sound["outcome"]) == ("clean", "right")
     assert (moved["condition"], moved["outcome"]) == ("campaign", "right")
+    # the rotor without the fault is what the effect in the model can come to, and about comes to
+    errors = [moved[when]["exact_rmse"] for when in ("before", "after", "sound")]
+    assert errors[0] > 1.2 * max(errors[1:])
+    assert errors[1] == pytest.approx(errors[2], rel=0.15)
     (mean, sd) = next(iter(moved["effects"].values()))
     assert abs(mean - sets.OFFSET) < 3 * sd
     with pytest.raises(InputError, match="unknown"):
@@ -295,6 +304,23 @@ def test_faults_of_a_fleet_have_its_size_too() -> None:
         offset, gain, odd = sets.faults(fleet, rotor, 3.0)
         assert (offset, odd) == pytest.approx((0.06, 0.06))
         assert np.mean(gain * fleet.elongation[rotor, :, -1]) == pytest.approx(0.06)
+
+
+def test_a_set_without_what_is_planted_has_the_same_noise() -> None:
+    fleet = plan("fleet-100")
+    planted, clean = (sets.made(fleet, what, 1, 5, 10) for what in ("wear", "clean"))
+    by_id = {r.id: r for r in planted.without}
+    assert [r.id for r in planted.without] == [r.id for r in planted.case.readings]
+    for r in planted.case.readings:
+        noise = r.values - planted.exact[r.id]
+        assert by_id[r.id].values == pytest.approx(planted.sound[r.id] + noise, abs=1e-12)
+    more = [r.values - by_id[r.id].values for r in planted.case.readings]
+    assert np.min(more) > 0  # a worn blade is longer
+    assert planted.sound_ahead.keys() == planted.ahead.keys()
+    assert all(planted.ahead[b] > own for b, own in planted.sound_ahead.items())
+    assert all(np.all(r.values == one.values)
+               for r, one in zip(clean.case.readings, clean.without, strict=True))  # fmt: skip
+    assert clean.sound_ahead == clean.ahead
 
 
 def test_conditions_are_those_with_a_truth() -> None:
