@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from hashlib import sha256
 
-from service.ports import Adopt, BladeRecord, Json
+from service.ports import Adopt, BladeRecord, Diagnose, Json
 
 FIELDS = tuple(field.name for field in fields(BladeRecord))
 
@@ -50,8 +50,16 @@ def digest_of_rotor(
     seed: int,
     network: Json | None,
     adopt: Adopt = "never",
+    diagnose: Diagnose = "never",
 ) -> str:
-    """What tells a repeated creation from another one; `blades` as at the creation, by id."""
+    """What tells a repeated creation from another one; `blades` as at the creation, by id.
+
+    What a rotor leaves as it is stands in no digest if nothing after it does.
+    """
     body = [rotor_id, model_id, [told_of(b) for b in blades], particles, seed]
-    told = [] if network is None and adopt == "never" else [network]
-    return digest_of_json([*body, *told, *([] if adopt == "never" else [adopt])])[1]
+    told: list[object] = [network, adopt, diagnose]
+    for plain in ("never", "never", None):
+        if told[-1] != plain:
+            break
+        del told[-1]
+    return digest_of_json([*body, *told])[1]

@@ -24,6 +24,7 @@ def rotor_out(rotor: RotorRecord) -> dict[str, Any]:
         "seed": rotor.seed,
         "network": rotor.network,
         "adopt": rotor.adopt,
+        "diagnose": rotor.diagnose,
         "origin": rotor.origin,
         "created_at": moment(rotor.created_at),
         "head_seq": rotor.head_seq,

@@ -9,7 +9,7 @@ from pydantic.config import JsonValue
 
 from core.network import Kind
 from service.api.schemas import Body, Id, Moment, Text
-from service.ports import Adopt, BladeRecord, Json
+from service.ports import Adopt, BladeRecord, Diagnose, Json
 
 SHARPEST, BLUNTEST = 1e-3, 1e3  # sd of a normal prior, in widths of its interval
 Positive = Annotated[FiniteFloat, Field(gt=0)]
@@ -141,6 +141,7 @@ class RotorIn(Body):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     network: NetworkIn | None = None
     adopt: Adopt = "never"
+    diagnose: Diagnose = "never"
 
     def asked_network(self) -> Json | None:
         """What the rotor varies, without what it leaves out; None: nothing."""

@@ -660,11 +660,24 @@ class Found(TypedDict):
     rests_on: FoundRestsOn
 
 
+class DiagnosisRequestBecauseTest(TypedDict):
+    grouping: str
+    value: str | None
+    statistic: Literal["mean", "variance", "autocorrelation"]
+
+
+class DiagnosisRequestBecause(TypedDict):
+    version: int
+    alarms: int
+    tests: list[DiagnosisRequestBecauseTest]
+
+
 class DiagnosisRequest(TypedDict):
     families: list[dict[str, Any]]
     compare: bool
     horizon_h: float
     through_seq: int
+    because: NotRequired[DiagnosisRequestBecause]
 
 
 class Diagnosis(TypedDict):
@@ -701,6 +714,7 @@ class Standing(TypedDict):
     seed: int
     network: dict[str, Any] | None
     adopt: Literal["never", "effect"]
+    diagnose: Literal["never", "alarm"]
     created_at: str
     origin: str | None
     head_seq: int
@@ -719,6 +733,7 @@ class RotorMade(TypedDict):
     seed: int
     network: dict[str, Any] | None
     adopt: Literal["never", "effect"]
+    diagnose: Literal["never", "alarm"]
     created_at: str
     blades: list[Blade]
 
@@ -731,6 +746,7 @@ class Rotor(TypedDict):
     seed: int
     network: dict[str, Any] | None
     adopt: Literal["never", "effect"]
+    diagnose: Literal["never", "alarm"]
     created_at: str
     origin: str | None
     head_seq: int

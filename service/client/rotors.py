@@ -38,12 +38,14 @@ def create_rotor(
     seed: int | None = None,
     network: Mapping[str, Any] | None = None,
     adopt: str | None = None,
+    diagnose: str | None = None,
 ) -> Steps[answers.RotorMade]:
     """Create a rotor; a blade is an id or ``{"id", "slot"?, "lot"?, "known"?, …}``.
 
     network   what it varies of the model's network, e.g.
               ``{"quantities": {"elongation": {"by_instrument": True}}, "forgetting_h": 2e4}``
     adopt     ``effect``: a diagnosis that names an effect is adopted by itself
+    diagnose  ``alarm``: residuals that alarm ask for a diagnosis by themselves
     """
     listed = [{"id": b} if isinstance(b, str) else dict(b) for b in blades]
     body: Json = {"id": rotor, "model": model, "blades": listed}
@@ -51,6 +53,7 @@ def create_rotor(
     body |= {} if seed is None else {"seed": seed}
     body |= {} if network is None else {"network": dict(network)}
     body |= {} if adopt is None else {"adopt": adopt}
+    body |= {} if diagnose is None else {"diagnose": diagnose}
     return ask("POST", path("rotors"), json=body)
 
 

@@ -139,6 +139,12 @@ def history(store: Store, rotor_id: str, after: int, limit: int) -> list[Change]
         return [_change(event) for event in tx.log.changes(rotor_id, after, limit)]
 
 
+def backed_out_last(tx: Transaction, rotor_id: str) -> int | None:
+    """The entry that backed out, where that was the last thing done to the rotor's model."""
+    own = [event for event in entries(tx, rotor_id) if event.kind != JOINING]
+    return own[-1].seq if own and own[-1].kind == BACK_OUT else None
+
+
 def standing(store: Store, rotor_id: str, diagnosis: str) -> Change | None:
     """The entry by which a diagnosis was last adopted or backed out; None: it never was."""
     with store.read() as tx:

@@ -2,7 +2,7 @@
 
 A diagnosis rests on the log as it stands when it is asked for, through its head; what comes later
 belongs to the next one. The same question about the same log, while it is being answered, is the
-same diagnosis.
+same diagnosis, whether somebody asked it or the rotor's own residuals (`service.worker.asking`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from service.errors import NotFoundError
 from service.ports import JobRecord, Json, ModelCard, Science, Store, Transaction
 
 KIND = "diagnose"
+BECAUSE = "because"  # of a request that nobody made: what alarms
 HORIZON_H = 50_000.0
 
 
@@ -55,9 +56,21 @@ def request_diagnosis(
     with store.write() as tx:
         request = asked | {"through_seq": tx.log.lock(rotor_id)}
         for job in tx.records.unfinished(rotor_id, KIND):
-            if job.request == request:
+            if {k: v for k, v in job.request.items() if k != BECAUSE} == request:
                 return job, False
         return tx.records.put_job(diagnosis_id(), KIND, request, rotor_id), True
+
+
+def ask_unasked(tx: Transaction, rotor_id: str, through: int, because: Json) -> JobRecord:
+    """A diagnosis that nobody asked for, of the log through an entry, with what it is there for.
+
+    It asks what a request without a word of its own asks.
+    """
+    rotor = tx.records.rotor(rotor_id)
+    card = tx.records.model(rotor.model_id, rotor.model_version)
+    request = {"families": [], "compare": True, "horizon_h": _horizon(card, None)}
+    request |= {"through_seq": through, BECAUSE: because}
+    return tx.records.put_job(diagnosis_id(), KIND, request, rotor_id)
 
 
 def _horizon(card: ModelCard, asked: float | None) -> float:

@@ -14,6 +14,7 @@ from service.handlers.blades import blades_at
 from service.ports import (
     Adopt,
     BladeRecord,
+    Diagnose,
     Json,
     ModelCard,
     RotorRecord,
@@ -72,12 +73,14 @@ def create_rotor(
     network: Json | None = None,
     adopt: Adopt = "never",
     card: ModelCard | None = None,
+    diagnose: Diagnose = "never",
 ) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool]:
     """A new rotor, or the one that is there with the same content; whether it is new.
 
     network   what it varies of the model's network
     adopt     whether a diagnosis that names an effect is adopted by itself
     card      the version that the network was checked against (`check_network`); None: the newest
+    diagnose  whether a diagnosis is asked for by itself
     """
     names = [blade.id for blade in blades]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -87,7 +90,8 @@ def create_rotor(
     if found := faults_together(blades):
         raise FaultsError(found)
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
-    digest = digest_of_rotor(rotor_id, model_id, ordered, particles, seed, network, adopt)
+    asks = (particles, seed, network, adopt, diagnose)
+    digest = digest_of_rotor(rotor_id, model_id, ordered, *asks)
     with store.write() as tx:
         card = _registered(tx, model_id) if card is None else card
         check_known(card.network, [(f"blades[{i}].", blade) for i, blade in enumerate(blades)])
@@ -102,6 +106,7 @@ def create_rotor(
             created_at=0.0,
             network=network,
             adopt=adopt,
+            diagnose=diagnose,
         )
         new = tx.records.put_rotor(rotor, ordered)
         stored = tx.records.rotor(rotor_id)
@@ -119,6 +124,7 @@ def created_before(
     seed: int,
     network: Json | None,
     adopt: Adopt,
+    diagnose: Diagnose = "never",
 ) -> tuple[RotorRecord, tuple[BladeRecord, ...], bool] | None:
     """What `create_rotor` gives again for a rotor that is there, whatever models and settings have
     come since; None: there is none of this content. The request is judged (If-Match) and noted in
@@ -133,7 +139,8 @@ def created_before(
         return None
     ordered = tuple(sorted(blades, key=lambda blade: blade.id))
     count = stored.particles if particles is None else particles
-    digest = digest_of_rotor(rotor_id, model_id, ordered, count, seed, network, adopt)
+    asks = (count, seed, network, adopt, diagnose)
+    digest = digest_of_rotor(rotor_id, model_id, ordered, *asks)
     if digest != stored.digest:
         return None
     with store.write():

@@ -83,7 +83,7 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
         count = checked_log(file, blades, varied, told.network, asked)
         name = told.id if as_id is None else _named(as_id)
         origin = told.origin or told.id
-        asks = (told.particles, told.seed, told.network, told.adopt)
+        asks = (told.particles, told.seed, told.network, told.adopt, told.diagnose)
         digest = digest_of_rotor(name, told.model, as_created(blades), *asks)
         record = RotorRecord(
             name,
@@ -96,6 +96,7 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
             created_at=told.created_at or 0.0,
             network=told.network,
             adopt=told.adopt,
+            diagnose=told.diagnose,
             origin=None if origin == name else origin,
         )
         with store.write() as tx:

@@ -19,7 +19,7 @@ from service.bundle import Bundle, BundleError
 from service.digests import as_created, digest_of_blade, digest_of_rotor
 from service.entries import body_problem
 from service.names import ID_PATTERN, TEXT_PATTERN
-from service.ports import Adopt, BladeRecord, Event, Json, ModelCard
+from service.ports import Adopt, BladeRecord, Diagnose, Event, Json, ModelCard
 from service.variant import check_known
 
 CHUNK = 500  # entries that are read or written at once
@@ -50,6 +50,7 @@ class RotorLine(Line):
     origin: Id | None
     digest: Name
     adopt: Adopt = "never"
+    diagnose: Diagnose = "never"
     created_at: Moment | None = None
 
 
@@ -105,7 +106,7 @@ def read_blades(file: Bundle, told: RotorLine, card: ModelCard) -> list[BladeRec
     if names != sorted(set(names)):
         raise BundleError(file.path, "blades.jsonl is not ordered by id, or names a blade twice")
     check_known(card.network, [(f"blade {blade.id}: ", blade) for blade in blades])
-    asks = (told.particles, told.seed, told.network, told.adopt)
+    asks = (told.particles, told.seed, told.network, told.adopt, told.diagnose)
     made = digest_of_rotor(told.id, told.model, as_created(blades), *asks)
     if made != told.digest:
         raise BundleError(file.path, "rotor.json and blades.jsonl do not have the rotor's digest")

@@ -45,6 +45,7 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
         network=rotor.network,
         origin=rotor.origin,
         adopt=rotor.adopt,
+        diagnose=rotor.diagnose,
         digest=rotor.digest,
         created_at=rotor.created_at,
     )
@@ -59,7 +60,7 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
 
 def _check_creation(rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
     """DamagedRotorError: the rotor's row, or those of its first blades, are not what they were."""
-    asks = (rotor.particles, rotor.seed, rotor.network, rotor.adopt)
+    asks = (rotor.particles, rotor.seed, rotor.network, rotor.adopt, rotor.diagnose)
     made = digest_of_rotor(rotor.id, rotor.model_id, as_created(blades), *asks)
     if made != rotor.digest:
         problem = f"has digest {made[:12]}… with its first blades, written was {rotor.digest[:12]}…"

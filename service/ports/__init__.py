@@ -25,6 +25,7 @@ from service.ports.store import Blobs, Guard, Log, Outbox, Records, States, Stor
 from service.ports.values import (
     Adopt,
     Array,
+    Diagnose,
     Draws,
     Field,
     Forward,
@@ -52,6 +53,7 @@ __all__ = [
     "BladeReadings",
     "BladeRecord",
     "Blobs",
+    "Diagnose",
     "Draws",
     "Event",
     "Field",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from service.ports.values import (
     Adopt,
+    Diagnose,
     Json,
 )
 
@@ -66,6 +67,7 @@ class RotorRecord:
               nothing. What it has now is told by its log (`service.adopted`)
     origin    the id under which its random numbers are drawn, where it was imported under another
     adopt     whether a diagnosis that names an effect is adopted by itself: ``never`` or ``effect``
+    diagnose  whether one is asked for by itself: ``never``, or on an ``alarm`` of its residuals
     """
 
     id: str
@@ -79,6 +81,7 @@ class RotorRecord:
     network: Json | None = None
     origin: str | None = None
     adopt: Adopt = "never"
+    diagnose: Diagnose = "never"
     applied_seq: int = 0
     version: int = 0
     dirty: bool = True

@@ -18,6 +18,7 @@ Get = Callable[[str], Array]
 NoiseFrom = Literal["readings", "prior"]
 Progress = Callable[[str, int, int], None]
 Adopt = Literal["never", "effect"]
+Diagnose = Literal["never", "alarm"]
 
 
 @dataclass(frozen=True, slots=True)

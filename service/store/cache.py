@@ -113,6 +113,7 @@ class Asked(NamedTuple):
     seed: int
     network: Json | None
     adopt: str
+    diagnose: str
     digest: str
 
     @staticmethod

@@ -185,7 +185,7 @@ def problems(
 def _problems(
     rotor: RotorRecord, blades: Sequence[BladeRecord], moves: Iterable[Move] | None
 ) -> Iterator[Problem]:
-    asks = (rotor.particles, rotor.seed, rotor.network, rotor.adopt)
+    asks = (rotor.particles, rotor.seed, rotor.network, rotor.adopt, rotor.diagnose)
     made = digest_of_rotor(rotor.id, rotor.model_id, as_created(blades), *asks)
     if made != rotor.digest:
         whose = "its row and the blades of its creation have"

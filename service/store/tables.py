@@ -16,12 +16,15 @@ stay behind where a rotor is exported.
 
 `residual` holds what a worker of the role `diagnose` made of the newest sealed version that it has
 looked at: every reading predicted before it was used, and tests. Versions newer than its own are
-its queue; `fence`, `owner` and `lease_until` are those of whoever computes them.
+its queue; `fence`, `owner` and `lease_until` are those of whoever computes them. `judged` is the
+newest version of which it was decided whether its alarms ask for a diagnosis, `asked` what alarmed
+when they last did (`service.worker.asking`).
 
 `blob` holds files in parts by their SHA-256: runs that were uploaded, until their job has ended,
 and trained surrogates, which the row of their model names.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
-its own; `rotor.adopt` says whether a diagnosis is adopted by itself. `cursor.outbox_dropped` is the
+its own; `rotor.adopt` says whether a diagnosis is adopted by itself, `rotor.diagnose` whether one
+is asked for by itself. `cursor.outbox_dropped` is the
 newest note of the outbox that is no longer kept.
 
 Who calls and who is told have tables of their own: `access_tables`, `hook_tables`.
@@ -97,6 +100,7 @@ rotor = Table(
     Column("network", Text),
     Column("origin", NAME),
     Column("adopt", String(20), nullable=False, server_default="never"),
+    Column("diagnose", String(20), nullable=False, server_default="never"),
     ForeignKeyConstraint(["model_id", "model_version"], ["model.id", "model.version"]),
 )
 
@@ -218,6 +222,8 @@ residual = Table(
     Column("not_before", Double),
     Column("attempts", Integer, nullable=False),
     Column("error", Text),
+    Column("judged", BIG, nullable=False, server_default="0"),
+    Column("asked", Text),
 )
 
 blob = Table(

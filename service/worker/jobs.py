@@ -21,7 +21,8 @@ from core.log import Entry
 from service import tracing
 from service.errors import AdoptionError, LostLeaseError, NotFoundError, StoreAwayError
 from service.handlers.adoptable import read_ahead
-from service.handlers.adoptions import adopt_in
+from service.handlers.adoptions import adopt_in, backed_out_last
+from service.handlers.diagnoses import BECAUSE
 from service.handlers.diagnoses import KIND as DIAGNOSE
 from service.handlers.models import TRAIN
 from service.ports import Json, Progress, Science
@@ -171,7 +172,13 @@ class Jobs:
         if option != "effect" or found["verdict"] != "effect":
             return found
         try:
-            adopt_in(tx, self.science, tx.records.job(lease.id), found, ahead, unasked=True)
+            job = tx.records.job(lease.id)
+            if BECAUSE in job.request and (seq := backed_out_last(tx, lease.rotor_id)) is not None:
+                problem = f"somebody backed out what was adopted last, with entry {seq}"
+                there = f"/v1/rotors/{lease.rotor_id}/diagnoses/{lease.id}"
+                remedy = f"where it is to be had all the same, POST {there}/adoption"
+                raise AdoptionError(lease.id, "adopted unasked", problem, remedy)
+            adopt_in(tx, self.science, job, found, ahead, unasked=True)
         except AdoptionError as error:
             log.warning("%s", error)
             return found | {"not_adopted": str(error)}

@@ -21,6 +21,7 @@ from service.errors import StoreAwayError
 from service.ports import Science
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
+from service.worker.asking import Asking
 from service.worker.claiming import Role
 from service.worker.heartbeat import rest
 from service.worker.jobs import Jobs
@@ -62,6 +63,7 @@ class Worker:
         self.settings = settings
         self.jobs = Jobs(store, science, settings, owner, role, self._stop.is_set)
         self.residuals = Residuals(store, science, settings, owner, self._stop.is_set)
+        self.asking = Asking(store)
 
     def stop(self, signum: int | None = None, frame: FrameType | None = None) -> None:
         """Finish the step of a diagnosis, then end; fits `signal.signal`.
@@ -102,7 +104,7 @@ class Worker:
         """
         if self.updater.run_once() or (jobs and self.jobs.run_once()):
             return True
-        return self.role == "diagnose" and self.residuals.run_once()
+        return self.role == "diagnose" and (self.asking.run_once() or self.residuals.run_once())
 
     def run(self) -> None:
         """Work until stopped; a database that is away is waited for."""

@@ -20,7 +20,7 @@ from core.network import Network, Parameter
 from core.observation import Inspection
 from core.prior import Prior
 from core.readings import digest_of
-from service.fake import FakeScience, FakeState
+from service.fake import FakeScience, FakeState, questions
 from service.ports import BladeRecord, Json, ModelCard, Progress, RotorSpec
 from service.variant import effects_between, vary
 
@@ -67,6 +67,20 @@ class Offsets(FakeScience):
         state = super().update(card, rotor, own, previous, quick=quick)
         meta = {**state.meta, "events_digest": digest_of(readings), "model": card.digest}
         return FakeState(meta, state.arrays)
+
+    def residuals(
+        self,
+        card: ModelCard,
+        rotor: RotorSpec,
+        facts: Sequence[BladeRecord],
+        readings: Sequence[Inspection],
+        progress: Progress,
+    ) -> Json:
+        own = corrected(card.network, readings)
+        update = lambda before: super(Offsets, self).update(  # noqa: E731
+            card, rotor, before, None, quick=False
+        )
+        return questions.residuals_of(update, rotor, facts, own, progress)
 
     def diagnose(
         self,

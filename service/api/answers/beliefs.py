@@ -42,6 +42,7 @@ MADE = {
     "seed": WHOLE,
     "network": maybe(ANY),
     "adopt": {"enum": ["never", "effect"]},
+    "diagnose": {"enum": ["never", "alarm"]},
     "created_at": TEXT,
 }
 STANDING = MADE | {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from service.api.answers.residuals import REQUEST
 from service.api.answers.words import (
     ANY,
     NUMBER,
@@ -235,7 +236,7 @@ DIAGNOSIS_LISTED = {
     "id": TEXT,
     "rotor": TEXT,
     "status": {"enum": ["queued", "running", "done", "failed", "cancelled"]},
-    "request": having(families=each(ANY), compare=YES, horizon_h=NUMBER, through_seq=WHOLE),
+    "request": REQUEST,
     "progress": maybe(having(what=TEXT, done=WHOLE, total=WHOLE, seconds_left=maybe(NUMBER))),
     "error": maybe(TEXT),
     "attempts": WHOLE,

@@ -1,12 +1,14 @@
 """Residuals: every reading beside its prediction, the visits, and tests of all of them.
 
 z = (y − mean) / sd, and `pit` is the predicted probability of a reading below y. A test's p is its
-own, `p_family` that among all of them (`core.diagnosis.omnibus`).
+own, `p_family` that among all of them (`core.diagnosis.omnibus`). Those that alarm may ask for a
+diagnosis: `because` of its request.
 """
 
 from __future__ import annotations
 
 from service.api.answers.words import (
+    ANY,
     NUMBER,
     TEXT,
     WHOLE,
@@ -32,10 +34,18 @@ RESIDUAL = having(
     z=NUMBER,
     pit=NUMBER,
 )
+ASKS = {
+    "grouping": TEXT,
+    "value": maybe(TEXT),
+    "statistic": {"enum": ["mean", "variance", "autocorrelation"]},
+}
+BECAUSE = having(version=WHOLE, alarms=WHOLE, tests=each(having(**ASKS)))
+REQUEST = having(
+    ("because",), families=each(ANY), compare=YES, horizon_h=NUMBER, through_seq=WHOLE,
+    because=BECAUSE,
+)  # fmt: skip
 TEST = having(
-    grouping=TEXT,
-    value=maybe(TEXT),
-    statistic={"enum": ["mean", "variance", "autocorrelation"]},
+    **ASKS,
     count=WHOLE,
     score=NUMBER,
     p=NUMBER,

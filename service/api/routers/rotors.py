@@ -43,11 +43,12 @@ WAIT_S = 30.0
 def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
     network, blades = body.asked_network(), [blade.record() for blade in body.blades]
     asked = (services.store, body.id, body.model, blades)
-    made = use.created_before(*asked, body.particles, body.seed, network, body.adopt)
+    options = (body.adopt, body.diagnose)
+    made = use.created_before(*asked, body.particles, body.seed, network, *options)
     if made is None:
         card = use.check_network(services.store, services.science, body.model, network)
         count = services.settings.particles if body.particles is None else body.particles
-        made = use.create_rotor(*asked, count, body.seed, network, body.adopt, card)
+        made = use.create_rotor(*asked, count, body.seed, network, body.adopt, card, body.diagnose)
     rotor, ordered, new = made
     answer = {
         "id": rotor.id,
@@ -58,6 +59,7 @@ def post_rotor(body: RotorIn, services: Wired) -> JSONResponse:
         "seed": rotor.seed,
         "network": rotor.network,
         "adopt": rotor.adopt,
+        "diagnose": rotor.diagnose,
         "created_at": moment(rotor.created_at),
     }
     headers = {"Location": f"/v1/rotors/{rotor.id}"}
