@@ -30,9 +30,7 @@ def effects(
     planted: Annotated[int, typer.Option(help="Sets of each planted effect.")] = 16,
     plan: Annotated[
         str,
-        typer.Option(
-            help="Blades and visits: rotor-20, fleet-100, fleet-one-age, fleet-scans or -2."
-        ),
+        typer.Option(help="rotor-20, or fleet-: 100, one-age, six-visits, scans, scans-2."),
     ] = "rotor-20",
     size: Annotated[
         float, typer.Option(help="Change at the last visit in noises, where the plan is scaled.")
@@ -98,6 +96,9 @@ def truths(
     one_age: Annotated[
         bool, typer.Option("--one-age", help="Those of the plan fleet-one-age.")
     ] = False,
+    six_visits: Annotated[
+        bool, typer.Option("--six-visits", help="Those of the plan fleet-six-visits.")
+    ] = False,
     scans: Annotated[bool, typer.Option("--scans", help="Those of the plan fleet-scans.")] = False,
     rotor: Annotated[
         str, typer.Option(help="With --scans: second, those of fleet-scans-2.")
@@ -119,8 +120,9 @@ def truths(
     if scans:
         shipped, todo = effect_scans.shipped(rotor), effect_scans.runs(rotor)
         make = partial(effect_scans.make, rotor=rotor)
-    elif fleet or one_age:
+    elif fleet or one_age or six_visits:
         of = effect_fleet.ONE_AGE if one_age else effect_fleet.FIVE_AGES
+        of = effect_fleet.SIX_VISITS if six_visits else of
         shipped, todo = of.shipped, effect_fleet.runs(of)
         make = partial(effect_fleet.make, of=of)
     else:

@@ -19,7 +19,7 @@ from service.fake import FakeScience
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
-from service.ports import BladeRecord
+from service.ports import BladeRecord, Diagnose
 from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.migrate import migrate
@@ -56,7 +56,11 @@ def reading(name: str, *, value: float, **given: Any) -> Inspection:
 
 @contextmanager
 def running(
-    folder: Path, science: FakeScience, blades: list[BladeRecord], readings: list[Inspection]
+    folder: Path,
+    science: FakeScience,
+    blades: list[BladeRecord],
+    readings: list[Inspection],
+    diagnose: Diagnose = "never",
 ) -> Iterator[Twin]:
     settings = Settings(
         database_url=f"sqlite:///{folder / 'x.db'}", science="fake", seal_after_s=0.0
@@ -64,7 +68,7 @@ def running(
     store, server = SqlStore(open_engine(settings.database_url)), RunningServer()
     migrate(store.engine)
     register_builtins(store, science)
-    create_rotor(store, "r1", "rotor-blade", blades, 64, 7)
+    create_rotor(store, "r1", "rotor-blade", blades, 64, 7, diagnose=diagnose)
     post_inspections(store, "r1", [Item("", one) for one in readings])
     worker = make_worker(store, science, settings, "worker-1")
     diagnoser = make_worker(store, science, settings, "diagnoser-1", "diagnose")
@@ -89,6 +93,16 @@ def lots(tmp_path: Path) -> Iterator[Twin]:
     readings = [one for name, lot in LOTS.items() for one in read(reading, name, lot)]
     with running(tmp_path, Lots(), blades, readings) as twin:
         yield twin
+
+
+@pytest.fixture
+def asking(tmp_path: Path, browser: Browser) -> Iterator[tuple[Watched, Twin]]:
+    """Its residuals ask for diagnoses by themselves."""
+    blades = [BladeRecord(f"B{i}") for i in (1, 2, 3)]
+    off = visits(reading, {"c2": 0.3})
+    with running(tmp_path, Offsets(), blades, off, "alarm") as twin:
+        for seen in watched(browser, twin):
+            yield seen, twin
 
 
 @pytest.fixture
@@ -237,3 +251,21 @@ def test_the_page_of_an_adopted_diagnosis_tells_which_blade_joined(
         expect(page.locator("main")).to_contain_text("B9")
         expect(page.locator("main")).not_to_contain_text("joined after")
     assert (seen_lots.errors, seen_lots.outside) == ([], [])
+
+
+def test_a_diagnosis_that_the_residuals_asked_for_says_what_alarmed(
+    asking: tuple[Watched, Twin],
+) -> None:
+    seen, twin = asking
+    page = seen.open("/rotors/r1/diagnoses")
+    expect(page.locator("main")).to_contain_text("residuals ask by themselves where they alarm.")
+    expect(page.locator("main")).to_contain_text("None was asked for yet.")
+    twin.diagnoser.drain()
+    (one,) = twin.client.get("/v1/rotors/r1/diagnoses").json()["items"]
+    row = page.get_by_role("table").get_by_role("row", name=NAME)
+    expect(row).to_contain_text("residuals")
+    assert not serious(page)
+    page = seen.open(f"/rotors/r1/diagnoses/{one['id']}")
+    expect(page.locator("main")).to_contain_text("tests alarm in version 1")
+    expect(page.locator("main")).to_contain_text("campaign c2 (mean)")
+    assert not serious(page)

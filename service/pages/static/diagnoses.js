@@ -12,6 +12,7 @@ import { stateOf, verdictOf } from "./verdict.js";
 const rotor = names.r;
 const url = path`/v1/rotors/${rotor}/diagnoses`;
 const list = h("div");
+const itself = h("p", { class: "soft small" });
 const said = h("p", { role: "status", class: "small" });
 const compare = h("input", { type: "checkbox", checked: true, id: "compare" });
 const begin = h("button", { type: "submit", class: "main" }, "Look for what the model lacks");
@@ -31,6 +32,7 @@ async function start(event) {
 
 const columns = [
   { name: "Asked", value: (d) => h("a", { href: path`/rotors/${rotor}/diagnoses/${d.id}` }, since(d.created_at)), sort: (d) => d.created_at },
+  { name: "By", value: (d) => (d.request.because ? "residuals" : "somebody"), sort: (d) => (d.request.because ? 1 : 0) },
   { name: "State", value: (d) => badge(...stateOf(d)), sort: (d) => d.status },
   { name: "Verdict", value: (d) => (d.verdict ? verdictOf(d.verdict) : d.status === "running" ? progress(d.progress) : "–"), sort: (d) => d.verdict },
   { name: "Effects", value: (d) => d.names?.join(", ") || "–" },
@@ -43,6 +45,8 @@ async function draw() {
   const now = await get(path`/v1/rotors/${rotor}`);
   show($("states"), badges(statesOf(now)));
   notices(warningsOf(now));
+  itself.textContent = now.diagnose === "alarm" ? "This rotor’s residuals ask by themselves where they alarm." : "This rotor’s residuals ask for none by themselves.";
+  itself.append(now.adopt === "effect" ? " An effect that is named is adopted by itself." : "");
   const found = await get(url, { limit: 50, cursor });
   older.hidden = found.next === null;
   older.onclick = () => {
@@ -56,7 +60,7 @@ async function draw() {
 
 show($("page"),
   panel("Ask", h("form", { class: "controls", onsubmit: start }, begin, h("label", { for: "compare" }, compare, "compare before and after on readings that neither model used")),
-    h("p", { class: "soft small" }, "It takes minutes, rests on the readings that count now, and changes neither rotor nor model."), said),
+    h("p", { class: "soft small" }, "It takes minutes and rests on the readings that count now. Rotor and model stay as they are until what it names is adopted."), itself, said),
   panel("Diagnoses", list, older));
 const redraw = keep(draw, { everyS: 3 });
 offers("post", "/v1/rotors/{r}/diagnoses").then((there) => { begin.disabled = !there; }).catch(() => {});

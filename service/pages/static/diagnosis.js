@@ -7,7 +7,7 @@ import { drawn, follow, keep } from "./live.js";
 import { pictures } from "./pictures.js";
 import { progress } from "./progress.js";
 import { badge, notices } from "./states.js";
-import { stateOf, verdictOf } from "./verdict.js";
+import { askedBy, stateOf, verdictOf } from "./verdict.js";
 
 const rotor = path`/v1/rotors/${names.r}`;
 const url = path`/v1/rotors/${names.r}/diagnoses/${names.d}`;
@@ -171,7 +171,7 @@ async function draw() {
   const model = done ? await get(path`/v1/models/${d.result.rests_on.model}`) : null;
   const unitName = model?.outputs[d.result.before_after?.quantity]?.unit ?? "";
   show($("page"),
-    panel(null, facts([["Asked", moment(d.created_at)], ["Ended", moment(d.finished_at)], ["Rests on", `entries to ${d.request.through_seq}`],
+    panel(null, facts([["Asked", moment(d.created_at)], ["By", askedBy(d.request)], ["Ended", moment(d.finished_at)], ["Rests on", `entries to ${d.request.through_seq}`],
       going && ["Progress", d.status === "queued" ? "queued: it begins when a worker with the role diagnose is free" : progress(d.progress)]]),
     h("div", { class: "controls actions" },
       going && canCancel ? button("Cancel", () => act("Cancel", () => remove(url)), true) : null,
