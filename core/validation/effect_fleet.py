@@ -1,15 +1,17 @@
-"""A hundred blades, each read three times: truths with and without effects.
+"""A hundred blades, each read a few times: truths with and without effects.
 
-    `FIVE_AGES`  two rotors whose blades joined at five different hours, twenty each time, so that
-                 one day's readings are of blades of 4,000 to 44,000 h
-    `ONE_AGE`    a rotor whose blades all joined with it, as after a new set: what goes with age,
-                 with the calendar and with the visit is told apart by the course in time alone
+    `FIVE_AGES`   two rotors whose blades joined at five different hours, twenty each time, so that
+                  one day's readings are of blades of 4,000 to 44,000 h; three visits
+    `ONE_AGE`     a rotor whose blades all joined with it, as after a new set: what goes with age,
+                  with the calendar and with the visit is told apart by the course in time alone;
+                  three visits
+    `SIX_VISITS`  another rotor of blades of five ages, six visits over the hours of `FIVE_AGES`
 
 Effects, by the finite-element model with courses in time:
 
     wear      the coating loses `LOST` of its thickness by 50,000 h of the blade, linearly
     fouling   the gas gets hotter by `FOULED` in 50,000 h of the rotor, linearly
-    step      gas hotter by `HOTTER` from an hour of the rotor on, between the first two visits
+    step      gas hotter by `HOTTER` from an hour of the rotor on, between two visits
     tertiary  creep accelerates with its damage, c = `TERTIARY`
     pulse     gas hotter by `PULSE` for 6,000 h of the rotor between the same, then as before, which
               no family of the grammar says
@@ -20,6 +22,7 @@ share hardly knows the mesh. The last instant, `HORIZON_H`, is nobody's reading:
 
     bladetwin study truths --fleet
     bladetwin study truths --one-age
+    bladetwin study truths --six-visits
 """
 
 from __future__ import annotations
@@ -56,6 +59,7 @@ class Fleet:
     visits_h   the rotor's hours when they are read, (V,)
     step_h     and `pulse_h`: when the gas changes
     gas        place of each rotor's gas in its prior, 0 … 1; none: drawn
+    odd        of the visits, that with a campaign's fault and the first with odd blades' fault
     """
 
     file: str
@@ -66,6 +70,7 @@ class Fleet:
     step_h: float
     pulse_h: tuple[float, float]
     gas: tuple[float, ...] | None = None
+    odd: tuple[int, int] = (1, 2)
 
     @property
     def shipped(self) -> Path:
@@ -148,6 +153,16 @@ ONE_AGE = Fleet(
     18_000.0,
     (15_000.0, 21_000.0),
     (0.7,),
+)
+SIX_VISITS = Fleet(
+    "effect_six_visits.npz",
+    "six visits",
+    1,
+    FIVE_AGES.joined_h,
+    (24_000.0, 28_000.0, 32_000.0, 36_000.0, 40_000.0, 44_000.0),
+    30_000.0,
+    (26_000.0, 32_000.0),
+    odd=(3, 4),
 )
 
 

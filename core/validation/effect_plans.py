@@ -4,6 +4,7 @@
                 were run
     fleet-100   100 blades at three visits, five ages (`effect_fleet`); effects scaled to a size
     fleet-one-age  100 blades at three visits, all of the rotor's age, of another rotor
+    fleet-six-visits  100 blades at six visits, five ages, of another
     fleet-scans one of these rotors, and 3-D scans of two blades of five at the first and at
                 the last visit, of 96 nodes each (`effect_scans`)
     fleet-scans-2  another rotor of 100 blades, scanned as well
@@ -27,7 +28,7 @@ from core.validation import effect_fleet as fleet
 from core.validation import effect_scans as scans
 from core.validation import effect_truths as truths
 from core.validation import fe_rotors
-from core.validation.effect_fleet import FIVE_AGES, ONE_AGE, Fleet
+from core.validation.effect_fleet import FIVE_AGES, ONE_AGE, SIX_VISITS, Fleet
 
 Array = NDArray[np.float64]
 NOISE = 0.02  # mm
@@ -169,7 +170,7 @@ def rotor_20() -> Plan:
 
 @cache
 def of_fleet(name: str, of: Fleet) -> Plan:
-    """Rotors of 100 blades, three readings each."""
+    """Rotors of 100 blades."""
     with np.load(of.shipped, allow_pickle=False) as data:
         elongation, share = data["elongation"], data["share"]
     return _fleet(name, of, elongation, dict(zip(fleet.EFFECTS, share, strict=True)))
@@ -187,7 +188,7 @@ def _fleet(name: str, of: Fleet, elongation: Array, shares: Mapping[str, Array])
         coat,
         elongation[:, :, :-1],
         {effect: own[:, :, :-1] for effect, own in every.items()},
-        (1, 2),
+        of.odd,
         True,
         fleet.HORIZON_H,
         elongation[:, :, -1],
@@ -214,6 +215,7 @@ PLANS: Mapping[str, Callable[[], Plan]] = {
     "rotor-20": rotor_20,
     "fleet-100": partial(of_fleet, "fleet-100", FIVE_AGES),
     "fleet-one-age": partial(of_fleet, "fleet-one-age", ONE_AGE),
+    "fleet-six-visits": partial(of_fleet, "fleet-six-visits", SIX_VISITS),
     "fleet-scans": fleet_scans,
     "fleet-scans-2": partial(fleet_scans, scans.SECOND),
 }

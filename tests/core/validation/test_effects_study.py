@@ -14,7 +14,7 @@ from core.errors import InputError
 from core.validation import effect_fleet, effect_gains, fe_rotors
 from core.validation import effect_sets as sets
 from core.validation import effects_study as study
-from core.validation.effect_fleet import FIVE_AGES, ONE_AGE, Fleet
+from core.validation.effect_fleet import FIVE_AGES, ONE_AGE, SIX_VISITS, Fleet
 from core.validation.effect_gains import improvement
 from core.validation.effect_plans import NOISE, plan
 from core.validation.effect_truths import (
@@ -273,7 +273,22 @@ def test_a_fleet_of_one_age_is_as_old_as_its_rotor() -> None:
     assert set(sets.conditions(fleet)) == set(sets.CONDITIONS)
 
 
-@pytest.mark.parametrize(("of", "effect"), [(FIVE_AGES, "step"), (ONE_AGE, "tertiary")])
+def test_six_visits_are_over_the_hours_of_three() -> None:
+    three, six = plan("fleet-100"), plan("fleet-six-visits")
+    assert six.own_h.shape == (100, 6)
+    assert np.array_equal(six.own_h[:, [0, -1]], three.own_h[:, [0, -1]])
+    assert np.all(np.diff(six.elongation, axis=2) > 0)
+    given = sets.made(six, "campaign", 0, 3, 100)
+    assert len(given.case.readings) == 600
+    (name,) = given.truth
+    late = {r.time_h for r in given.case.readings if f"campaign {r.campaign})" in name}
+    assert late == {36e3, 31e3, 26e3, 21e3, 16e3}  # the fourth visit
+    assert set(sets.CONDITIONS) - set(sets.conditions(six)) == {"one scanner a visit"}
+
+
+@pytest.mark.parametrize(
+    ("of", "effect"), [(FIVE_AGES, "step"), (ONE_AGE, "tertiary"), (SIX_VISITS, "pulse")]
+)
 def test_what_ships_of_a_fleet_is_what_the_finite_elements_say(of: Fleet, effect: str) -> None:
     blade = 57
     with np.load(of.shipped, allow_pickle=False) as data:
@@ -285,7 +300,7 @@ def test_what_ships_of_a_fleet_is_what_the_finite_elements_say(of: Fleet, effect
 
 
 @pytest.mark.parametrize("effect", ["wear", "worn lot", "fouling", "step", "tertiary", "pulse"])
-@pytest.mark.parametrize("name", ["fleet-100", "fleet-one-age"])
+@pytest.mark.parametrize("name", ["fleet-100", "fleet-one-age", "fleet-six-visits"])
 def test_a_fleets_effects_have_their_size(name: str, effect: str) -> None:
     fleet = plan(name)
     for rotor, size in ((0, 2.0), (fleet.rotors - 1, 0.5)):
