@@ -1,7 +1,11 @@
-"""How large an effect has to be until a diagnosis notices it: alarms over the effect's size.
+"""How large an effect has to be until it is noticed: alarms over the effect's size.
 
-Only the first question of a diagnosis is asked, whether anything is missing at all, which takes a
-calibration and a scan; names are the business of `effects_study`. A size is what the effect adds to
+    diagnosis  only its first question is asked, whether anything is missing at all, which takes a
+               calibration and a scan; names are the business of `effects_study`
+    residuals  the tests by which a rotor notices something by itself, before anybody asks
+               (`core.diagnosis.omnibus`), which take a calibration a visit
+
+A size is what the effect adds to
 the concerned readings of the last visit, in noises (`effect_plans`); size 0 is the clean rotor, and
 its alarms are false ones. Beside it stands what oracles would notice that know every parameter's
 place (`effect_oracle`): one that knows what to look for, and one that searches the whole grammar.
@@ -17,11 +21,13 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from core.calibration.online import Workspace, update
+from core.diagnosis.omnibus import omnibus
+from core.diagnosis.residuals import residuals
 from core.diagnosis.verdict import judge
 from core.errors import BladetwinError, InputError
 from core.model import Model, rotor_blade_wide
@@ -34,6 +40,7 @@ from core.validation.records import Record, code_digest, records
 
 SIZES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
 SOUND = CLEAN[0]
+By = Literal["diagnosis", "residuals"]
 
 
 @cache
@@ -41,19 +48,49 @@ def _model() -> Model:
     return rotor_blade_wide()
 
 
-def one(condition: str, size: float, number: int, seed: int, particles: int, plan: str) -> Record:
-    """Whether a set alarms; one that cannot be calibrated does not, and is kept with its error."""
+def one(
+    condition: str,
+    size: float,
+    number: int,
+    seed: int,
+    particles: int,
+    plan: str,
+    by: By = "diagnosis",
+) -> Record:
+    """Whether a set alarms; one that cannot be calibrated does not, and is kept with its error.
+
+    Of residuals the groups that alarm are kept, too.
+    """
     start = time.process_time()
     found: Record = {"condition": condition, "size": size, "number": number, "alarm": False}
     given = made(plan_of(plan), condition, number, seed, particles, size)
     model, work, case = _model(), Workspace(), given.case
     try:
+        if by == "residuals":
+            visits = residuals(model, case.spec, case.readings, case.facts, workspace=work)
+            told = omnibus(visits, case.facts, case.spec.seed)
+            groups = sorted({test.grouping for test in told.alarms})
+            seconds = round(time.process_time() - start, 1)
+            least = min((test.p_family for test in told.tests), default=1.0)
+            return found | {"alarm": bool(groups), "groups": groups, "p": least, "cpu_s": seconds}
         state = update(model, case.spec, case.readings, workspace=work)
         first = judge(case.scan(model, state), case.spec.seed, dealt=case.dealt)
     except BladetwinError as error:
         return found | {"error": str(error)}
     seconds = round(time.process_time() - start, 1)
     return found | {"alarm": first.word != "adequate", "p": first.p, "cpu_s": seconds}
+
+
+def who(told: str) -> By:
+    """Who is to notice; InputError for anybody else.
+
+    >>> who("residuals")
+    'residuals'
+    """
+    found: By | None = next((by for by in get_args(By) if by == told), None)
+    if found is None:
+        raise InputError("by", told, "notices nothing", f"use {' or '.join(get_args(By))}")
+    return found
 
 
 def sizes_of(plan: Plan, condition: str, sizes: Sequence[float]) -> tuple[float, ...]:
@@ -107,6 +144,7 @@ def run(
     seed: int,
     particles: int,
     plan: str = "fleet-100",
+    by: By = "diagnosis",
     processes: int = 1,
     folder: str | Path | None = None,
     commit: str | None = None,
@@ -115,10 +153,10 @@ def run(
     """The records of these sets; `folder` as in `coverage.run`."""
     file = None
     if folder is not None:
-        text = repr((seed, particles, plan, commit, code_digest(), _model().digest))
+        text = repr((seed, particles, plan, by, commit, code_digest(), _model().digest))
         file = Path(folder) / f"power-{sha256(text.encode()).hexdigest()[:12]}.jsonl"
     return records(
-        {key: (*key, seed, particles, plan) for key in keys},
+        {key: (*key, seed, particles, plan, by) for key in keys},
         one,
         lambda r: (str(r["condition"]), float(r["size"]), int(r["number"])),
         file=file,

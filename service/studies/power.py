@@ -1,4 +1,4 @@
-"""`bladetwin study power`: how large an effect has to be until a diagnosis notices it."""
+"""`bladetwin study power`: how large an effect has to be until it is noticed."""
 
 from __future__ import annotations
 
@@ -32,6 +32,9 @@ def power(
         list[str] | None, typer.Option(help="These conditions alone; may be given again.")
     ] = None,
     plan: Annotated[str, typer.Option(help="A plan whose effects are scaled.")] = "fleet-100",
+    by: Annotated[
+        str, typer.Option(help="Who is to notice: diagnosis, or the rotor's residuals.")
+    ] = "diagnosis",
     particles: Annotated[int, typer.Option(help="Particles per blade.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of noise, labels and calibrations.")] = 7,
     processes: Annotated[int, typer.Option(help="Processes that share out the sets.")] = 1,
@@ -45,6 +48,7 @@ def power(
 
     start, made_by = time.monotonic(), commit()
     asked = tuple(sizes or study.SIZES)
+    who = study.who(by)
     keys = study.planned(only, asked, sets, plan)
     with bar("sets", len(keys)) as step:
         found = study.run(
@@ -52,6 +56,7 @@ def power(
             seed=seed,
             particles=particles,
             plan=plan,
+            by=who,
             processes=processes,
             folder=work,
             commit=made_by,
@@ -63,6 +68,7 @@ def power(
         best = study.bounds(asked_of, seed, particles, plan, step)
     facts: dict[str, Any] = {
         "plan": plan,
+        "by": by,
         "seed": seed,
         "particles": particles,
         "sizes": list(asked),
@@ -74,10 +80,10 @@ def power(
     }
     write(facts, made_by, out)
     if out is not None:
-        power_plot(curves, best, out / "power.png")
+        power_plot(curves, best, out / "power.png", by)
 
 
-def power_plot(curves: Curves, best: Curves, file: Path) -> None:
+def power_plot(curves: Curves, best: Curves, file: Path, by: str = "diagnosis") -> None:
     """One small picture for each effect: alarms with their errors, the oracles', false alarms."""
     import matplotlib
 
@@ -121,7 +127,7 @@ def power_plot(curves: Curves, best: Curves, file: Path) -> None:
             ms=4,
             lw=1.6,
             capsize=2,
-            label="diagnosis, ± standard error",
+            label=f"{by}, ± standard error",
         )
         axis.set_title(name, fontsize=10)
         axis.set_ylim(-3, 105)

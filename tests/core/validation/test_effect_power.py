@@ -67,6 +67,19 @@ def test_a_large_offset_alarms_and_no_offset_does_not(
     assert (tmp_path / "power.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_large_offset_alarms_in_the_residuals_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = of_blades(effect_plans.plan("fleet-100"), range(0, 100, 7))
+    monkeypatch.setitem(effect_plans.PLANS, "fleet-15", lambda: few)
+    keys = [("campaign", 4.0, 0), ("clean", 0.0, 0)]
+    monkeypatch.setattr(study, "judge", None)  # no diagnosis is asked
+    found = study.run(keys, seed=3, particles=200, plan="fleet-15", by=study.who("residuals"))
+    assert [one["alarm"] for one in found] == [True, False]
+    assert "campaign" in found[0]["groups"]
+    assert found[0]["p"] <= 0.05 < found[1]["p"]
+    with pytest.raises(InputError, match="use diagnosis or residuals"):
+        study.who("nobody")
+
+
 def test_what_oracles_would_notice_is_a_mean_over_the_rotors_of_a_size(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
