@@ -668,6 +668,7 @@ class DiagnosisRequestBecauseTest(TypedDict):
 
 class DiagnosisRequestBecause(TypedDict):
     version: int
+    readings: int
     alarms: int
     tests: list[DiagnosisRequestBecauseTest]
 
@@ -714,7 +715,7 @@ class Standing(TypedDict):
     seed: int
     network: dict[str, Any] | None
     adopt: Literal["never", "effect"]
-    diagnose: Literal["never", "alarm"]
+    diagnose: Literal["never", "alarm", "readings"]
     created_at: str
     origin: str | None
     head_seq: int
@@ -733,7 +734,7 @@ class RotorMade(TypedDict):
     seed: int
     network: dict[str, Any] | None
     adopt: Literal["never", "effect"]
-    diagnose: Literal["never", "alarm"]
+    diagnose: Literal["never", "alarm", "readings"]
     created_at: str
     blades: list[Blade]
 
@@ -746,7 +747,7 @@ class Rotor(TypedDict):
     seed: int
     network: dict[str, Any] | None
     adopt: Literal["never", "effect"]
-    diagnose: Literal["never", "alarm"]
+    diagnose: Literal["never", "alarm", "readings"]
     created_at: str
     origin: str | None
     head_seq: int

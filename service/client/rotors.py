@@ -45,7 +45,8 @@ def create_rotor(
     network   what it varies of the model's network, e.g.
               ``{"quantities": {"elongation": {"by_instrument": True}}, "forgetting_h": 2e4}``
     adopt     ``effect``: a diagnosis that names an effect is adopted by itself
-    diagnose  ``alarm``: residuals that alarm ask for a diagnosis by themselves
+    diagnose  ``alarm``: residuals that alarm ask for a diagnosis by themselves; ``readings``: so do
+              a quarter more readings
     """
     listed = [{"id": b} if isinstance(b, str) else dict(b) for b in blades]
     body: Json = {"id": rotor, "model": model, "blades": listed}

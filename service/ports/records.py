@@ -67,7 +67,8 @@ class RotorRecord:
               nothing. What it has now is told by its log (`service.adopted`)
     origin    the id under which its random numbers are drawn, where it was imported under another
     adopt     whether a diagnosis that names an effect is adopted by itself: ``never`` or ``effect``
-    diagnose  whether one is asked for by itself: ``never``, or on an ``alarm`` of its residuals
+    diagnose  whether one is asked for by itself: ``never``, on an ``alarm`` of its residuals, or
+              with its ``readings`` as well
     """
 
     id: str

@@ -18,7 +18,7 @@ Get = Callable[[str], Array]
 NoiseFrom = Literal["readings", "prior"]
 Progress = Callable[[str, int, int], None]
 Adopt = Literal["never", "effect"]
-Diagnose = Literal["never", "alarm"]
+Diagnose = Literal["never", "alarm", "readings"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,20 +1,22 @@
-"""A rotor's residuals ask for a diagnosis by themselves.
+"""A rotor asks for a diagnosis by itself: nobody has to look for the loop to be closed.
 
-A rotor that was created with ``diagnose: alarm`` is diagnosed when tests of its residuals alarm:
-nobody has to look for the loop to be closed. It is asked with the alarm, not with the readings, for
-a diagnosis takes minutes of a processor; and once for what alarms, not with every version: a
-misfit that has no name stays, and would be diagnosed after each reading. So it is asked again when
-there is something new to say, which is
+    ``diagnose: alarm``      when tests of its residuals alarm, and again when there is something
+                             new to say:
+        * a campaign, an instrument, a lot, a visit … alarms that did not under this model (a blade
+          more beside them is none: under a model that lacks something they come one by one),
+        * a quarter more readings count (`GROWN`): what could not be told apart then may be now,
+        * the model is another one, something was adopted or backed out, and residuals alarm still
+    ``diagnose: readings``   then, and with every quarter more readings though nothing alarms. What
+                             fits well and forecasts badly (a coating that wears, fouling) does not
+                             alarm: parameters imitate it, and a scan finds it all the same
 
-    * a campaign, an instrument, a lot, a visit … alarms that did not under this model (a blade more
-      that alarms beside them is none: under a model that lacks something they come one by one),
-    * a quarter more readings count (`GROWN`): what could not be told apart then may be now,
-    * the model is another one: something was adopted or backed out, and residuals alarm still.
+A diagnosis takes minutes of a processor, so none is asked for with every version: a misfit that has
+no name stays, and would be diagnosed after each reading.
 
 While a diagnosis of the rotor is under way, whoever asked for it, nothing is asked; when it has
-ended, and rests on what alarms, it was the answer. Otherwise the alarms are judged anew: they are
-looked at as they stand (`waiting`), so that none is missed for what went on when it came. Each
-version's are judged once (`residual.judged`), by one worker: under the rotor's lock.
+ended, and rests on the same readings, it was the answer. Otherwise it is judged anew: residuals are
+looked at as they stand (`waiting`), so that none is missed for what went on when they came. Each
+version is judged once (`residual.judged`), by one worker: under the rotor's lock.
 
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
@@ -42,8 +44,9 @@ SHOWN = 5
 
 
 def waiting() -> ColumnElement[bool]:
-    """Residuals alarm, of a rotor that asks by itself, and this version's were not judged yet."""
-    return (t.rotor.c.diagnose == "alarm") & (r.alarms > 0) & (r.judged < r.version)
+    """Residuals are there, of a rotor that asks by itself, and this version was not judged yet."""
+    asks = (t.rotor.c.diagnose == "alarm") & (r.alarms > 0) | (t.rotor.c.diagnose == "readings")
+    return asks & r.body.is_not(None) & (r.judged < r.version)
 
 
 def idle() -> ColumnElement[bool]:
@@ -66,7 +69,7 @@ def alarming(body: Json) -> list[Json]:
 
 
 def told(body: Json) -> Json:
-    """What alarms, of how many readings, under which model: what a diagnosis is asked for.
+    """What alarms, of how many readings, under which model.
 
     >>> test = {"grouping": "campaign", "value": "c2", "statistic": "mean", "alarm": True}
     >>> blade = test | {"grouping": "blade", "value": "B1"}
@@ -90,18 +93,18 @@ def told(body: Json) -> Json:
 def new(now: Json, before: Json | None) -> bool:
     """Whether there is something to ask that was not asked before (`told`).
 
-    >>> one = {"groups": [["campaign", "c2"]], "readings": 100, "model": "a"}
+    >>> one = {"groups": [["campaign", "c2"]], "tests": [{}], "readings": 100, "model": "a"}
     >>> new(one, None), new(one, one), new(one | {"readings": 125}, one)
     (True, False, True)
     >>> new(one, one | {"groups": []}), new(one | {"groups": []}, one)
     (True, False)
-    >>> new(one | {"model": "b"}, one)
-    True
+    >>> new(one | {"model": "b"}, one), new(one | {"model": "b", "groups": [], "tests": []}, one)
+    (True, False)
     """
-    if before is None or now["model"] != before["model"]:
+    if before is None or now["readings"] >= GROWN * before["readings"]:
         return True
     more = [group for group in now["groups"] if group not in before["groups"]]
-    return bool(more) or now["readings"] >= GROWN * before["readings"]
+    return bool(more) or (bool(now["tests"]) and now["model"] != before["model"])
 
 
 def remembered(now: Json, before: Json | None) -> Json:
@@ -118,7 +121,7 @@ def remembered(now: Json, before: Json | None) -> Json:
 
 
 def answered(tx: Transaction, rotor_id: str, through: int) -> bool:
-    """Whether a diagnosis is there that rests on what alarms, or on more."""
+    """Whether a diagnosis is there that rests on these entries, or on more."""
     jobs = tx.records.jobs_of(rotor_id, KIND, None, LOOKED_AT)
     return any(job.status == "done" and job.request["through_seq"] >= through for job in jobs)
 
@@ -130,7 +133,7 @@ class Asking:
         self.store = store
 
     def run_once(self) -> bool:
-        """Judge the alarms of a rotor; False: none waits."""
+        """Judge the residuals of a rotor; False: none wait."""
         query = (
             select(r.rotor_id)
             .join(t.rotor, t.rotor.c.id == r.rotor_id)
@@ -151,7 +154,7 @@ class Asking:
 
     @staticmethod
     def found(tx: SqlTransaction, rotor_id: str) -> Row[Any, Any, Any] | None:
-        """The alarms as they stand under the rotor's lock; None: somebody has judged them since."""
+        """Residuals as they stand under the rotor's lock; None: somebody has judged them since."""
         query = select(r.version, r.body, r.asked).join(t.rotor, t.rotor.c.id == r.rotor_id)
         mine = query.where(r.rotor_id == rotor_id, waiting(), idle())
         return tx.connection.execute(mine).one_or_none()
@@ -167,7 +170,8 @@ class Asking:
             values["asked"] = json.dumps(remembered(now, before))
             if not answered(tx, rotor_id, through):
                 shown = now["tests"][:SHOWN]
-                because = {"version": now["version"], "alarms": len(now["tests"]), "tests": shown}
+                because = {"version": now["version"], "readings": now["readings"]}
+                because |= {"alarms": len(now["tests"]), "tests": shown}
                 job = ask_unasked(tx, rotor_id, through, because)
                 log.info("diagnosis %s of %s: %d tests alarm", job.id, rotor_id, len(now["tests"]))
         tx.connection.execute(update(t.residual).where(r.rotor_id == rotor_id).values(values))

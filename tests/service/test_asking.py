@@ -18,6 +18,7 @@ from service.client import Client
 from service.fake import HORIZON_H
 from service.handlers.adoptions import back_out
 from service.handlers.diagnoses import cancel_diagnosis, request_diagnosis
+from service.handlers.inspections import retract
 from service.handlers.rotors import create_rotor
 from service.handlers.transfer_in import import_rotor
 from service.handlers.transfer_out import export_rotor
@@ -134,6 +135,35 @@ def test_what_alarms_still_with_an_effect_in_the_model_is_asked_about_again(
     assert names[:2] == [[NAME], ["campaign offset (campaign c4)"]]
     assert alarms(store) == 0
     assert len(found) == 2
+
+
+def test_a_rotor_may_ask_with_its_readings_though_nothing_alarms(
+    store: SqlStore, post: Post, reading: Make, follow: Callable[[], None]
+) -> None:
+    made(store, "readings")
+    post("r1", *visit(reading, 1), *visit(reading, 2))
+    follow()
+    assert alarms(store) == 0
+    (first,) = diagnoses(store)
+    assert first.status == "done"
+    told = first.request["because"]
+    assert (told["readings"], told["alarms"], told["tests"]) == (16, 0, [])
+    post("r1", *visit(reading, 3)[:3])
+    follow()
+    assert len(diagnoses(store)) == 1, "19 readings of 16"
+    post("r1", visit(reading, 3)[3])
+    follow()
+    assert [job.request["because"]["readings"] for job in diagnoses(store)] == [16, 20]
+
+
+def test_a_rotor_without_readings_asks_nothing(
+    store: SqlStore, post: Post, reading: Make, follow: Callable[[], None]
+) -> None:
+    made(store, "readings")
+    post("r1", reading("a"))
+    retract(store, "r1", "a")
+    follow()
+    assert diagnoses(store) == []
 
 
 def test_it_is_asked_of_nobody_who_does_not_say_so(

@@ -42,7 +42,7 @@ MADE = {
     "seed": WHOLE,
     "network": maybe(ANY),
     "adopt": {"enum": ["never", "effect"]},
-    "diagnose": {"enum": ["never", "alarm"]},
+    "diagnose": {"enum": ["never", "alarm", "readings"]},
     "created_at": TEXT,
 }
 STANDING = MADE | {

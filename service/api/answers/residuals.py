@@ -39,7 +39,7 @@ ASKS = {
     "value": maybe(TEXT),
     "statistic": {"enum": ["mean", "variance", "autocorrelation"]},
 }
-BECAUSE = having(version=WHOLE, alarms=WHOLE, tests=each(having(**ASKS)))
+BECAUSE = having(version=WHOLE, readings=WHOLE, alarms=WHOLE, tests=each(having(**ASKS)))
 REQUEST = having(
     ("because",), families=each(ANY), compare=YES, horizon_h=NUMBER, through_seq=WHOLE,
     because=BECAUSE,

@@ -32,7 +32,7 @@ async function start(event) {
 
 const columns = [
   { name: "Asked", value: (d) => h("a", { href: path`/rotors/${rotor}/diagnoses/${d.id}` }, since(d.created_at)), sort: (d) => d.created_at },
-  { name: "By", value: (d) => (d.request.because ? "residuals" : "somebody"), sort: (d) => (d.request.because ? 1 : 0) },
+  { name: "By", value: (d) => (d.request.because ? (d.request.because.alarms ? "residuals" : "readings") : "somebody"), sort: (d) => (d.request.because ? 1 : 0) },
   { name: "State", value: (d) => badge(...stateOf(d)), sort: (d) => d.status },
   { name: "Verdict", value: (d) => (d.verdict ? verdictOf(d.verdict) : d.status === "running" ? progress(d.progress) : "–"), sort: (d) => d.verdict },
   { name: "Effects", value: (d) => d.names?.join(", ") || "–" },
@@ -45,7 +45,10 @@ async function draw() {
   const now = await get(path`/v1/rotors/${rotor}`);
   show($("states"), badges(statesOf(now)));
   notices(warningsOf(now));
-  itself.textContent = now.diagnose === "alarm" ? "This rotor’s residuals ask by themselves where they alarm." : "This rotor’s residuals ask for none by themselves.";
+  itself.textContent = {
+    alarm: "This rotor’s residuals ask by themselves where they alarm.",
+    readings: "This rotor asks by itself where residuals alarm, and with every quarter more readings.",
+  }[now.diagnose] ?? "This rotor asks for none by itself.";
   itself.append(now.adopt === "effect" ? " An effect that is named is adopted by itself." : "");
   const found = await get(url, { limit: 50, cursor });
   older.hidden = found.next === null;

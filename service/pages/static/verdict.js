@@ -11,10 +11,11 @@ const VERDICTS = {
 };
 export const verdictOf = (word) => badge(...(VERDICTS[word] ?? ["warn", word]));
 
-/** Who asked for a diagnosis: somebody, or the rotor's residuals, with what alarms in them. */
+/** Who asked for a diagnosis: somebody, or the rotor itself, with what alarms in its residuals. */
 export function askedBy(request) {
   const because = request.because;
   if (!because) return "somebody";
+  if (!because.alarms) return `the rotor itself, for its readings: ${fixed(because.readings, 0)} count in version ${fixed(because.version, 0)}, a quarter more than when it asked last`;
   const told = because.tests.map((t) => `${words(t.grouping)}${t.value === null ? "" : ` ${t.value}`} (${t.statistic})`);
   const more = because.alarms > told.length ? " and more" : "";
   const count = because.alarms === 1 ? "one test alarms" : `${number(because.alarms, "test")} alarm`;
