@@ -72,6 +72,29 @@ class Start:
         )
         return Start((*self.names, *names), np.r_[self.mean + turn @ mean, mean], whole)
 
+    def between(self, other: Start) -> Start:
+        """Anywhere on the line to another one; of a parameter that one has not its amplitude is 0.
+
+        >>> one = Start(("T", "a"), np.array([1.0, 2.0]), np.diag([1.0, 4.0]))
+        >>> two = Start(("T", "b"), np.array([1.0, 6.0]), np.diag([3.0, 0.0]))
+        >>> both = one.between(two)
+        >>> both.names, both.mean.tolist()
+        (('T', 'a', 'b'), [1.0, 1.0, 3.0])
+        >>> both.covariance.round(3).tolist()
+        [[2.0, 0.0, 0.0], [0.0, 2.333, -1.0], [0.0, -1.0, 3.0]]
+        """
+        names = (*self.names, *(n for n in other.names if n not in self.names))
+        means, covariances = [], []
+        for one in (self, other):
+            at = [names.index(n) for n in one.names]
+            mean, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
+            mean[at], covariance[np.ix_(at, at)] = one.mean, one.covariance
+            means.append(mean)
+            covariances.append(covariance)
+        apart = means[1] - means[0]
+        spread = np.mean(covariances, axis=0) + np.outer(apart, apart) / 12.0
+        return Start(names, np.mean(means, axis=0), spread)
+
     def held(self, values: Mapping[str, float]) -> Start:
         """Without these parameters, which have these values.
 

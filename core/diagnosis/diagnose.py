@@ -17,6 +17,7 @@
     6. The amplitudes have to hold (`verdict`), to lie inside of their room and to be those of all
        blades that the effect is said of (`concerned`), and what is left has to be chance
        (`conclude`).
+    7. Where a cause is claimed and its course in time is open, another course joins (`courses`).
 
 Everything is a function of the readings that count, the facts of the blades and the seed.
 """
@@ -35,6 +36,7 @@ from core.diagnosis.alternatives import shares
 from core.diagnosis.case import Case
 from core.diagnosis.concerned import heard
 from core.diagnosis.conclude import Rival, Turn, conclude
+from core.diagnosis.courses import with_both
 from core.diagnosis.densities import leans
 from core.diagnosis.grammar import Cell
 from core.diagnosis.held import leaving_runs
@@ -156,7 +158,13 @@ def diagnose(
     )
     verdict = shared(verdict, turns, search.prices)
     verdict = heard(verdict, case.concerned(model, state, taken) if taken.effects else ())
+    leading = _leading(taken, turns, verdict)
+    rivals = shares(leading, [*search.known.values()], turns, search.prices)
     if verdict.word == "effect":
+        no_room = lambda cell, rival: _end(cell, model, rival)  # noqa: E731
+        if (both := with_both(search, taken, rivals, verdict.names, no_room)) is not None:
+            taken, told = both
+            verdict = replace(verdict, reasons=(*verdict.reasons, told))
         later = leaving_runs(taken.model, taken.state, case.present)
         verdict = replace(verdict, reasons=(*verdict.reasons, *later))
     return Diagnosis(
@@ -169,7 +177,7 @@ def diagnose(
         tuple((tuple(c.name for c in r.effects), r.gained) for r in search.known.values()),
         tuple(search.refused.items()),
         tuple(turns),
-        shares(_leading(taken, turns, verdict), [*search.known.values()], turns, search.prices),
+        rivals,
     )
 
 

@@ -86,7 +86,7 @@ def foretold(told: Diagnosis, given: Set, horizon_h: float) -> dict[str, Any]:
         return {}
     truth = float(np.mean([given.ahead[b] for b in others.blades]))
     own = frozenset(e.cell for e in told.effects)
-    leading = next((one.mean for one in others.each if frozenset(one.effects) == own), None)
+    leading = next((one.mean for one in others.each if frozenset(one.effects) <= own), None)
     means = {"before": others.before[0], "leading": leading, "together": others.together[0]}
     errors = {k: None if m is None else round(m / truth - 1.0, 5) for k, m in means.items()}
     off = (others.together[0] - truth) / others.together[1]
