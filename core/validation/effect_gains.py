@@ -93,6 +93,15 @@ def foretold(told: Diagnosis, given: Set, horizon_h: float) -> dict[str, Any]:
     return {"rivals": {"count": len(others.each), **errors, "z": round(off, 3)}}
 
 
+def _after(own: Sequence[Record], what: str, power: int = 1) -> Array:
+    """Means over sets of a number's size, of its root mean square for 2: after over before, and
+    where the sets have it without the effect over before."""
+    whens = [when for when in ("before", "after", "sound") if all(when in r for r in own)]
+    sizes = [[abs(r[when][what]) ** power for when in whens] for r in own]
+    means = np.mean(sizes, axis=0) ** (1.0 / power)
+    return np.asarray(means[1:] / means[0])
+
+
 def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
     """By condition, what an effect in the model changes on readings that neither model used.
 
@@ -114,32 +123,19 @@ def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
         if not own:
             continue
 
-        def ratio(what: str, when: str = "after", own: Sequence[Record] = own) -> float:
-            return float(
-                np.mean([abs(r[when][what]) for r in own])
-                / np.mean([abs(r["before"][what]) for r in own])
-            )
-
-        def rmse(when: str, own: Sequence[Record] = own) -> float:
-            return float(np.sqrt(np.mean([r[when]["exact_rmse"] ** 2 for r in own])))
-
-        ahead = "forecast_error" in own[0]["after"]
+        sound = all("sound" in r for r in own)
+        each = {"rmse": _after(own, "exact_rmse", 2), "bias": _after(own, "exact_bias")}
+        if "forecast_error" in own[0]["after"]:
+            each["forecast"] = _after(own, "forecast_error")
         held = sum(r["held"] for r in own)
         found[condition] = {
             "sets": len(own),
-            "rmse": rmse("after") / rmse("before"),
-            "bias": ratio("exact_bias"),
+            **{what: float(ratio[0]) for what, ratio in each.items()},
             "better": sum(r["after"]["log_score"] > r["before"]["log_score"] for r in own)
             / len(own),
             "inside 95": sum(r["held"] * r["after"]["inside_95"] for r in own) / held,
-        } | ({"forecast": ratio("forecast_error")} if ahead else {})
-        if all("sound" in r for r in own):
-            least = {"rmse": rmse("sound") / rmse("before"), "bias": ratio("exact_bias", "sound")}
-            least |= {"forecast": ratio("forecast_error", "sound")} if ahead else {}
-            found[condition] = {
-                **found[condition],
-                **{f"least {what}": value for what, value in least.items()},
-            }
+            **({f"least {what}": float(ratio[1]) for what, ratio in each.items()} if sound else {}),
+        }
         several = [r["rivals"] for r in own if r.get("rivals", {}).get("leading") is not None]
         if several:
             sizes = {k: np.mean([abs(r[k]) for r in several]) for k in FORETOLD}
