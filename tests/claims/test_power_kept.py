@@ -89,3 +89,23 @@ def test_the_whole_curve_is_told_as_it_is_kept() -> None:
     assert f"of {len(clean)} clean sets {sum(one['alarm'] for one in clean)} alarms" in words
     assert f"{sum(at_two)} of 64 are noticed, six of eight" in words
     assert sum(n / 8 >= ASKED for n in at_two) == 6
+
+
+def test_what_residuals_notice_by_themselves_is_told_as_it_is_kept() -> None:
+    """Faults of sensors and hardly any physics: why a rotor may ask without an alarm."""
+    words = (HERE / "README.md").read_text()
+    found = json.loads((HERE / "results/effects-residuals/result.json").read_text())
+    assert (found["by"], found["errors"]) == ("residuals", 0)
+    assert int(found["commit"][:6], 16) == found["seed"]
+    alarms = {}
+    for condition, rows in found["curves"].items():
+        own = [one for one in found["sets"] if one["condition"] == condition]
+        assert sorted(one["number"] for one in own) == list(range(12))
+        assert all(one["alarm"] is (one["p"] <= 0.05) is bool(one["groups"]) for one in own)
+        alarms[condition] = sum(one["alarm"] for one in own)
+        assert rows[0]["alarms"] == alarms[condition] / 12
+    said = [f"{name} {alarms[name]} of 12" for name in ("campaign", "instrument", "gain", "step")]
+    assert ", ".join(said) in words
+    assert f"tertiary {alarms['tertiary']} of 12" in words
+    assert alarms["wear"] == alarms["worn lot"] == alarms["fouling"] == alarms["clean"] == 0
+    assert "wear, worn lot and fouling 0 of 12, clean 0 of 12" in words
