@@ -29,6 +29,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, exists, select, update
 
+from core.errors import BladetwinError
 from service.handlers.diagnoses import KIND, ask_unasked
 from service.ports import Json, Transaction
 from service.store import tables as t
@@ -147,9 +148,16 @@ class Asking:
             return False
         with self.store.write() as tx:
             tx.log.lock(rotor_id)
-            row = self.found(tx, rotor_id)
-            if row is not None:
-                self.judge(tx, rotor_id, row)
+            if (row := self.found(tx, rotor_id)) is None:
+                return True
+            values: Json = {"judged": row.version}
+            try:
+                values |= self.judge(tx, rotor_id, row)
+            except (BladetwinError, ValueError, KeyError, TypeError) as error:
+                # a damaged row ends no worker; the next version has another
+                log.error("residuals of %s ask for nothing: %r", rotor_id, error)
+            own = update(t.residual).where(r.rotor_id == rotor_id)
+            tx.connection.execute(own.values(values))
         return True
 
     @staticmethod
@@ -160,18 +168,16 @@ class Asking:
         return tx.connection.execute(mine).one_or_none()
 
     @staticmethod
-    def judge(tx: SqlTransaction, rotor_id: str, row: Row[Any, Any, Any]) -> None:
-        """Ask, or leave it; both are kept."""
+    def judge(tx: SqlTransaction, rotor_id: str, row: Row[Any, Any, Any]) -> Json:
+        """Ask, or leave it; what is to be kept of it."""
         body = json.loads(row.body)
         now, before = told(body), None if row.asked is None else json.loads(row.asked)
         through = int(body["rests_on"]["through_seq"])
-        values: Json = {"judged": row.version}
-        if new(now, before):
-            values["asked"] = json.dumps(remembered(now, before))
-            if not answered(tx, rotor_id, through):
-                shown = now["tests"][:SHOWN]
-                because = {"version": now["version"], "readings": now["readings"]}
-                because |= {"alarms": len(now["tests"]), "tests": shown}
-                job = ask_unasked(tx, rotor_id, through, because)
-                log.info("diagnosis %s of %s: %d tests alarm", job.id, rotor_id, len(now["tests"]))
-        tx.connection.execute(update(t.residual).where(r.rotor_id == rotor_id).values(values))
+        if not new(now, before):
+            return {}
+        if not answered(tx, rotor_id, through):
+            because = {"version": now["version"], "readings": now["readings"]}
+            because |= {"alarms": len(now["tests"]), "tests": now["tests"][:SHOWN]}
+            job = ask_unasked(tx, rotor_id, through, because)
+            log.info("diagnosis %s of %s: %d tests alarm", job.id, rotor_id, len(now["tests"]))
+        return {"asked": json.dumps(remembered(now, before))}

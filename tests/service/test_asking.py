@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from sqlalchemy import ColumnElement, select, true
+from sqlalchemy import ColumnElement, select, true, update
 
 from core.observation import Inspection
 from service.bootstrap import make_worker
@@ -381,6 +381,17 @@ def test_a_version_is_judged_once(
     assert row.judged == row.version
     assert not Asking(store).run_once()
     assert len(diagnoses(store)) == 1
+
+
+def test_a_damaged_row_asks_for_nothing_and_ends_no_worker(
+    store: SqlStore, alarming: None, diagnoser: Worker, caplog: pytest.LogCaptureFixture
+) -> None:
+    with store.write() as tx:
+        tx.connection.execute(update(t.residual).values(body="{"))
+    diagnoser.drain()
+    assert "residuals of r1 ask for nothing" in caplog.text
+    assert diagnoses(store) == []
+    assert not Asking(store).run_once(), "until there is another version"
 
 
 def test_the_option_leaves_with_the_rotor_and_comes_back(
