@@ -203,8 +203,8 @@ def _room(
             f"effect {drift.name}",
             (round(low, 4) + 0.0, round(high, 4) + 0.0),  # no "-0.0"
             f"finds no room in the runs of {drift.input}, {own.low:g} … {own.high:g}",
-            "use a model whose runs go beyond these: rotor-blade-wide for coatings and gas, else one "
-            "that is trained on runs of your own",
+            "use a model whose runs go beyond these: rotor-blade-wide for coatings and gas, else "
+            "one that is trained on runs of your own",
         )
     return low, high
 
