@@ -28,6 +28,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-clean-2", CLEAN, 134),
         ("effects-clean-3", CLEAN, 24),
         ("effects-clean-4", CLEAN, 134),
+        ("effects-six-visits-clean", CLEAN, 16),
         ("effects-fleet-physics", PHYSICS, 6),
         ("effects-scans", ("clean", *PHYSICS, "pulse"), 2),
         ("effects-scans-clean", ("clean",), 8),

@@ -46,6 +46,17 @@ def test_twice_the_readings_name_no_more_physics_and_nothing_wrongly() -> None:
     assert round(100 * sum(named) / len(named)) == 67
 
 
+def test_clean_fleets_read_six_times_alarm_more_often_than_asked_and_are_given_no_name() -> None:
+    sets, more = kept(NAME)["sets"], kept("effects-six-visits-clean")["sets"]
+    first = [one for one in sets if one["condition"] in CLEAN]
+    alarms = [sum(one["alarm"] for one in own) for own in (first, more)]
+    assert (alarms, len(first), len(more)) == ([3, 4], 12, 48)
+    assert "4 of 48 alarm (1, 1 and 2 of 16 by kind), 8.3 %" in TEXT
+    assert "7 of 60, 11.7 % ± 4.1" in TEXT
+    assert sum(alarms) / 60 > 0.075, "asked for"
+    assert not any(one["names"] for one in more)
+
+
 def test_what_is_left_is_what_the_same_rotors_have_without_the_effect() -> None:
     found = kept(NAME)["improvement"]
     of_sensors = [(found[kind]["rmse"], found[kind]["least rmse"]) for kind in SENSORS]
