@@ -5,7 +5,7 @@ The three scopes are independent: a key has those that it was given and no other
 =========  ========================================================================
 read       everything that GET answers, but for the audit trail
 ingest     readings: posted, corrected, retracted
-operate    rotors, blades, models, webhooks come and go; retry; the audit trail
+operate    rotors, blades, models, webhooks come and go; policies; retry; the audit trail
 =========  ========================================================================
 
 An `Act` is one state-changing request on its way through the service. A store that acts for it

@@ -5,7 +5,8 @@
     manifest.json   format, schema, release, rotor, model, head_seq, per member its bytes, lines and
                     SHA-256, the newest sealed digests, and the SHA-256 of all that
     rotor.json      id, model, model_version, particles, seed, network, origin, digest, `adopt` and
-                    `diagnose` where they are not "never", `created_at`
+                    `diagnose` where they are not "never", `created_at`, `policy` where what it
+                    does by itself was decided anew
     blades.jsonl    one blade a line, in the order of their ids
     log.jsonl       one entry a line, 1 … head_seq: the columns of the log, with `received_at`, and
                     `posted_by` where it is known; effects that were adopted or backed out are

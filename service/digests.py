@@ -1,4 +1,4 @@
-"""What rotors, blades and entries of the log are called by: SHA-256 of their content."""
+"""What rotors, blades, policies and entries of the log are called by: SHA-256 of their content."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from hashlib import sha256
 
-from service.ports import Adopt, BladeRecord, Diagnose, Json
+from service.ports import Adopt, BladeRecord, Diagnose, Json, RotorRecord
 
 FIELDS = tuple(field.name for field in fields(BladeRecord))
 
@@ -40,6 +40,23 @@ def as_created(blades: Sequence[BladeRecord]) -> list[BladeRecord]:
     """Those of a rotor's creation, as they were then; `blades` by id."""
     first = [blade for blade in blades if blade.added_seq == 0]
     return [b if b.retired_seq is None else replace(b, retired_seq=None) for b in first]
+
+
+def digest_of_policy(rotor_id: str, adopt: str, diagnose: str, at: float) -> str:
+    """What a rotor does by itself, since when."""
+    return digest_of_json(["policy", rotor_id, adopt, diagnose, at])[1]
+
+
+def policy_problem(rotor: RotorRecord) -> str | None:
+    """Why the policy in force is not the one that was written; None: it is, or there is none."""
+    if (now := rotor.policy) is None:
+        return None
+    made = digest_of_policy(rotor.id, now.adopt, now.diagnose, now.at)
+    if made == now.digest:
+        return None
+    written = str(now.digest)[:12]
+    what = f"what it does by itself has digest {made[:12]}…, written was {written}…"
+    return f"{what} (POST …/policy with both options writes it anew)"
 
 
 def digest_of_rotor(

@@ -147,3 +147,18 @@ class RotorIn(Body):
         """What the rotor varies, without what it leaves out; None: nothing."""
         told: Json = {} if self.network is None else self.network.model_dump(exclude_none=True)
         return told or None
+
+
+class PolicyIn(Body):
+    """What a rotor does by itself from now on; what is left out stays as it is."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"diagnose": "alarm"}]})
+
+    adopt: Adopt | None = None
+    diagnose: Diagnose | None = None
+
+    @model_validator(mode="after")
+    def _says(self) -> Self:
+        if self.adopt is None and self.diagnose is None:
+            raise ValueError("nothing is decided: give `adopt`, `diagnose` or both")
+        return self

@@ -56,6 +56,7 @@ RULES: dict[str, Rule] = {
     "POST /v1/rotors": Rule("operate"),
     f"GET {ROTOR}": Rule("read"),
     f"POST {ROTOR}/retry": Rule("operate"),
+    f"POST {ROTOR}/policy": Rule("operate"),
     f"POST {ROTOR}/blades": Rule("operate"),
     f"POST {ROTOR}/blades/{{b}}/retirement": Rule("operate"),
     f"GET {ROTOR}/inspections": Rule("read"),

@@ -717,6 +717,7 @@ class Standing(TypedDict):
     adopt: Literal["never", "effect"]
     diagnose: Literal["never", "alarm", "readings"]
     created_at: str
+    policy_since: str | None
     origin: str | None
     head_seq: int
     applied_seq: int
@@ -749,6 +750,7 @@ class Rotor(TypedDict):
     adopt: Literal["never", "effect"]
     diagnose: Literal["never", "alarm", "readings"]
     created_at: str
+    policy_since: str | None
     origin: str | None
     head_seq: int
     applied_seq: int

@@ -58,6 +58,18 @@ def create_rotor(
     return ask("POST", path("rotors"), json=body)
 
 
+def set_policy(
+    rotor: str, *, adopt: str | None = None, diagnose: str | None = None
+) -> Steps[answers.Standing]:
+    """Decide what the rotor does by itself from now on; what is left out stays as it is.
+
+    adopt, diagnose   as in `create_rotor`, or ``never``
+    """
+    body = {"adopt": adopt, "diagnose": diagnose}
+    given = {name: value for name, value in body.items() if value is not None}
+    return ask("POST", path("rotors", rotor, "policy"), json=given)
+
+
 def rotors() -> Call:
     """Every rotor, by name, page by page."""
     return Call("GET", path("rotors"))

@@ -28,6 +28,7 @@ class Calls:
     create_rotor = call(_rotors.create_rotor)
     rotors = pages(_rotors.rotors, _answers.Standing)
     rotor = call(_rotors.rotor)
+    set_policy = call(_rotors.set_policy)
     versions = pages(_rotors.versions, _answers.KeptVersion)
     blades = pages(_rotors.blades, _answers.BladeAtOneHour)
     add_blade = call(_rotors.add_blade)

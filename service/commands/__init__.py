@@ -1,7 +1,8 @@
 """Commands that operate a service: replay, verify, export, import, backup, restore, umbridge.
 
 Each opens the database that the settings name and needs no running service; beside one it goes
-through the same leases as a worker. `health` and `inspect` ask a service that runs.
+through the same leases as a worker. `health`, `inspect` and `policy` ask
+a service that runs.
 
     0   sound, the same, or mended        3   damage, or a difference, that the log can mend
     1   refused; one line says why        4   damage that the log cannot mend
@@ -46,7 +47,7 @@ def opened(settings: Settings) -> Iterator[SqlStore]:
 
 def register(app: typer.Typer) -> None:
     """Add every command of this room."""
-    from service.commands import backup, health, inspect, replay, transfer, umbridge
+    from service.commands import backup, health, inspect, policy, replay, transfer, umbridge
 
     app.command()(replay.replay)
     app.command()(replay.verify)
@@ -56,4 +57,5 @@ def register(app: typer.Typer) -> None:
     app.command()(backup.restore)
     app.command()(health.health)
     app.command()(inspect.inspect)
+    app.command()(policy.policy)
     app.command()(umbridge.umbridge)

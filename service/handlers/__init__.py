@@ -2,6 +2,7 @@
 
 models.py       registration of a model, jobs
 rotors.py       rotors, their blades, retry
+policy.py       what a rotor does by itself, decided anew
 inspections.py  readings, corrections, retractions, the list of what counts
 diagnoses.py    effects that a model lacks, looked for
 adoptable.py    whether a diagnosis may be adopted

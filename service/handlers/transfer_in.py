@@ -28,6 +28,7 @@ from service.handlers.transfer_lines import (
     RotorLine,
     checked_log,
     parsed,
+    policy_of,
     read_blades,
     read_events,
 )
@@ -97,6 +98,7 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
             network=told.network,
             adopt=told.adopt,
             diagnose=told.diagnose,
+            policy=None if told.policy is None else policy_of(name, told.policy),
             origin=None if origin == name else origin,
         )
         with store.write() as tx:

@@ -16,10 +16,10 @@ from core.errors import BladetwinError, InputError
 from core.observation import Inspection, check
 from service.adopted import KINDS, Adopted
 from service.bundle import Bundle, BundleError
-from service.digests import as_created, digest_of_blade, digest_of_rotor
+from service.digests import as_created, digest_of_blade, digest_of_policy, digest_of_rotor
 from service.entries import body_problem
 from service.names import ID_PATTERN, TEXT_PATTERN
-from service.ports import Adopt, BladeRecord, Diagnose, Event, Json, ModelCard
+from service.ports import Adopt, BladeRecord, Diagnose, Event, Json, ModelCard, Policy
 from service.variant import check_known
 
 CHUNK = 500  # entries that are read or written at once
@@ -39,6 +39,13 @@ class Line(BaseModel):
 L = TypeVar("L", bound=Line)
 
 
+class PolicyLine(Line):
+    adopt: Adopt
+    diagnose: Diagnose
+    at: Moment
+    digest: Name
+
+
 class RotorLine(Line):
     id: Id
     model: Id
@@ -51,6 +58,7 @@ class RotorLine(Line):
     digest: Name
     adopt: Adopt = "never"
     diagnose: Diagnose = "never"
+    policy: PolicyLine | None = None
     created_at: Moment | None = None
 
 
@@ -110,7 +118,16 @@ def read_blades(file: Bundle, told: RotorLine, card: ModelCard) -> list[BladeRec
     made = digest_of_rotor(told.id, told.model, as_created(blades), *asks)
     if made != told.digest:
         raise BundleError(file.path, "rotor.json and blades.jsonl do not have the rotor's digest")
+    now = told.policy
+    if now is not None and policy_of(told.id, now).digest != now.digest:
+        raise BundleError(file.path, "the policy in rotor.json does not have its digest")
     return blades
+
+
+def policy_of(name: str, told: PolicyLine) -> Policy:
+    """What a rotor of this name does by itself."""
+    digest = digest_of_policy(name, told.adopt, told.diagnose, told.at)
+    return Policy(told.adopt, told.diagnose, told.at, digest)
 
 
 def checked_log(

@@ -14,11 +14,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from service import bundle
-from service.digests import as_created, digest_of_blade, digest_of_rotor
+from service.digests import as_created, digest_of_blade, digest_of_rotor, policy_problem
 from service.entries import body_problem
 from service.errors import DamagedError, DamagedLogError, DamagedRotorError, NotYetError
 from service.handlers.blades import blades_at
-from service.handlers.transfer_lines import CHUNK, EntryLine, RotorLine
+from service.handlers.transfer_lines import CHUNK, EntryLine, PolicyLine, RotorLine
 from service.ports import BladeRecord, Event, Json, RotorRecord, Store, Transaction
 
 
@@ -46,6 +46,7 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
         origin=rotor.origin,
         adopt=rotor.adopt,
         diagnose=rotor.diagnose,
+        policy=None if rotor.policy is None else PolicyLine(**asdict(rotor.policy)),
         digest=rotor.digest,
         created_at=rotor.created_at,
     )
@@ -65,6 +66,8 @@ def _check_creation(rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
     if made != rotor.digest:
         problem = f"has digest {made[:12]}… with its first blades, written was {rotor.digest[:12]}…"
         raise DamagedRotorError(rotor.id, [f"rotor {rotor.id} {problem}"])
+    if (now := policy_problem(rotor)) is not None:
+        raise DamagedRotorError(rotor.id, [f"rotor {rotor.id}: {now}"])
 
 
 def _newest_sealed(tx: Transaction, rotor_id: str) -> Json | None:

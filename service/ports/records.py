@@ -60,6 +60,19 @@ class BladeRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Policy:
+    """What a rotor does by itself since somebody decided so anew.
+
+    at      when that was, in seconds since 1970; digest: of it all, as it was written
+    """
+
+    adopt: Adopt
+    diagnose: Diagnose
+    at: float
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
 class RotorRecord:
     """A rotor with its place in the log and its worker's cursor.
 
@@ -68,7 +81,8 @@ class RotorRecord:
     origin    the id under which its random numbers are drawn, where it was imported under another
     adopt     whether a diagnosis that names an effect is adopted by itself: ``never`` or ``effect``
     diagnose  whether one is asked for by itself: ``never``, on an ``alarm`` of its residuals, or
-              with its ``readings`` as well
+              with its ``readings`` as well; both as it was created
+    policy    what is in force in their place; None: they are
     """
 
     id: str
@@ -83,6 +97,7 @@ class RotorRecord:
     origin: str | None = None
     adopt: Adopt = "never"
     diagnose: Diagnose = "never"
+    policy: Policy | None = None
     applied_seq: int = 0
     version: int = 0
     dirty: bool = True
@@ -90,6 +105,16 @@ class RotorRecord:
     blocked: bool = False
     last_error: str | None = None
     last_error_event: str | None = None
+
+    @property
+    def adopts(self) -> Adopt:
+        """Whether it adopts by itself now."""
+        return self.adopt if self.policy is None else self.policy.adopt
+
+    @property
+    def asks(self) -> Diagnose:
+        """Whether it asks for diagnoses by itself now."""
+        return self.diagnose if self.policy is None else self.policy.diagnose
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,8 @@ from service.ports.records import (
     StateRecord,
 )
 from service.ports.values import (
+    Adopt,
+    Diagnose,
     Get,
     Json,
     ModelCard,
@@ -53,6 +55,10 @@ class Records(Protocol):
     def cancel_job(self, job_id: str) -> None: ...
     def put_rotor(self, rotor: RotorRecord, blades: Sequence[BladeRecord]) -> bool: ...
     def rotor(self, rotor_id: str) -> RotorRecord: ...
+    def put_policy(self, rotor_id: str, adopt: Adopt, diagnose: Diagnose) -> None:
+        """What the rotor does by itself from now on; residuals that stand are judged under it."""
+        ...
+
     def standing(self, rotor_id: str) -> tuple[RotorRecord, str | None]:
         """A rotor, and the digest of its newest version without looking into it."""
         ...

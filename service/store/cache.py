@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from operator import is_
 from typing import NamedTuple
 
-from service.ports import Array, BladeRecord, Json, RotorRecord
+from service.ports import Array, BladeRecord, Json, Policy, RotorRecord
 
 Key = tuple[str, int, str]
 Kept = tuple[str, int, str, str | None]  # and the SHA-256 that it has in this version
@@ -106,7 +106,7 @@ class Checked:
 
 
 class Asked(NamedTuple):
-    """What a rotor's digest was made from beside its blades, and the digest."""
+    """What a rotor's digests were made from beside its blades, and the digests."""
 
     model_id: str
     particles: int
@@ -115,6 +115,7 @@ class Asked(NamedTuple):
     adopt: str
     diagnose: str
     digest: str
+    policy: Policy | None
 
     @staticmethod
     def of(rotor: RotorRecord) -> Asked:

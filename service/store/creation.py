@@ -1,6 +1,7 @@
 """What a rotor's versions are computed from beside its log, held against what it was called.
 
-A rotor's digest was made from its row and the blades of its creation (`service.digests`). A blade
+A rotor's digest was made from its row and the blades of its creation (`service.digests`); what it
+does by itself now, where somebody decided so since, has one of its own. A blade
 that joined or left later has an entry of the log, which has its digest and its place. The log
 cannot make these rows again, so that nothing is to be computed where one of them is damaged:
 whoever computes takes a rotor's blades from `sound_blades`, and who reads has them checked.
@@ -24,7 +25,7 @@ from sqlalchemy import (
     union_all,
 )
 
-from service.digests import as_created, digest_of_blade, digest_of_rotor
+from service.digests import as_created, digest_of_blade, digest_of_rotor, policy_problem
 from service.entries import BLADES
 from service.errors import DamagedRotorError
 from service.ports import BladeRecord, Event, RotorRecord
@@ -191,6 +192,8 @@ def _problems(
         whose = "its row and the blades of its creation have"
         problem = f"{whose} digest {made[:12]}…, written was {rotor.digest[:12]}…"
         yield "rotor", rotor.id, problem
+    if (now := policy_problem(rotor)) is not None:
+        yield "rotor", rotor.id, now
     if moves is None:
         return
     there = {blade.id: blade for blade in blades}

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Result, Row, bindparam, insert, select, update
 
+from service.digests import digest_of_policy
 from service.errors import DamagedRotorError, NotFoundError
-from service.ports import BladeRecord, ModelCard, RotorRecord
+from service.ports import Adopt, BladeRecord, Diagnose, ModelCard, Policy, RotorRecord
 from service.store import tables as t
 from service.store.commits import notify
 from service.store.engine import insert_new, now_s
@@ -24,6 +25,7 @@ ROTOR = (
     *(t.cursor.c[n] for n in ("last_error", "last_error_event")),
 )
 ROTOR_NAMES = [column.name for column in ROTOR]
+POLICY = ("adopt_now", "diagnose_now", "policy_at", "policy_digest")
 FEW = 8  # names that are looked up by themselves
 BLADE = [column for column in t.blade.c if column.name != "rotor_id"]
 BLADE_NAMES = [column.name for column in BLADE]
@@ -64,7 +66,8 @@ class SqlRecords(SqlModels):
 
         One whose `created_at` is 0 is created now.
         """
-        values = {name: getattr(rotor, name) for name in t.rotor.c.keys()}  # noqa: SIM118
+        own = [name for name in t.rotor.c.keys() if name not in POLICY]  # noqa: SIM118
+        values = {name: getattr(rotor, name) for name in own} | _policy_row(rotor.policy)
         values |= {"created_at": rotor.created_at or now_s(), "network": _text(rotor.network)}
         if not insert_new(self._connection, t.rotor, values):
             return False
@@ -85,6 +88,15 @@ class SqlRecords(SqlModels):
             self.put_blade(rotor.id, blade)
         notify(self._connection, "bladetwin_work")
         return True
+
+    def put_policy(self, rotor_id: str, adopt: Adopt, diagnose: Diagnose) -> None:
+        at = float(self._connection.execute(select(now_s())).scalar_one())
+        digest = digest_of_policy(rotor_id, adopt, diagnose, at)
+        row = update(t.rotor).where(t.rotor.c.id == rotor_id)
+        self._connection.execute(row.values(_policy_row(Policy(adopt, diagnose, at, digest))))
+        judged = update(t.residual).where(t.residual.c.rotor_id == rotor_id)
+        self._connection.execute(judged.values(judged=0))
+        notify(self._connection, "bladetwin_work")
 
     def rotor(self, rotor_id: str) -> RotorRecord:
         return rotor_of(found_of(rotor_id, self._connection.execute(_ROTOR, {"rotor": rotor_id})))
@@ -160,11 +172,18 @@ def found_of(rotor_id: str, result: Result[Any]) -> Row[Any]:
 def rotor_of(row: Sequence[Any]) -> RotorRecord:
     """A rotor of the values of `ROTOR`."""
     values = dict(zip(ROTOR_NAMES, row, strict=True))
+    now = [values.pop(name) for name in POLICY]
+    policy = None if now == [None] * len(POLICY) else Policy(*now)
     try:
-        return RotorRecord(**values | {"network": _read(values["network"])})
+        return RotorRecord(**values | {"network": _read(values["network"]), "policy": policy})
     except ValueError as error:
         problem = f"rotor {values['id']}: its row's network is no JSON: {error}"
         raise DamagedRotorError(values["id"], [problem]) from None
+
+
+def _policy_row(policy: Policy | None) -> dict[str, Any]:
+    told = (None,) * len(POLICY) if policy is None else astuple(policy)
+    return dict(zip(POLICY, told, strict=True))
 
 
 @lru_cache(maxsize=256)

@@ -24,8 +24,8 @@ when they last did (`service.worker.asking`).
 and trained surrogates, which the row of their model names.
 `rotor.origin` is the id under which an imported rotor draws its random numbers, where that is not
 its own; `rotor.adopt` says whether a diagnosis is adopted by itself, `rotor.diagnose` whether one
-is asked for by itself. `cursor.outbox_dropped` is the
-newest note of the outbox that is no longer kept.
+is asked for by itself, as it was created: `adopt_now` and `diagnose_now` since somebody decided so
+anew. `cursor.outbox_dropped` is the newest note of the outbox that is no longer kept.
 
 Who calls and who is told have tables of their own: `access_tables`, `hook_tables`.
 """
@@ -101,6 +101,10 @@ rotor = Table(
     Column("origin", NAME),
     Column("adopt", String(20), nullable=False, server_default="never"),
     Column("diagnose", String(20), nullable=False, server_default="never"),
+    Column("adopt_now", String(20)),
+    Column("diagnose_now", String(20)),
+    Column("policy_at", Double),
+    Column("policy_digest", String(64)),
     ForeignKeyConstraint(["model_id", "model_version"], ["model.id", "model.version"]),
 )
 

@@ -16,7 +16,8 @@ no name stays, and would be diagnosed after each reading.
 While a diagnosis of the rotor is under way, whoever asked for it, nothing is asked; when it has
 ended, and rests on the same readings, it was the answer. Otherwise it is judged anew: residuals are
 looked at as they stand (`waiting`), so that none is missed for what went on when they came. Each
-version is judged once (`residual.judged`), by one worker: under the rotor's lock.
+version is judged once (`residual.judged`), by one worker: under the rotor's lock. Where somebody
+decides anew what the rotor asks for (`service.handlers.policy`), what stands is judged again.
 
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
@@ -27,7 +28,7 @@ import json
 import logging
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, exists, select, update
+from sqlalchemy import ColumnElement, Row, exists, func, select, update
 
 from core.errors import BladetwinError
 from service.handlers.diagnoses import KIND, ask_unasked
@@ -46,7 +47,8 @@ SHOWN = 5
 
 def waiting() -> ColumnElement[bool]:
     """Residuals are there, of a rotor that asks by itself, and this version was not judged yet."""
-    asks = (t.rotor.c.diagnose == "alarm") & (r.alarms > 0) | (t.rotor.c.diagnose == "readings")
+    policy = func.coalesce(t.rotor.c.diagnose_now, t.rotor.c.diagnose)
+    asks = (policy == "alarm") & (r.alarms > 0) | (policy == "readings")
     return asks & r.body.is_not(None) & (r.judged < r.version)
 
 

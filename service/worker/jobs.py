@@ -153,7 +153,7 @@ class Jobs:
     def ahead_of(self, rotor_id: str, found: Json) -> Sequence[Entry]:
         """The rotor's entries so far, where its option may adopt what was found."""
         with self.store.read() as tx:
-            option = tx.records.rotor(rotor_id).adopt
+            option = tx.records.rotor(rotor_id).adopts
         wanted = option == "effect" and found["verdict"] == "effect"
         return read_ahead(self.store, rotor_id) if wanted else ()
 
@@ -168,7 +168,7 @@ class Jobs:
         tx.log.lock(lease.rotor_id)
         told = {"diagnosis": lease.id, "verdict": found["verdict"], "names": found["names"]}
         post(tx.connection, lease.rotor_id, "diagnosed", told)
-        option = tx.records.rotor(lease.rotor_id).adopt
+        option = tx.records.rotor(lease.rotor_id).adopts
         if option != "effect" or found["verdict"] != "effect":
             return found
         try:

@@ -258,7 +258,7 @@ def test_a_diagnosis_that_the_residuals_asked_for_says_what_alarmed(
 ) -> None:
     seen, twin = asking
     page = seen.open("/rotors/r1/diagnoses")
-    expect(page.locator("main")).to_contain_text("residuals ask by themselves where they alarm.")
+    expect(page.get_by_label("By itself the rotor asks")).to_have_value("alarm")
     expect(page.locator("main")).to_contain_text("None was asked for yet.")
     twin.diagnoser.drain()
     (one,) = twin.client.get("/v1/rotors/r1/diagnoses").json()["items"]
@@ -269,3 +269,27 @@ def test_a_diagnosis_that_the_residuals_asked_for_says_what_alarmed(
     expect(page.locator("main")).to_contain_text("tests alarm in version 1")
     expect(page.locator("main")).to_contain_text("campaign c2 (mean)")
     assert not serious(page)
+
+
+def test_what_a_rotor_does_by_itself_is_decided_on_its_page(
+    asking: tuple[Watched, Twin],
+) -> None:
+    seen, twin = asking
+    page = seen.open("/rotors/r1/diagnoses")
+    asks, adopts = page.get_by_label("By itself the rotor asks"), page.get_by_label("and adopts")
+    decide = page.get_by_role("button", name="Decide")
+    expect(adopts).to_have_value("never")
+    expect(decide).to_be_disabled()
+    adopts.select_option("effect")
+    asks.select_option("readings")
+    expect(decide).to_be_enabled()
+    page.wait_for_timeout(3500)  # the page looks again: a choice that is being made stays
+    expect(adopts).to_have_value("effect")
+    decide.click()
+    expect(page.get_by_role("status").filter(has_text="Decided.")).to_be_visible()
+    expect(decide).to_be_disabled()
+    assert (twin.rotor()["diagnose"], twin.rotor()["adopt"]) == ("readings", "effect")
+    twin.client.post("/v1/rotors/r1/policy", json={"adopt": "never"})
+    expect(adopts).to_have_value("never")
+    assert not serious(page)
+    assert (seen.errors, seen.outside) == ([], [])

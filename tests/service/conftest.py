@@ -88,6 +88,23 @@ def worker(store: SqlStore, science: FakeScience, settings: Settings) -> Worker:
     return make_worker(store, science, settings, "worker-1")
 
 
+@pytest.fixture
+def diagnoser(store: SqlStore, science: FakeScience, settings: Settings) -> Worker:
+    return make_worker(store, science, settings, "diagnoser-1", "diagnose")
+
+
+@pytest.fixture
+def follow(worker: Worker, diagnoser: Worker) -> Callable[[], None]:
+    """Let both workers do all that there is to do."""
+
+    def work() -> None:
+        for _ in range(4):
+            worker.drain()
+            diagnoser.drain()
+
+    return work
+
+
 class Switch:
     """One HTTP server for all tests; `app` is the application of the present test."""
 

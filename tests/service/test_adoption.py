@@ -59,11 +59,6 @@ def science() -> Offsets:
     return Offsets()
 
 
-@pytest.fixture
-def diagnoser(store: SqlStore, science: Offsets, settings: Settings) -> Worker:
-    return make_worker(store, science, settings, "diagnoser-1", "diagnose")
-
-
 def visits(reading: Make, off: dict[str, float], blades: str = "123") -> list[Inspection]:
     """Three blades along lines, read in three campaigns; some of these are off."""
     return [

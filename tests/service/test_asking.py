@@ -13,7 +13,6 @@ import pytest
 from sqlalchemy import ColumnElement, select, true, update
 
 from core.observation import Inspection
-from service.bootstrap import make_worker
 from service.client import Client
 from service.fake import HORIZON_H
 from service.handlers.adoptions import back_out
@@ -43,11 +42,6 @@ def science() -> Offsets:
     return Offsets()
 
 
-@pytest.fixture
-def diagnoser(store: SqlStore, science: Offsets, settings: Settings) -> Worker:
-    return make_worker(store, science, settings, "diagnoser-1", "diagnose")
-
-
 def made(store: SqlStore, diagnose: Diagnose = "alarm", adopt: Adopt = "never") -> str:
     blades = [BladeRecord(name) for name in BLADES]
     create_rotor(store, "r1", "rotor-blade", blades, 64, 7, adopt=adopt, diagnose=diagnose)
@@ -67,18 +61,6 @@ def visit(reading: Make, k: int, off: float = 0.0, campaign: str | None = None) 
         )
         for i, b in enumerate(BLADES)
     ]
-
-
-@pytest.fixture
-def follow(worker: Worker, diagnoser: Worker) -> Callable[[], None]:
-    """Let both workers do all that there is to do."""
-
-    def work() -> None:
-        for _ in range(4):
-            worker.drain()
-            diagnoser.drain()
-
-    return work
 
 
 def diagnoses(store: SqlStore) -> list[JobRecord]:

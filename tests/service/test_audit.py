@@ -82,6 +82,7 @@ def test_every_state_changing_request_leaves_who_what_whence_and_how_it_ended(
         ("/v1/rotors/r1/blades", {"id": "B9"}, 202, None),
         ("/v1/rotors/r1/blades/B9/retirement", None, 202, None),
         ("/v1/rotors/r1/retry", None, 202, None),
+        ("/v1/rotors/r1/policy", {"adopt": "effect"}, 200, None),
     ]
     for i, (path, body, status, problem) in enumerate(asked):
         sent = locked.post(path, json=body, headers=header | {"X-Request-Id": f"q{i}"})
@@ -94,7 +95,7 @@ def test_every_state_changing_request_leaves_who_what_whence_and_how_it_ended(
     assert len(rows(store)) == len(asked)
     told = [(row["first_seq"], row["last_seq"]) for row in rows(store)]
     none = (None, None)
-    assert told[3:] == [(1, 1), none, none, none, (2, 3), none, (4, 4), (5, 5), (6, 6), none]
+    assert told[3:] == [(1, 1), none, none, none, (2, 3), none, (4, 4), (5, 5), (6, 6), none, none]
     assert rows(store)[3]["what"] == "POST /v1/rotors/{r}/inspections"
     assert [row["rotor_id"] for row in rows(store)[:4]] == [None, None, None, "r1"]
     locked.post(URL, json=READING, headers=reader)

@@ -82,11 +82,6 @@ def stepped(at: Callable[[int], None]) -> Stepped:
 
 
 @pytest.fixture
-def diagnoser(store: SqlStore, science: FakeScience, settings: Settings) -> Worker:
-    return make_worker(store, science, settings, "diagnoser-1", "diagnose")
-
-
-@pytest.fixture
 def straight(rotor: str, post: Post, reading: Make) -> str:
     """A rotor whose blades elongate along lines."""
     rates = {"B1": 0.5, "B2": 0.6, "B3": 0.7}

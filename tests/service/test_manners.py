@@ -277,6 +277,7 @@ def test_a_change_is_made_only_while_the_rotor_stands_as_it_was_seen(
         ("/v1/rotors/r1/blades", {"id": "B9"}),
         ("/v1/rotors/r1/blades/B1/retirement", None),
         ("/v1/rotors/r1/retry", None),
+        ("/v1/rotors/r1/policy", {"adopt": "effect"}),
     ):
         for header in (old, f"W/{seen}", '"x"', "nonsense"):
             refused = api.post(path, json=body, headers={"If-Match": header})

@@ -32,11 +32,6 @@ Post = Callable[..., int]
 PATH = "/v1/rotors/r1/residuals"
 
 
-@pytest.fixture
-def diagnoser(store: SqlStore, science: FakeScience, settings: Settings) -> Worker:
-    return make_worker(store, science, settings, "diagnoser-1", "diagnose")
-
-
 def visits(reading: Make, off: dict[int, float]) -> list[Inspection]:
     """Three blades along lines with noise, four campaigns; some of them are off."""
     rng = np.random.default_rng(20310504)

@@ -68,6 +68,7 @@ ANSWERS: dict[str, Json] = {
         effects=each(ANY),
     ),
     f"POST {ROTOR}/retry": having(**STANDING),
+    f"POST {ROTOR}/policy": having(**STANDING),
     f"POST {ROTOR}/blades": ACCEPTED,
     f"POST {ROTOR}/blades/{{b}}/retirement": ACCEPTED,
     f"GET {ROTOR}/inspections": paged(INSPECTION),

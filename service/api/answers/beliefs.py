@@ -46,6 +46,7 @@ MADE = {
     "created_at": TEXT,
 }
 STANDING = MADE | {
+    "policy_since": maybe(TEXT),
     "origin": maybe(TEXT),
     "head_seq": WHOLE,
     "applied_seq": WHOLE,

@@ -14,7 +14,7 @@ from service.api.kept import Make, shows
 from service.api.preconditions import rotor_tag, text_of
 from service.api.problems import RequestError, fault
 from service.api.rotor_answers import blade_out, rotor_out, view_out
-from service.api.rotor_bodies import BladeIn, RotorIn
+from service.api.rotor_bodies import BladeIn, PolicyIn, RotorIn
 from service.api.schemas import Nothing
 from service.api.services import (
     Cursor,
@@ -33,6 +33,7 @@ from service.api.services import (
 from service.api.which import Asked
 from service.handlers import rotors as use
 from service.handlers.blades import add_blade, retire_blade
+from service.handlers.policy import decide
 
 router = APIRouter(prefix="/v1/rotors", tags=["rotors"])
 LOOK_AGAIN_S = 1.0
@@ -157,6 +158,11 @@ async def _wait(
 @router.post("/{r}/retry", status_code=202, summary="Let a blocked rotor be tried again")
 def post_retry(r: Name, services: Wired, body: Nothing | None = None) -> dict[str, Any]:
     return rotor_out(use.retry(services.store, r))
+
+
+@router.post("/{r}/policy", summary="Decide what the rotor does by itself from now on")
+def post_policy(r: Name, body: PolicyIn, services: Wired) -> dict[str, Any]:
+    return rotor_out(decide(services.store, r, body.adopt, body.diagnose))
 
 
 @router.post("/{r}/blades", status_code=202, summary="A blade joins the rotor")

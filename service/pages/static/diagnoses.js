@@ -1,7 +1,7 @@
 // Diagnoses of a rotor: what it lacks was asked for, and is asked for here.
 
 import { Problem, get, offers, path, post } from "./api.js";
-import { $, h, names, panel, scroll, show, table } from "./dom.js";
+import { $, h, names, panel, scroll, select, show, table } from "./dom.js";
 import { fixed } from "./format.js";
 import { keep } from "./live.js";
 import { progress } from "./progress.js";
@@ -12,7 +12,7 @@ import { stateOf, verdictOf } from "./verdict.js";
 const rotor = names.r;
 const url = path`/v1/rotors/${rotor}/diagnoses`;
 const list = h("div");
-const itself = h("p", { class: "soft small" });
+const itself = h("form", { class: "controls", onsubmit: decide });
 const said = h("p", { role: "status", class: "small" });
 const compare = h("input", { type: "checkbox", checked: true, id: "compare" });
 const begin = h("button", { type: "submit", class: "main" }, "Look for what the model lacks");
@@ -30,6 +30,42 @@ async function start(event) {
   }
 }
 
+const ASKS = [["never", "never"], ["alarm", "where residuals alarm"], ["readings", "there, and with a quarter more readings"]];
+const ADOPTS = [["never", "nothing by itself"], ["effect", "an effect that is named"]];
+const decided = h("p", { role: "status", class: "small" });
+let stands = {};
+let wanted = {};
+
+async function decide(event) {
+  event.preventDefault();
+  try {
+    await post(path`/v1/rotors/${rotor}/policy`, wanted);
+    decided.textContent = "Decided.";
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    decided.textContent = error.message;
+  }
+  stands = {};
+  redraw();
+}
+
+// Drawn where the service says something new alone: a choice that is being made stays.
+async function policy(now) {
+  if (now.diagnose === stands.diagnose && now.adopt === stands.adopt) return;
+  stands = { diagnose: now.diagnose, adopt: now.adopt };
+  wanted = { ...stands };
+  const there = await offers("post", "/v1/rotors/{r}/policy").catch(() => false);
+  const button = h("button", { type: "submit", disabled: true }, "Decide");
+  const change = (more) => {
+    wanted = { ...wanted, ...more };
+    button.disabled = !there || (wanted.diagnose === stands.diagnose && wanted.adopt === stands.adopt);
+  };
+  show(itself,
+    select("By itself the rotor asks", ASKS, stands.diagnose, (diagnose) => change({ diagnose })),
+    select("and adopts", ADOPTS, stands.adopt, (adopt) => change({ adopt })), button);
+  itself.querySelectorAll("select").forEach((one) => { one.disabled = !there; });
+}
+
 const columns = [
   { name: "Asked", value: (d) => h("a", { href: path`/rotors/${rotor}/diagnoses/${d.id}` }, since(d.created_at)), sort: (d) => d.created_at },
   { name: "By", value: (d) => (d.request.because ? (d.request.because.alarms ? "residuals" : "readings") : "somebody"), sort: (d) => (d.request.because ? 1 : 0) },
@@ -45,11 +81,7 @@ async function draw() {
   const now = await get(path`/v1/rotors/${rotor}`);
   show($("states"), badges(statesOf(now)));
   notices(warningsOf(now));
-  itself.textContent = {
-    alarm: "This rotor’s residuals ask by themselves where they alarm.",
-    readings: "This rotor asks by itself where residuals alarm, and with every quarter more readings.",
-  }[now.diagnose] ?? "This rotor asks for none by itself.";
-  itself.append(now.adopt === "effect" ? " An effect that is named is adopted by itself." : "");
+  await policy(now);
   const found = await get(url, { limit: 50, cursor });
   older.hidden = found.next === null;
   older.onclick = () => {
@@ -63,7 +95,8 @@ async function draw() {
 
 show($("page"),
   panel("Ask", h("form", { class: "controls", onsubmit: start }, begin, h("label", { for: "compare" }, compare, "compare before and after on readings that neither model used")),
-    h("p", { class: "soft small" }, "It takes minutes and rests on the readings that count now. Rotor and model stay as they are until what it names is adopted."), itself, said),
+    h("p", { class: "soft small" }, "It takes minutes and rests on the readings that count now. Rotor and model stay as they are until what it names is adopted."), said),
+  panel("By itself", itself, h("p", { class: "soft small" }, "What was adopted stays until somebody backs it out. A diagnosis under way is judged, when it ends, by what is decided then."), decided),
   panel("Diagnoses", list, older));
 const redraw = keep(draw, { everyS: 3 });
 offers("post", "/v1/rotors/{r}/diagnoses").then((there) => { begin.disabled = !there; }).catch(() => {});
