@@ -258,7 +258,7 @@ def test_a_diagnosis_that_the_residuals_asked_for_says_what_alarmed(
 ) -> None:
     seen, twin = asking
     page = seen.open("/rotors/r1/diagnoses")
-    expect(page.get_by_label("By itself the rotor asks")).to_have_value("alarm")
+    expect(page.get_by_label("It asks")).to_have_value("alarm")
     expect(page.locator("main")).to_contain_text("None was asked for yet.")
     twin.diagnoser.drain()
     (one,) = twin.client.get("/v1/rotors/r1/diagnoses").json()["items"]
@@ -276,7 +276,7 @@ def test_what_a_rotor_does_by_itself_is_decided_on_its_page(
 ) -> None:
     seen, twin = asking
     page = seen.open("/rotors/r1/diagnoses")
-    asks, adopts = page.get_by_label("By itself the rotor asks"), page.get_by_label("and adopts")
+    asks, adopts = page.get_by_label("It asks"), page.get_by_label("and adopts")
     decide = page.get_by_role("button", name="Decide")
     expect(adopts).to_have_value("never")
     expect(decide).to_be_disabled()

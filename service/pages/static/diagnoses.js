@@ -30,7 +30,7 @@ async function start(event) {
   }
 }
 
-const ASKS = [["never", "never"], ["alarm", "where residuals alarm"], ["readings", "there, and with a quarter more readings"]];
+const ASKS = [["never", "never"], ["alarm", "where residuals alarm"], ["readings", "there, and as readings come"]];
 const ADOPTS = [["never", "nothing by itself"], ["effect", "an effect that is named"]];
 const decided = h("p", { role: "status", class: "small" });
 let stands = {};
@@ -61,7 +61,7 @@ async function policy(now) {
     button.disabled = !there || (wanted.diagnose === stands.diagnose && wanted.adopt === stands.adopt);
   };
   show(itself,
-    select("By itself the rotor asks", ASKS, stands.diagnose, (diagnose) => change({ diagnose })),
+    select("It asks", ASKS, stands.diagnose, (diagnose) => change({ diagnose })),
     select("and adopts", ADOPTS, stands.adopt, (adopt) => change({ adopt })), button);
   itself.querySelectorAll("select").forEach((one) => { one.disabled = !there; });
 }
@@ -96,7 +96,7 @@ async function draw() {
 show($("page"),
   panel("Ask", h("form", { class: "controls", onsubmit: start }, begin, h("label", { for: "compare" }, compare, "compare before and after on readings that neither model used")),
     h("p", { class: "soft small" }, "It takes minutes and rests on the readings that count now. Rotor and model stay as they are until what it names is adopted."), said),
-  panel("By itself", itself, h("p", { class: "soft small" }, "What was adopted stays until somebody backs it out. A diagnosis under way is judged, when it ends, by what is decided then."), decided),
+  panel("What the rotor does by itself", itself, h("p", { class: "soft small" }, "What was adopted stays until somebody backs it out. A diagnosis under way is judged, when it ends, by what is decided then."), decided),
   panel("Diagnoses", list, older));
 const redraw = keep(draw, { everyS: 3 });
 offers("post", "/v1/rotors/{r}/diagnoses").then((there) => { begin.disabled = !there; }).catch(() => {});
