@@ -10,7 +10,8 @@ residuals that noise does not: with chi² the least Σ (y − Y_m)² / var over 
 parameters and R rows, where P(chi²_R > chi²) < e^−20. As m_b(s*) is an average of exp(−chi²/2) over
 that box, times the density of residuals of zero, most blades are cleared by their message alone,
 without a fit. For the others a second fit, the shared parameters free and the noise as it is, tells
-whether the blade contradicts the rotor or the model altogether (or itself).
+whether the blade contradicts the rotor or the model altogether (or itself). Of up to `ACCUSED` of
+them, those that miss most, the readings are told without which the others fit (`misfit.suspects`).
 """
 
 from __future__ import annotations
@@ -21,11 +22,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from core.calibration.message import BladeMessage
-from core.smc.placement import sobol
+from core.calibration.misfit import best_fit, suspects
 
 Array = NDArray[np.float64]
 FLOOR = 0.3  # share of the nodes that carries a sealed posterior
@@ -33,7 +33,7 @@ QUICK_FLOOR = 0.1  # and a provisional one
 TILT = 0.3  # nat of error in a sealed posterior's differences between nodes that is too much
 IMPROBABLE = -20.0  # log probability below which residuals are no noise
 TRUSTED = 0.5  # nat of error in the log density of a stored posterior that is the prior
-STARTS = 256
+ACCUSED = 10  # blades whose readings are left out in turn
 
 
 def contradictions(
@@ -42,30 +42,34 @@ def contradictions(
     """Blades whose readings no noise explains at the best of the nodes `unit` (K, d).
 
     Each with misfit_nat, chi²/2 at that node; own_nat, the same with the shared parameters free;
-    and the number of rows. Of a blade whose rows fit, the worst remainder of a scan.
+    the number of rows, and suspects. Of a blade whose rows fit, the worst remainder of a scan.
     """
     at = unit[[int(np.argmax(log_p))]]
-    found = []
+    found, each = list[dict[str, Any]](), dict[str, Array]()
     for blade in sorted(columns):
         message = messages[blade]
         y, s2, rest = message.readings(at)
         density = columns[blade][np.argmax(log_p)] - rest[0] - message.offset
         bound = -(density + 0.5 * float(np.sum(np.log(2 * np.pi * s2))))
         if _improbable(bound, y.shape[1]):
-            misfit = best_fit(message, at, "local")
+            misfit, parts = best_fit(message, at, "local")
             if _improbable(misfit, y.shape[1]):
-                own = min(best_fit(message, at, "local", "shared"), misfit)
+                own = min(best_fit(message, at, "local", "shared")[0], misfit)
                 found.append(_told(blade, misfit, own, y.shape[1]))
+                each[blade] = parts
                 continue
         beyond = [one for one in _remainders(message, at) if _improbable(one[0], one[2])]
         if beyond:
             found.append(_told(blade, *max(beyond)))
+    for one in sorted(found, key=lambda one: -float(one["misfit_nat"]))[:ACCUSED]:
+        if (blade := one["blade"]) in each:
+            one["suspects"] = suspects(messages[blade], at, each[blade], _improbable)
     return found
 
 
 def _told(blade: str, misfit: float, own: float, rows: int) -> dict[str, Any]:
     nats = {"misfit_nat": round(misfit, 1), "own_nat": round(own, 1)}
-    return {"blade": blade, **nats, "rows": rows}
+    return {"blade": blade, **nats, "rows": rows, "suspects": []}
 
 
 def _remainders(message: BladeMessage, at: Array) -> list[tuple[float, float, int]]:
@@ -100,37 +104,6 @@ def _most(rows: int, log_p: float) -> float:
     return float(chi2.isf(np.exp(log_p), rows))
 
 
-def best_fit(message: BladeMessage, at: Array, *free: str) -> float:
-    """Least chi²/2 of a blade's rows over its parameters of levels `free`, the others at s*."""
-    response, space = message.rows.response, message.space
-    y, s2, _ = message.readings(at)
-    x0 = 0.5 * (response.low + response.high)
-    moved = []
-    for j, name in enumerate(response.names):
-        if name in message.fixed:
-            x0[j] = message.fixed[name]
-        elif name in space.names:
-            x0[j] = space.to_x(at)[0, space.names.index(name)]
-        if message.model.network.parameter(name).level in free:
-            moved.append(j)
-
-    def residuals(share: Array) -> Array:
-        x = np.tile(x0, (len(share), 1))
-        x[:, moved] = response.low[moved] + share * (response.high - response.low)[moved]
-        mean, sd = response.evaluate(x)
-        return np.asarray((mean - y) / np.sqrt(s2 + sd**2))
-
-    if not moved:
-        return float(0.5 * np.sum(residuals(np.zeros((1, 0))) ** 2))
-    starts = sobol(STARTS, len(moved), 0)
-    order = np.argsort(np.sum(residuals(starts) ** 2, axis=1))
-    fits = [
-        least_squares(lambda u: residuals(u[None])[0], starts[i], bounds=(0, 1), max_nfev=60)
-        for i in order[:3]
-    ]
-    return float(min(fit.cost for fit in fits))
-
-
 def verdict(
     health: Mapping[str, Any], contradicted: Sequence[Mapping[str, Any]], *, sealed: bool
 ) -> dict[str, Any]:
@@ -163,7 +136,7 @@ def verdict(
             else f"any shared parameters by {one['own_nat']:g}: it contradicts the model or itself"
         )
         miss = f"the rotor's best fit by {one['misfit_nat']:g} nat"
-        reasons.append(f"blade {one['blade']} misses {miss}, {other}")
+        reasons.append(f"blade {one['blade']} misses {miss}, {other}{_blamed(one)}")
     return {
         **health,
         "status": "contradicted" if contradicted else "ok" if met else "degenerate",
@@ -171,3 +144,17 @@ def verdict(
         "met_floor": met,
         "contradicted": [dict(one) for one in contradicted],
     }
+
+
+def _blamed(one: Mapping[str, Any]) -> str:
+    """Which reading is rather wrong, in words; none is told of states of before.
+
+    >>> _blamed({"suspects": [{"reading": "r7", "time_h": 19000.0, "misfit_nat": 2.1}]})
+    '; without reading r7 (19,000 h) all others fit: look at that one'
+    """
+    told = [f"{s['reading']} ({s['time_h']:,.0f} h)" for s in one.get("suspects", ())]
+    if not told:
+        return ""
+    if len(told) == 1:
+        return f"; without reading {told[0]} all others fit: look at that one"
+    return f"; without one of the readings {', '.join(told)} all others fit: look at these"

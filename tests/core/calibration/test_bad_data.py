@@ -123,6 +123,59 @@ def test_readings_of_one_blade_that_contradict_each_other_are_told_apart() -> No
     assert "contradicts the model or itself" in told["reasons"][0]
 
 
+def suspected(told: dict) -> list[str]:
+    return [one["reading"] for one in told["contradicted"][0]["suspects"]]
+
+
+def test_the_reading_that_is_wrong_is_named_with_what_the_others_leave() -> None:
+    """Eight readings of a blade, one of them half a millimetre off."""
+    rng = np.random.default_rng(7)
+    values = 1.2 + 0.02 * rng.normal(size=8)
+    values[3] += 0.5
+    many = [reading(5, v, 0.02, 1e3 * (k + 1)) for k, v in enumerate(values)]
+    state, told = outcome([*clean(), *many])
+    assert suspected(told) == ["b5t4000"]
+    (one,) = told["contradicted"][0]["suspects"]
+    rest = np.delete(values, 3)
+    exact = float(np.sum((rest - rest.mean()) ** 2) / (2 * 0.02**2))
+    assert one["misfit_nat"] == pytest.approx(exact, abs=0.06)
+    assert one["time_h"] == 4e3
+    assert told["reasons"][0].endswith(
+        "; without reading b5t4000 (4,000 h) all others fit: look at that one"
+    )
+    mended = [r for r in many if r.id != one["reading"]]
+    assert outcome([*clean(), *mended])[1]["status"] == "ok", "as it was said"
+    assert update(MODEL, SPEC, [*many, *clean()]).digest == state.digest, "in any order"
+
+
+def test_of_two_that_contradict_each_other_both_are_suspected() -> None:
+    both = [reading(5, 1.0, 1e-3, name="x"), reading(5, 1.4, 1e-3, name="y")]
+    _, told = outcome([*clean(), *both])
+    assert sorted(suspected(told)) == ["x", "y"]
+    assert "without one of the readings" in told["reasons"][0]
+
+
+@pytest.mark.parametrize("values", [(3.2, 3.3, 3.1), (1.0, 2.4, 3.8, 0.2), (3.2,)])
+def test_where_no_reading_alone_is_to_blame_none_is(values: tuple[float, ...]) -> None:
+    """A blade that is another one, readings that all differ, one reading alone."""
+    many = [reading(5, v, 0.1, 1e3 * (k + 1)) for k, v in enumerate(values)]
+    _, told = outcome([*clean(), *many])
+    assert [one["blade"] for one in told["contradicted"]] == ["b5"]
+    assert suspected(told) == []
+    assert "look at" not in told["reasons"][0]
+
+
+def test_of_many_blades_those_that_miss_most_are_looked_through(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(health, "ACCUSED", 1)
+    wrong = [reading(b, 1.4 + 0.3 * (b == 4), 1e-3, t=3e4, name=f"w{b}") for b in (3, 4)]
+    fine = [reading(b, 1.2, 1e-3, t) for b in (3, 4) for t in (1e4, 2e4)]
+    _, told = outcome([*clean(3), *fine, *wrong])
+    found = {one["blade"]: len(one["suspects"]) for one in told["contradicted"]}
+    assert found == {"b3": 0, "b4": 1}
+
+
 @pytest.mark.parametrize("sigma", [1e-3, 0.02, None])
 def test_readings_impossible_under_every_parameter_are_contradicted(sigma: float | None) -> None:
     _, told = outcome([reading(b, 40.0, sigma) for b in range(3)])
@@ -228,4 +281,6 @@ def test_the_built_in_rotor_names_a_blade_that_no_parameters_explain() -> None:
     wrong = [*readings[1:], replace(readings[0], values=np.array([40.0]), sigma=1e-3)]
     _, told = outcome(wrong, model)
     assert told["status"] == "contradicted"
-    assert max(told["contradicted"], key=lambda one: one["misfit_nat"])["blade"] == "b0"
+    worst = max(told["contradicted"], key=lambda one: one["misfit_nat"])
+    assert worst["blade"] == "b0"
+    assert [one["reading"] for one in worst["suspects"]] == ["b0-0"]
