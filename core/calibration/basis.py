@@ -92,5 +92,6 @@ class Basis:
                 repr(start.names),
                 start.mean.tobytes().hex(),
                 start.covariance.tobytes().hex(),
+                *sorted(start.apart),
             ]
         return sha256("\n".join(parts).encode()).hexdigest()

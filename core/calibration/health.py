@@ -42,34 +42,43 @@ def contradictions(
     """Blades whose readings no noise explains at the best of the nodes `unit` (K, d).
 
     Each with misfit_nat, chi²/2 at that node; own_nat, the same with the shared parameters free;
-    the number of rows, and suspects. Of a blade whose rows fit, the worst remainder of a scan.
+    and the number of rows. Of a blade whose rows fit, the worst remainder of a scan.
     """
     at = unit[[int(np.argmax(log_p))]]
-    found, each = list[dict[str, Any]](), dict[str, Array]()
+    found = []
     for blade in sorted(columns):
         message = messages[blade]
         y, s2, rest = message.readings(at)
         density = columns[blade][np.argmax(log_p)] - rest[0] - message.offset
         bound = -(density + 0.5 * float(np.sum(np.log(2 * np.pi * s2))))
-        if _improbable(bound, y.shape[1]):
-            misfit, parts = best_fit(message, at, "local")
-            if _improbable(misfit, y.shape[1]):
+        if improbable(bound, y.shape[1]):
+            misfit, _ = best_fit(message, at, "local")
+            if improbable(misfit, y.shape[1]):
                 own = min(best_fit(message, at, "local", "shared")[0], misfit)
                 found.append(_told(blade, misfit, own, y.shape[1]))
-                each[blade] = parts
                 continue
-        beyond = [one for one in _remainders(message, at) if _improbable(one[0], one[2])]
+        beyond = [one for one in _remainders(message, at) if improbable(one[0], one[2])]
         if beyond:
             found.append(_told(blade, *max(beyond)))
-    for one in sorted(found, key=lambda one: -float(one["misfit_nat"]))[:ACCUSED]:
-        if (blade := one["blade"]) in each:
-            one["suspects"] = suspects(messages[blade], at, each[blade], _improbable)
     return found
+
+
+def blamed(
+    messages: Mapping[str, BladeMessage], accused: Sequence[Mapping[str, Any]], at: Array
+) -> list[dict[str, Any]]:
+    """The accused, with the readings without which all others of their blade fit (`suspects`)."""
+    worst = sorted(accused, key=lambda one: -float(one["misfit_nat"]))[:ACCUSED]
+    told = {
+        one["blade"]: suspects(messages[one["blade"]], at, improbable)
+        for one in worst
+        if one["rows"] == len(messages[one["blade"]].rows.y)  # else a scan's remainder
+    }
+    return [{**one, "suspects": told.get(one["blade"], [])} for one in accused]
 
 
 def _told(blade: str, misfit: float, own: float, rows: int) -> dict[str, Any]:
     nats = {"misfit_nat": round(misfit, 1), "own_nat": round(own, 1)}
-    return {"blade": blade, **nats, "rows": rows, "suspects": []}
+    return {"blade": blade, **nats, "rows": rows}
 
 
 def _remainders(message: BladeMessage, at: Array) -> list[tuple[float, float, int]]:
@@ -89,13 +98,18 @@ def _remainders(message: BladeMessage, at: Array) -> list[tuple[float, float, in
     return found
 
 
-def _improbable(nats: float, rows: int) -> bool:
+def improbable(nats: float, rows: int) -> bool:
     """True where chi² = 2 nats of `rows` rows is no noise, or not a number.
 
-    >>> _improbable(15.0, 2), _improbable(30.0, 2), _improbable(30.0, 40)
+    >>> improbable(15.0, 2), improbable(30.0, 2), improbable(30.0, 40)
     (False, True, False)
     """
-    return not 2 * nats < _most(rows, IMPROBABLE)
+    return not 2 * nats < most_of(rows)
+
+
+def most_of(rows: int) -> float:
+    """chi² of so many rows from which on it is no noise."""
+    return _most(rows, IMPROBABLE)
 
 
 @lru_cache(maxsize=1024)
@@ -129,14 +143,15 @@ def verdict(
         )
     met = not reasons
     for one in contradicted:
-        explained = not _improbable(one["own_nat"], one["rows"])
+        explained = not improbable(one["own_nat"], one["rows"])
         other = (
             f"its own best fit by {one['own_nat']:g}: it contradicts the rotor"
             if explained
             else f"any shared parameters by {one['own_nat']:g}: it contradicts the model or itself"
         )
         miss = f"the rotor's best fit by {one['misfit_nat']:g} nat"
-        reasons.append(f"blade {one['blade']} misses {miss}, {other}{_blamed(one)}")
+        apart = "; no other blade follows it" if one.get("bounded") else ""
+        reasons.append(f"blade {one['blade']} misses {miss}, {other}{apart}{_blamed(one)}")
     return {
         **health,
         "status": "contradicted" if contradicted else "ok" if met else "degenerate",

@@ -69,14 +69,14 @@ def best_fit(
 
 
 def suspects(
-    message: BladeMessage, at: Array, parts: Array, improbable: Callable[[float, int], bool]
+    message: BladeMessage, at: Array, improbable: Callable[[float, int], bool]
 ) -> list[dict[str, Any]]:
     """Readings without which the others are noise, each with their misfit then; the least first.
 
-    parts       of each row, the misfit of all, (R,)
     improbable  whether a misfit of so many rows is no noise
     """
     rows = message.rows
+    _, parts = best_fit(message, at, "local")
     of = np.array(rows.of)
     places = sorted(set(of[of >= 0].tolist()))
     if len(places) < 2:

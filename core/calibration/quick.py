@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.health import contradictions
+from core.calibration.health import blamed, contradictions
 from core.calibration.sets import Nodes
 from core.calibration.state import RotorState
 from core.calibration.step import Step
@@ -35,8 +35,9 @@ def reweighted(step: Step, previous: RotorState) -> tuple[Array, dict[str, Array
     """log p at the nodes of the state before, and the touched blades' columns.
 
     log p moves by the difference of these columns: no other blade is looked at. None where
-    the shared parameters are others now, or too few nodes would carry the weight; where many
-    blades are touched nothing is tempered, and a few of them are looked at before all.
+    the shared parameters are others now, a touched blade is `bounded`, or too few nodes would carry
+    the weight; where many blades are touched nothing is tempered, and a few of them are looked at
+    before all.
     """
     if not step.fits(previous):
         return None
@@ -44,6 +45,9 @@ def reweighted(step: Step, previous: RotorState) -> tuple[Array, dict[str, Array
     unit = old["shared/unit"]
     touched = [b for b in sorted(step.messages) if b not in unread]
     before = [b for b in sorted(previous.meta["readings"]) if b not in unread]
+    told = previous.meta["health"].get("contradicted", [])
+    if any(one.get("bounded") and one["blade"] not in unread for one in told):
+        return None  # its floor was made for other readings
     many = len(touched) > MANY
     looks = [(MANY_ESS if many else QUICK_ESS, touched, before)]
     if len(touched) > FIRST:
@@ -85,7 +89,8 @@ def provisional(
                 kept.add(f"column/{blade}")
     own |= step.drawn(due, Nodes(unit, key, count), columns)
     arrays = old.over(own, kept)
-    bad = contradictions(step.messages, columns, unit, log_p)
+    best = unit[[int(np.argmax(log_p))]]
+    bad = blamed(step.messages, contradictions(step.messages, columns, unit, log_p), best)
     before = previous.meta["health"].get("contradicted", [])
     bad += [one for one in before if one["blade"] in unread]
     error = step.message_error(unit, previous)

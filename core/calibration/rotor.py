@@ -32,7 +32,7 @@ from core.calibration.message import BladeMessage
 from core.calibration.space import SharedSpace
 from core.calibration.start import Start
 from core.calibration.tried import Tried, judged, of_all, pool
-from core.calibration.weighed import Weighed, node_count
+from core.calibration.weighed import Weighed, node_count, said
 from core.smc.particles import ess, normalised
 from core.smc.placement import descend, improved, moments, pooled, sobol
 from core.smc.proposal import Proposal, finely_rounded, rounded
@@ -66,6 +66,7 @@ def weigh(
     rounds: int = 12,
     start: Start | None = None,
     placed: Proposal | None = None,
+    floors: Mapping[str, float] | None = None,
 ) -> Weighed:
     """Place and weight the shared nodes for these messages.
 
@@ -73,7 +74,9 @@ def weigh(
            a posterior is wanted for a comparison, and less is done to find it where it is not
            there; nothing, where the start is `alone`
     placed  the placement that these very messages, seed and start had before: nothing is searched
+    floors  of what some blades say (`bounded`)
     """
+    least_said = floors or {}
     messages = known.gathered(messages)
     d, n = space.dim, max(node_count(space.dim, bool(space.heavy)), 64 * space.tails)
     scouts, enough = (16 if d <= 2 else 32, 0.4 if space.heavy else 0.5) if d <= 4 else (128, MORE)
@@ -91,7 +94,7 @@ def weigh(
         found = known.all({b: messages[b] for b in blades}, unit, how)
         out = np.zeros(len(unit))
         for blade, count in blades.items():
-            out = out + count * found[blade]
+            out = out + count * said(blade, found[blade], least_said)
         return out
 
     def exactly(
@@ -233,4 +236,4 @@ def weigh(
         best = (enough, place)
     unit, log_q = best[1].nodes(base[:n])
     columns = known.all(messages, unit, "exact")
-    return Weighed(unit, log_q, space.log_prior(unit), columns, best[1])
+    return Weighed(unit, log_q, space.log_prior(unit), columns, best[1], least_said)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from core.calibration.message import PARTS, POOL, BladeMessage, prior_draws
 from core.calibration.space import SharedSpace, locals_of
-from core.calibration.state import ALGORITHM, RotorSpec
+from core.calibration.state import DRAWS, RotorSpec
 from core.digest import array_digest
 from core.model import Model
 from core.rng import stream
@@ -72,7 +72,7 @@ class ParticleSets:
         alone = len(missing) < PARTS
 
         def drawn(blade: str) -> tuple[Array, Array]:
-            rng = stream(rotor.seed, ALGORITHM, *names[blade][:-1])
+            rng = stream(rotor.seed, DRAWS, *names[blade][:-1])
             message, column = messages.get(blade), columns.get(blade)
             if message is None or column is None:
                 return prior_draws(model, space, nodes.unit, nodes.per_node, rng)

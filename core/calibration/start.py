@@ -41,12 +41,14 @@ class Start:
 
     names (d,), mean (d,), covariance (d, d)
     alone  a posterior that is not found from there is looked for nowhere else
+    apart  blades that are `bounded` from the beginning
     """
 
     names: tuple[str, ...]
     mean: Array
     covariance: Array
     alone: bool = False
+    apart: frozenset[str] = frozenset()
 
     @staticmethod
     def of(model: Model, state: RotorState) -> Start:
@@ -54,7 +56,9 @@ class Start:
         names, x = tuple(state.meta["shared"]), state.arrays["shared/x"]
         u = [shared_prior(model, n).to_u(x[:, j]) for j, n in enumerate(names)]
         found = moments(np.stack(u, axis=1), normalised(state.arrays["shared/log_w"]))
-        return Start(names, *found)
+        told = state.meta["health"].get("contradicted", ())
+        apart = frozenset(one["blade"] for one in told if one.get("bounded"))
+        return Start(names, *found, apart=apart)
 
     def joined(self, names: Sequence[str], turn: Array, mean: Array, covariance: Array) -> Start:
         """With amplitudes of these names, of N(mean (k,), covariance (k, k)).
@@ -70,7 +74,8 @@ class Start:
         whole = np.block(
             [[self.covariance + across @ turn.T, across], [across.T, np.asarray(covariance)]]
         )
-        return Start((*self.names, *names), np.r_[self.mean + turn @ mean, mean], whole)
+        both = np.r_[self.mean + turn @ mean, mean]
+        return replace(self, names=(*self.names, *names), mean=both, covariance=whole)
 
     def between(self, other: Start) -> Start:
         """Anywhere on the line to another one; of a parameter that one has not its amplitude is 0.
@@ -93,7 +98,7 @@ class Start:
             covariances.append(covariance)
         apart = means[1] - means[0]
         spread = np.mean(covariances, axis=0) + np.outer(apart, apart) / 12.0
-        return Start(names, np.mean(means, axis=0), spread)
+        return Start(names, np.mean(means, axis=0), spread, apart=self.apart | other.apart)
 
     def held(self, values: Mapping[str, float]) -> Start:
         """Without these parameters, which have these values.
@@ -110,10 +115,11 @@ class Start:
         across, own = self.covariance[np.ix_(left, out)], self.covariance[np.ix_(out, out)]
         gain = np.linalg.solve(own + 1e-14 * np.trace(own) * np.eye(len(out)), across.T).T
         off = np.array([values[self.names[j]] for j in out]) - self.mean[out]
-        return Start(
-            tuple(self.names[j] for j in left),
-            self.mean[left] + gain @ off,
-            self.covariance[np.ix_(left, left)] - gain @ across.T,
+        return replace(
+            self,
+            names=tuple(self.names[j] for j in left),
+            mean=self.mean[left] + gain @ off,
+            covariance=self.covariance[np.ix_(left, left)] - gain @ across.T,
         )
 
     def on_log(self, values: Mapping[str, float]) -> Start:
@@ -126,7 +132,7 @@ class Start:
         scale = np.array([1.0 / values.get(n, 1.0) for n in self.names])
         pairs = zip(self.names, self.mean, strict=True)
         mean = np.array([np.log(values[n]) if n in values else m for n, m in pairs])
-        return Start(self.names, mean, self.covariance * np.outer(scale, scale))
+        return replace(self, mean=mean, covariance=self.covariance * np.outer(scale, scale))
 
     def wider(self, factor: float) -> Start:
         """With `factor` times the variances, as of fewer readings."""

@@ -30,7 +30,8 @@ from core.smc.particles import Particles, ess, normalised
 
 Array = NDArray[np.float64]
 Get = Callable[[str], Array]
-ALGORITHM = "panels-15"
+ALGORITHM = "panels-16"
+DRAWS = "panels-15"  # since when draws are what they are: those of sound rotors stay
 
 
 @dataclass(frozen=True, slots=True)

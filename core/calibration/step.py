@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from core.calibration.alike import family_key
 from core.calibration.basis import Basis
-from core.calibration.health import contradictions, verdict
+from core.calibration.bounded import Accused, settled
+from core.calibration.health import blamed, verdict
 from core.calibration.rotor import weigh
 from core.calibration.sets import Nodes
 from core.calibration.smooth import NEARLY
@@ -37,16 +38,25 @@ class Step(Basis):
     """One update at work: what it rests on, and its sealed state."""
 
     @cached_property
+    def settled(self) -> tuple[Weighed, Accused]:
+        """The shared nodes with their weights, and the blades that contradict there."""
+        apart = self.start.apart if self.start is not None else frozenset[str]()
+        return settled(self.messages, self._weigh, apart)
+
+    @property
     def weighed(self) -> Weighed:
         """The shared nodes with their weights."""
+        return self.settled[0]
+
+    def _weigh(self, floors: Mapping[str, float]) -> Weighed:
         seed, places = seed_of(self.rotor.seed, self.rotor.id, "nodes") % 2**63, self.work.places
+        given = (self.space, self.messages, self.work.columns, seed)
         if places is None:
-            return weigh(self.space, self.messages, self.work.columns, seed, start=self.start)
-        told = places.get(key := self.question)
+            return weigh(*given, start=self.start, floors=floors)
+        key = self.question + "".join(f" {b}:{f!r}" for b, f in floors.items())
+        told = places.get(key)
         placed = None if told is None else Proposal.of(told)
-        made = weigh(
-            self.space, self.messages, self.work.columns, seed, start=self.start, placed=placed
-        )
+        made = weigh(*given, start=self.start, placed=placed, floors=floors)
         places[key] = made.proposal.told()
         return made
 
@@ -84,7 +94,8 @@ class Step(Basis):
         own |= self.drawn(due, Nodes(weighed.unit, weighed.key, count), weighed.columns)
         below = previous.arrays if previous is not None else Arrays.EMPTY
         arrays = below.over(own, kept)
-        bad = contradictions(self.messages, weighed.columns, weighed.unit, weighed.log_p)
+        best = weighed.unit[[int(np.argmax(weighed.log_p))]]
+        bad = blamed(self.messages, self.settled[1], best)
         return self.state(
             own,
             arrays,

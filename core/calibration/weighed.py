@@ -6,12 +6,15 @@ At K nodes s_k of the unit box, drawn from a proposal q (`core.smc.proposal`), a
     log p(s_k, D) = log p(s_k) + Σ_b log m_b(s_k),      log w_k = log p(s_k, D) − log q(s_k).
 
 The mean of the w_k is the evidence. How even they are is told by the share of effective nodes.
+
+What a blade says may be bounded from below, max(log m_b, f_b): where its readings cannot be the
+model's, at f_b, they say nothing about the shared parameters (`bounded`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +30,21 @@ def node_count(dim: int, heavy: bool = False) -> int:
     return (64 if dim <= 2 else 128 if dim <= 4 else 256) * (2 if heavy else 1)
 
 
+def said(blade: str, column: Array, floors: Mapping[str, float]) -> Array:
+    """What a blade says of the shared parameters, by its column (K,) and its floor if it has one.
+
+    >>> said("b", np.array([-50.0, 3.0]), {"b": -9.0}).tolist()
+    [-9.0, 3.0]
+    """
+    return np.maximum(column, floors[blade]) if blade in floors else column
+
+
 @dataclass(frozen=True, slots=True)
 class Weighed:
     """Shared nodes on the unit box with their weights.
 
     unit (K, d), log_q (K,), columns {blade: (K,)}, log_prior (K,).
+    floors   f_b of the blades that have one
     """
 
     unit: Array
@@ -39,6 +52,7 @@ class Weighed:
     log_prior: Array
     columns: Mapping[str, Array]
     proposal: Proposal
+    floors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def key(self) -> bytes:
@@ -48,7 +62,7 @@ class Weighed:
     def log_p(self) -> Array:
         total = self.log_prior.copy()
         for blade in sorted(self.columns):
-            total = total + self.columns[blade]
+            total = total + said(blade, self.columns[blade], self.floors)
         return total
 
     @property

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.client.answers import Rotor, Standing
 from service.commands.reach import reached
+
+if TYPE_CHECKING:
+    from service.client.answers import Rotor, Standing
 
 ASKS = {
     "never": "asks for no diagnosis by itself",
