@@ -41,14 +41,15 @@ class Step(Basis):
     def settled(self) -> tuple[Weighed, Accused]:
         """The shared nodes with their weights, and the blades that contradict there."""
         apart = self.start.apart if self.start is not None else frozenset[str]()
-        return settled(self.messages, self._weigh, apart)
+        return settled(self.messages, self.weigh_with, apart)
 
     @property
     def weighed(self) -> Weighed:
         """The shared nodes with their weights."""
         return self.settled[0]
 
-    def _weigh(self, floors: Mapping[str, float]) -> Weighed:
+    def weigh_with(self, floors: Mapping[str, float]) -> Weighed:
+        """The nodes placed and weighted with these floors of what blades say."""
         seed, places = seed_of(self.rotor.seed, self.rotor.id, "nodes") % 2**63, self.work.places
         given = (self.space, self.messages, self.work.columns, seed)
         if places is None:
