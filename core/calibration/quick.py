@@ -90,7 +90,8 @@ def provisional(
     own |= step.drawn(due, Nodes(unit, key, count), columns)
     arrays = old.over(own, kept)
     best = unit[[int(np.argmax(log_p))]]
-    bad = blamed(step.messages, contradictions(step.messages, columns, unit, log_p), best)
+    accused = contradictions(step.messages, columns, unit, log_p)
+    bad = [one | {"bounded": False} for one in blamed(step.messages, accused, best)]
     before = previous.meta["health"].get("contradicted", [])
     bad += [one for one in before if one["blade"] in unread]
     error = step.message_error(unit, previous)

@@ -10,11 +10,26 @@ from __future__ import annotations
 from typing import Any, Literal, NotRequired, TypedDict
 
 
+class HealthContradictedSuspect(TypedDict):
+    reading: str
+    time_h: float
+    misfit_nat: float
+
+
+class HealthContradicted(TypedDict):
+    blade: str
+    misfit_nat: float
+    own_nat: float
+    rows: int
+    bounded: NotRequired[bool]
+    suspects: NotRequired[list[HealthContradictedSuspect]]
+
+
 class Health(TypedDict):
     status: Literal["ok", "degenerate", "contradicted", "unknown"]
     reasons: list[str]
     met_floor: bool | None
-    contradicted: list[Any]
+    contradicted: list[HealthContradicted]
     trusted: bool
 
 

@@ -19,7 +19,17 @@ HEALTH = having(
     status={"enum": ["ok", "degenerate", "contradicted", "unknown"]},
     reasons=each(TEXT),
     met_floor=maybe(YES),
-    contradicted=each({}),
+    contradicted=each(
+        having(
+            ("bounded", "suspects"),
+            blade=TEXT,
+            misfit_nat=NUMBER,
+            own_nat=NUMBER,
+            rows=WHOLE,
+            bounded=YES,
+            suspects=each(having(reading=TEXT, time_h=NUMBER, misfit_nat=NUMBER)),
+        )
+    ),
     trusted=YES,
 ) | {"additionalProperties": True}
 BLADE = having(
