@@ -1,0 +1,51 @@
+"""The kept studies of slips: one wrong reading, with and without bounds on what contradicts."""
+
+from __future__ import annotations
+
+import pytest
+
+from core.validation import slips
+from tests.claims.test_fleet_later import TEXT, kept
+
+NAME, CASES = "slips", 24
+
+
+def test_every_case_is_there_and_the_seed_comes_from_the_commit() -> None:
+    found = kept(NAME)
+    numbers = {(one["kind"], one["number"]) for one in found["cases"]}
+    assert numbers == {(kind, n) for kind in slips.KINDS for n in range(CASES)}
+    assert found["plan"] == "rotor-20"
+    assert slips.table(found["cases"]) == found["table"]
+    assert found["seed"] == int(found["commit"][:6], 16)
+    assert not any(one["accused before"] for one in found["cases"]), "no sound blade is accused"
+
+
+def test_a_large_slip_is_named_and_carries_nobody_away_as_it_did() -> None:
+    found = kept(NAME)
+    every, large = found["table"]["all"], [r for r in found["cases"] if r["off"] >= slips.NOTICED]
+    assert len(large) == every["large"] == 105
+    assert [sum(r[what] for r in large) for what in ("right", "named")] == [93, 93]
+    assert all(r["right"] for r in found["cases"] if r["contradicted"]), "never a sound blade"
+    assert "in 93 of 105 the wrong reading is named" in TEXT
+    assert [
+        round(every[f"{when}, {what}"], 1)
+        for when in ("moved", "unbounded")
+        for what in ("median", "most")
+    ] == [0.1, 2.9, 0.3, 8.0]
+    above = [round(100 * every[f"{when}, above 1 sd"]) for when in ("moved", "unbounded")]
+    assert above == [6, 23]
+    assert "by more than one sd in 6 % of them, 2.9 at most; without bounds in 23 %, 8.0" in TEXT
+
+
+def test_where_bounds_do_not_help_is_told() -> None:
+    found = kept(NAME)
+    missed = [r for r in found["cases"] if r["off"] >= slips.NOTICED and not r["named"]]
+    by_kind = {kind: sum(r["kind"] == kind for r in missed) for kind in slips.KINDS}
+    assert {k: n for k, n in by_kind.items() if n} == {"digits": 3, "swapped": 8, "slip": 1}
+    assert "8 of 9 swapped blades, 3 of 13 turned digits and 1 of 22 slips" in TEXT
+    worse = [abs(r["moved"]) - abs(r["unbounded"]) for r in found["cases"]]
+    assert sorted(round(w, 1) for w in worse if w > 0.5) == [0.8, 0.9]
+    assert "off by 0.8 and 0.9 sd more with bounds than without" in TEXT
+    small = [abs(r["moved"]) for r in found["cases"] if r["off"] < slips.NOTICED]
+    assert len(small) == 39
+    assert max(small) == pytest.approx(0.88, abs=0.01)
