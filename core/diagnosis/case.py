@@ -17,6 +17,7 @@ from core.diagnosis.conclude import Rival
 from core.diagnosis.families import families_for
 from core.diagnosis.grammar import Cell, Facts, cells
 from core.diagnosis.halves import halves
+from core.diagnosis.misread import apart
 from core.diagnosis.moving import Physics
 from core.diagnosis.parted import Parted
 from core.diagnosis.scan import Scan
@@ -51,7 +52,9 @@ class Case:
     dealt: int = DEALT
     serving: Sequence[str] = ()
     workspace: Workspace | None = field(default=None, compare=False, repr=False)
-    _seen: dict[tuple[str, str], Scores] = field(default_factory=dict, compare=False, repr=False)
+    _seen: dict[tuple[str, str, frozenset[str]], Scores] = field(
+        default_factory=dict, compare=False, repr=False
+    )
 
     @property
     def seed(self) -> int:
@@ -101,13 +104,19 @@ class Case:
             )
         return every
 
-    def seen(self, model: Model, state: RotorState) -> Scores:
-        """Its scores under a state; those of the last few states are kept."""
-        key = (model.digest, state.digest)
+    def seen(self, model: Model, state: RotorState, *, whole: bool = False) -> Scores:
+        """Its scores under a state; those of the last few states are kept.
+
+        whole  with blades that one reading sets apart (`misread.apart`): their particles were
+               fitted to that reading, and what they say of the others is worth nothing
+        """
+        out = frozenset[str]() if whole else apart(state)
+        key = (model.digest, state.digest, out)
         if key not in self._seen:
             while len(self._seen) >= KEPT:
                 del self._seen[next(iter(self._seen))]
-            self._seen[key] = scores(model, state, self.readings, self.spec.known, self.workspace)
+            given = (self.readings, self.spec.known, self.workspace, out)
+            self._seen[key] = scores(model, state, *given)
         return self._seen[key]
 
     def scan(

@@ -42,7 +42,7 @@ from core.diagnosis.grammar import Cell
 from core.diagnosis.held import leaving_runs
 from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.left_out import left_out
-from core.diagnosis.misread import slips
+from core.diagnosis.misread import set_apart, slips
 from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.together import shared
 from core.diagnosis.verdict import Verdict, judge
@@ -191,8 +191,8 @@ def _leading(taken: Rival, turns: Sequence[Turn], verdict: Verdict) -> Rival:
 
 def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:
     """With the readings that may be misread in its reasons."""
-    told = slips(left_out(case.seen(taken.model, taken.state)))
-    return replace(verdict, reasons=(*verdict.reasons, *told))
+    told = slips(left_out(case.seen(taken.model, taken.state, whole=True)))
+    return replace(verdict, reasons=(*verdict.reasons, *told, *set_apart(taken.state)))
 
 
 def _end(cell: Cell, before: Model, taken: Rival) -> str | None:

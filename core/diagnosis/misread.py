@@ -11,6 +11,11 @@ C = Q⁻¹ the covariance of a blade's rows, of which row i is left out,
 are score and information of the others (the inverse of a matrix without a row and column). What is
 read at many nodes at once is no slip of one value and stays in. Dealt sets (`dealing`) are asked
 the same, so that the test keeps its size. Such a reading is told in words (`slips`).
+
+A blade that contradicts by one reading, and is `bounded` in its state, has particles that were
+fitted to that reading: its residuals at the others are as wrong as at this one. Of such a blade
+nothing is scanned (`apart`), and the verdict says so (`set_apart`). One whose readings contradict
+together stays in: an effect of its own may be what they have in common.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from core.calibration.state import RotorState
 from core.diagnosis.bayes import one_by_one
 from core.diagnosis.grammar import Cell
 from core.diagnosis.left_out import LeftOut
@@ -100,6 +106,20 @@ def alone_of(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
     out = np.zeros(columns, bool)
     out[: len(cells)] = [cell.whom == "blade" for cell in cells]
     return out
+
+
+def apart(state: RotorState) -> frozenset[str]:
+    """Blades that are set apart by one reading."""
+    told = state.meta["health"].get("contradicted", ())
+    return frozenset(one["blade"] for one in told if one.get("bounded") and one.get("suspects"))
+
+
+def set_apart(state: RotorState) -> tuple[str, ...]:
+    """That they were, in words."""
+    if not (out := sorted(apart(state))):
+        return ()
+    names = ", ".join(out[:TOLD]) + (f" and {len(out) - TOLD} more" if len(out) > TOLD else "")
+    return (f"left out of the scan, for one reading contradicts all others of the blade: {names}",)
 
 
 def slips(read: LeftOut) -> tuple[str, ...]:

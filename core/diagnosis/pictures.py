@@ -39,8 +39,8 @@ def pictures(found: Diagnosis, case: Case) -> Json:
     """All of it; readings of several values are counted, not shown."""
     (model, state), (model_after, state_after) = found.before, found.after
     changed = state_after is not state
-    before = left_out(case.seen(model, state))
-    after = left_out(case.seen(model_after, state_after)) if changed else before
+    before = left_out(case.seen(model, state, whole=True))
+    after = left_out(case.seen(model_after, state_after, whole=True)) if changed else before
     later = {r.id: i for i, r in enumerate(after.readings)}
     rows = []
     for i, reading in enumerate(before.readings):

@@ -7,7 +7,7 @@ particles, for effects of physics.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,14 +41,18 @@ def scores(
     readings: Sequence[Inspection],
     known: Mapping[str, Mapping[str, float]] | None = None,
     workspace: Workspace | None = None,
+    without: Collection[str] = (),
 ) -> Scores:
     """Of the readings that count, under the posterior that they made.
 
     workspace  of the update that made it, where its rows are already
+    without    blades of which nothing is scored
     Raises InputError where there is no reading, or the state rests on others.
     """
     by_blade: dict[str, list[Inspection]] = {}
     for reading in readings:
+        if reading.blade in without:
+            continue
         by_blade.setdefault(reading.blade, []).append(reading)
     if not by_blade:
         raise InputError("readings", 0, "cannot be diagnosed", "post inspections first")
