@@ -57,11 +57,13 @@ def until(what: str, true: Callable[[], bool]) -> None:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process runs (a zombie does not)."""
+    """Whether a process runs. A zombie does not, once the last of its threads has let its files and
+    sockets go: the first one ends before them."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+        told = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except (FileNotFoundError, ProcessLookupError):
         return False
+    return (told[0], told[17]) != ("Z", "1")
 
 
 def test_no_entry_is_lost_or_applied_twice_while_workers_are_killed(
@@ -336,7 +338,8 @@ def serving(settings: Settings) -> Iterator[tuple[subprocess.Popen[bytes], Clien
         env={**os.environ, **environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
         stdout=subprocess.DEVNULL,
     )
-    client = Client(http=httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0))
+    url = f"http://127.0.0.1:{port}"
+    client = Client(http=httpx.Client(base_url=url, timeout=60.0, verify=False))
     try:
         client.ready(PATIENCE_S)
         yield process, client
