@@ -11,6 +11,7 @@ from playwright.sync_api import Browser, expect
 from core.builtin import inspection_plan
 from service.bootstrap import make_science, make_store, make_worker
 from service.settings import Settings
+from service.worker.claiming import Role
 from tests.browser.conftest import Running, sealed, serving, watching
 from tests.browser.test_pages_in_browser import COLOURS, serious
 
@@ -35,13 +36,28 @@ ON_ONE_ANOTHER = """() => [document, ...[...document.querySelectorAll(".pictured
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    """The rotor of the inspection plan, every reading of it applied, and another one."""
-    with serving(tmp_path_factory.mktemp("demo")) as running:
-        stream(running.client)
+    """The rotor of the inspection plan, every reading of it applied, and another one.
+
+    A worker in this process takes all of it at once, where one of the service would compute a
+    version of whatever had come by then.
+    """
+    with serving(tmp_path_factory.mktemp("demo"), workers=0) as running:
+        head = stream(running.client)
+        work_off(running, "all")
+        sealed(running.client, head, "demo")
         yield running
 
 
-def stream(client: httpx.Client) -> None:
+def work_off(running: Running, role: Role) -> None:
+    settings = Settings(database_url=running.database, seal_after_s=0.0)
+    store = make_store(settings)
+    try:
+        make_worker(store, make_science(settings, store), settings, "test", role).drain()
+    finally:
+        store.close()
+
+
+def stream(client: httpx.Client) -> int:
     blades = [
         {"id": name, "slot": name[1:4], "coating_lot": f"C{int(name[1:4]) % 3 + 1}"}
         for name in inspection_plan.blades()
@@ -57,20 +73,14 @@ def stream(client: httpx.Client) -> None:
     plan = inspection_plan.load().inspections
     assert len(plan) == 306
     told = client.post("/v1/rotors/demo/inspections", json={"inspections": list(plan)})
-    told.raise_for_status()
-    sealed(client, told.json()["head_seq"], "demo")
+    return int(told.raise_for_status().json()["head_seq"])
 
 
 @pytest.fixture(scope="module")
 def diagnosed(demo: Running) -> str:
     """The page of a diagnosis of all of it, worked off by a worker in this process."""
     made = demo.client.post("/v1/rotors/demo/diagnoses", json={}).raise_for_status().json()
-    settings = Settings(database_url=demo.database)
-    store = make_store(settings)
-    try:
-        make_worker(store, make_science(settings, store), settings, "test", "diagnose").drain()
-    finally:
-        store.close()
+    work_off(demo, "diagnose")
     path = f"/rotors/demo/diagnoses/{made['diagnosis']['id']}"
     told = demo.client.get(f"/v1{path}").json()
     assert told["status"] == "done", told
