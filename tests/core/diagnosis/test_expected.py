@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from core.calibration.online import RotorSpec, Workspace, begun, update
 from core.calibration.start import Start
+from core.calibration.state import RotorState
+from core.calibration.step import Step
 from core.diagnosis import Case, Facts
 from core.diagnosis.adopt import amplitude, with_effects
 from core.diagnosis.expected import joined, without
@@ -35,60 +37,64 @@ def torn() -> Case:
     return Case(SPEC, tuple(data), {b: Facts() for b in SPEC.blades}, (OFFSET,))
 
 
+@dataclass(frozen=True)
+class Torn:
+    """The case, calibrated without the effect and with it.
+
+    i       the cell of the effect in the scan
+    bigger  the model with it, `alone` its calibration from nothing in a workspace of its own, and
+            the columns that its evidence took there
+    """
+
+    case: Case
+    state: RotorState
+    scan: Scan
+    i: int
+    noise: dict[str, float]
+    bigger: Model
+    alone: Step
+    evidence: float
+    columns: int
+
+
 @pytest.fixture(scope="module")
-def scanned() -> tuple[Case, Scan, int]:
-    case = torn()
+def it() -> Torn:
+    case, work = torn(), Workspace()
     state = update(MODEL, SPEC, case.readings)
-    scan = case.scan(MODEL, state)
-    return case, scan, next(i for i, c in enumerate(scan.cells) if c.value == "g1")
-
-
-def test_amplitude_rate_and_noise_with_an_effect_are_foreseen(
-    scanned: tuple[Case, Scan, int],
-) -> None:
-    """The noise falls by several of its sds, which tells most of where the effect's place is."""
-    case, scan, i = scanned
-    state = update(MODEL, SPEC, case.readings)
-    noise = case.noise(MODEL, state)
-    expected = joined(MODEL, state, scan, [i], MODEL, noise)
+    scan, noise = case.scan(MODEL, state), case.noise(MODEL, state)
+    i = next(i for i, c in enumerate(scan.cells) if c.value == "g1")
     bigger = with_effects(MODEL, [scan.cells[i]], case.facts, noise)
-    alone = begun(bigger, SPEC, case.readings)
-    found = Start.of(bigger, alone.sealed())
+    alone = begun(bigger, SPEC, case.readings, workspace=work)
+    evidence = alone.log_evidence
+    return Torn(case, state, scan, i, noise, bigger, alone, evidence, work.columns.computed)
+
+
+def test_amplitude_rate_and_noise_with_an_effect_are_foreseen(it: Torn) -> None:
+    """The noise falls by several of its sds, which tells most of where the effect's place is."""
+    expected = joined(MODEL, it.state, it.scan, [it.i], MODEL, it.noise)
+    found = Start.of(it.bigger, it.alone.sealed())
     order = [found.names.index(n) for n in expected.names]
     sd = np.sqrt(np.diag(found.covariance))[order]
     assert np.all(np.abs(expected.mean - found.mean[order]) < 1.5 * sd)
-    before, name = Start.of(MODEL, state), "sigma_obs.y"
+    before, name = Start.of(MODEL, it.state), "sigma_obs.y"
     fall = before.mean[before.names.index(name)] - found.mean[found.names.index(name)]
     assert fall > 3 * sd[expected.names.index(name)]
     assert expected.mean[-1] == pytest.approx(ADDED, abs=3 * sd[-1])
 
 
-def test_it_is_found_there_with_the_same_evidence_and_few_columns(
-    scanned: tuple[Case, Scan, int],
-) -> None:
-    case, scan, i = scanned
-    state = update(MODEL, SPEC, case.readings)
-    noise = case.noise(MODEL, state)
-    bigger = with_effects(MODEL, [scan.cells[i]], case.facts, noise)
-    work, other = Workspace(), Workspace()
-    alone = begun(bigger, SPEC, case.readings, workspace=other)
-    expected = joined(MODEL, state, scan, [i], MODEL, noise)
-    near = begun(bigger, SPEC, case.readings, workspace=work, start=expected)
-    assert near.log_evidence == pytest.approx(alone.log_evidence, abs=0.15)
-    assert 3 * work.columns.computed <= other.columns.computed
+def test_it_is_found_there_with_the_same_evidence_and_few_columns(it: Torn) -> None:
+    work = Workspace()
+    expected = joined(MODEL, it.state, it.scan, [it.i], MODEL, it.noise)
+    near = begun(it.bigger, SPEC, it.case.readings, workspace=work, start=expected)
+    assert near.log_evidence == pytest.approx(it.evidence, abs=0.15)
+    assert 3 * work.columns.computed <= it.columns
 
 
-def test_without_the_effect_the_model_as_it_was_is_expected(
-    scanned: tuple[Case, Scan, int],
-) -> None:
-    case, scan, i = scanned
-    state = update(MODEL, SPEC, case.readings)
-    bigger = with_effects(MODEL, [scan.cells[i]], case.facts, case.noise(MODEL, state))
-    made = update(bigger, SPEC, case.readings)
-    back = without(bigger, made, [scan.cells[i]], MODEL)
-    known = Start.of(MODEL, state)
+def test_without_the_effect_the_model_as_it_was_is_expected(it: Torn) -> None:
+    back = without(it.bigger, it.alone.sealed(), [it.scan.cells[it.i]], MODEL)
+    known = Start.of(MODEL, it.state)
     assert back.names == known.names
-    assert amplitude(scan.cells[i], MODEL.network)[0] not in back.names
+    assert amplitude(it.scan.cells[it.i], MODEL.network)[0] not in back.names
     rate = known.names.index("rate")
     assert abs(back.mean[rate] - known.mean[rate]) < 1.0 * np.sqrt(known.covariance[rate, rate])
 
