@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.calibration.online import RotorSpec, Workspace, begun, update
+from core.calibration.online import RotorSpec, Workspace, begun
 from core.calibration.start import Start
 from core.calibration.state import shared_posterior
 from core.calibration.step import Step
@@ -28,10 +28,16 @@ def made(start: Start | None = None) -> tuple[Step, int]:
     return step, work.columns.computed
 
 
-def test_from_where_it_is_expected_the_same_posterior_is_found_in_a_quarter_of_the_columns() -> (
-    None
-):
-    alone, many = made()
+@pytest.fixture(scope="module")
+def nothing() -> tuple[Step, int]:
+    """From no start: what the others are held against."""
+    return made()
+
+
+def test_from_where_it_is_expected_the_same_posterior_is_found_in_a_quarter_of_the_columns(
+    nothing: tuple[Step, int],
+) -> None:
+    alone, many = nothing
     known = Start.of(MODEL, alone.sealed())
     again, few = made(known.wider(2.0))
     assert again.log_evidence == pytest.approx(alone.log_evidence, abs=0.05)
@@ -44,17 +50,20 @@ def test_from_where_it_is_expected_the_same_posterior_is_found_in_a_quarter_of_t
     assert 4 * few <= many
 
 
-def test_a_start_that_is_far_off_costs_time_and_changes_nothing() -> None:
-    alone, _ = made()
+def test_a_start_that_is_far_off_costs_time_and_changes_nothing(
+    nothing: tuple[Step, int],
+) -> None:
+    alone, _ = nothing
     known = Start.of(MODEL, alone.sealed())
     sd = np.sqrt(np.diag(known.covariance))
     off = replace(known, mean=known.mean + np.array([-12.0, 8.0]) * sd)
     assert made(off)[0].log_evidence == pytest.approx(alone.log_evidence, abs=0.1)
 
 
-def test_where_a_start_is_to_be_alone_nothing_is_looked_for_elsewhere() -> None:
-    sealed, _ = made()
-    known = Start.of(MODEL, sealed.sealed())
+def test_where_a_start_is_to_be_alone_nothing_is_looked_for_elsewhere(
+    nothing: tuple[Step, int],
+) -> None:
+    known = Start.of(MODEL, nothing[0].sealed())
     sd = np.sqrt(np.diag(known.covariance))
     off = replace(known, mean=known.mean + np.array([-12.0, 8.0]) * sd)
     (found, many), (lost, few) = made(off), made(replace(off, alone=True))
@@ -65,7 +74,7 @@ def test_where_a_start_is_to_be_alone_nothing_is_looked_for_elsewhere() -> None:
     assert near[0].sealed().digest == there[0].sealed().digest
 
 
-def test_what_was_found_before_is_not_searched_again() -> None:
+def test_what_was_found_before_is_not_searched_again(nothing: tuple[Step, int]) -> None:
     """By another process, from JSON: the same bits for a part of the columns; other readings, or
     another start, are another question."""
     places: dict[str, Any] = {}
@@ -76,7 +85,7 @@ def test_what_was_found_before_is_not_searched_again() -> None:
     assert len(kept) == 1
     again = Workspace(kept)
     other = begun(MODEL, SPEC, READINGS, workspace=again)
-    assert other.sealed().digest == first.digest == made()[0].sealed().digest
+    assert other.sealed().digest == first.digest == nothing[0].sealed().digest
     assert 2 * again.columns.computed < work.columns.computed
     known = Start.of(MODEL, first)
     for more in (
@@ -89,8 +98,8 @@ def test_what_was_found_before_is_not_searched_again() -> None:
     assert len(kept) == 2
 
 
-def test_a_start_for_other_parameters_is_none() -> None:
-    alone, many = made()
+def test_a_start_for_other_parameters_is_none(nothing: tuple[Step, int]) -> None:
+    alone, many = nothing
     known = Start.of(MODEL, alone.sealed())
     other = replace(known, names=("rate", "sigma_obs.z"))
     assert other.on(alone.space) is None
@@ -99,8 +108,10 @@ def test_a_start_for_other_parameters_is_none() -> None:
     assert step.log_evidence == pytest.approx(alone.log_evidence, abs=0.1)
 
 
-def test_the_moments_are_those_of_the_particles_on_the_scale_of_the_prior() -> None:
-    state = update(MODEL, SPEC, READINGS)
+def test_the_moments_are_those_of_the_particles_on_the_scale_of_the_prior(
+    nothing: tuple[Step, int],
+) -> None:
+    state = nothing[0].sealed()
     known, shared = Start.of(MODEL, state), shared_posterior(state.meta, state.arrays.__getitem__)
     w, x = shared.particles.w, shared.particles.psi.copy()
     noise = shared.names.index("sigma_obs.y")
