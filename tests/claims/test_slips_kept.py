@@ -49,3 +49,23 @@ def test_where_bounds_do_not_help_is_told() -> None:
     small = [abs(r["moved"]) for r in found["cases"] if r["off"] < slips.NOTICED]
     assert len(small) == 39
     assert max(small) == pytest.approx(0.88, abs=0.01)
+
+
+def test_in_a_fleet_every_large_slip_is_named_and_the_rotor_stays_where_it_was() -> None:
+    found = kept("slips-fleet")
+    assert (found["plan"], found["seed"], found["commit"][:7]) == (
+        *("fleet-six-visits", 8132651),
+        "7c182b2",
+    )
+    numbers = {(one["kind"], one["number"]) for one in found["cases"]}
+    assert numbers == {(kind, n) for kind in slips.KINDS for n in range(4)}
+    assert slips.table(found["cases"]) == found["table"]
+    large = [r for r in found["cases"] if r["off"] >= slips.NOTICED]
+    assert (len(large), sum(r["named"] for r in large)) == (22, 22)
+    assert "**22 of 22** wrong readings of 12 noises and more are named" in TEXT
+    assert round(max(abs(r["moved"]) for r in large), 2) == 0.22
+    far = sorted(abs(r["unbounded"]) for r in large if abs(r["unbounded"]) > slips.MOVED)
+    assert len(far) == 9
+    assert all(11 <= x < 13.1 for x in far[1:])
+    assert "more than one sd in 9 of 22, in eight of these by 11 to 13" in TEXT
+    assert not any(one["accused before"] for one in found["cases"])
