@@ -37,6 +37,7 @@ BODIES: dict[str, Any] = {
     "POST /v1/rotors": {"id": "new", "model": "rotor-blade", "blades": [{"id": "B1"}]},
     "POST /v1/rotors/{r}/inspections": READING | {"id": "i1"},
     "POST /v1/rotors/{r}/blades": {"id": "B9"},
+    "POST /v1/rotors/{r}/policy": {"adopt": "never"},
 }
 GUARDED = [name for name, rule in RULES.items() if rule.scope != "open"]
 

@@ -26,10 +26,10 @@ from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
-from tests.service.test_diagnoses import command, diagnoser, straight
+from tests.service.test_diagnoses import command, straight
 from tests.service.told import Json, course, pictures, told
 
-__all__ = ["diagnoser", "straight"]  # fixtures
+__all__ = ["straight"]  # a fixture
 VERDICTS = ("adequate", "effect", "not separable", "unattributed")
 HOSTILE = (
     "<script>alert(1)</script>",

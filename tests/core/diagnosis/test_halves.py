@@ -64,7 +64,8 @@ def test_a_pull_between_halves_is_a_difference_of_amplitudes(
 
     def told(pull: np.ndarray) -> tuple[float, float]:
         # other tests look at the same case: what is put in here goes again
-        monkeypatch.setitem(case._seen, (bent.digest, state.digest), replace(seen, pull=pull))
+        key = (bent.digest, state.digest, frozenset[str]())
+        monkeypatch.setitem(case._seen, key, replace(seen, pull=pull))
         held = case.halves(MODEL, sound, Rival((CELL,), bent, lambda: state, 0.0))
         return next(one.amplitudes for one in held if one.by == BLADES)
 

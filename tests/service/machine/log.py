@@ -145,6 +145,17 @@ class Log(Machine):
         answer = self.send("POST", self.path(rotor, "retry"))
         assert answer.status_code == (202 if rotor in self.model else 404)
 
+    @act(rotor=rotors)
+    def decide(self, rotor: str) -> None:
+        """To adopt by itself, and no longer: nothing ends between the two."""
+        for adopt in ("effect", "never"):
+            answer = self.send("POST", self.path(rotor, "policy"), json={"adopt": adopt})
+            assert answer.status_code == (200 if rotor in self.model else 404)
+            if rotor in self.model:
+                told = answer.json()
+                assert (told["adopt"], told["diagnose"]) == (adopt, "never")
+                assert told["policy_since"] is not None
+
     @act(which=st.integers(0, 1))
     def work(self, which: int) -> None:
         self.drain(which)
