@@ -57,6 +57,19 @@ def test_clean_fleets_read_six_times_alarm_more_often_than_asked_and_are_given_n
     assert not any(one["names"] for one in more)
 
 
+def test_clean_fleets_read_six_times_alarm_seldom_once_gross_readings_are_bounded() -> None:
+    found = kept("effects-six-visits-clean-2")
+    assert found["seed"] == int(found["commit"][:6], 16)
+    kinds = {(one["condition"], one["number"]) for one in found["sets"]}
+    assert kinds == {(kind, n) for kind in CLEAN for n in range(20)}
+    assert study.table(found["sets"]) == found["table"]
+    alarms = [one for one in found["sets"] if one["alarm"]]
+    assert [one["condition"] for one in alarms] == ["clean, heavy tails"]
+    assert not any(one["names"] for one in found["sets"])
+    assert "**1 of 60** alarms, 1.7 %" in TEXT
+    assert "8 of 120, 6.7 %" in TEXT
+
+
 def test_what_is_left_is_what_the_same_rotors_have_without_the_effect() -> None:
     found = kept(NAME)["improvement"]
     of_sensors = [(found[kind]["rmse"], found[kind]["least rmse"]) for kind in SENSORS]
