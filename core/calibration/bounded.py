@@ -21,9 +21,10 @@ where chi²_R(p) is what noise exceeds with probability p: a blade that `health`
 never below it but for its Occam factor. It is for the accused alone. Messages of sound blades fall
 far below it away from the posterior, which is how the posterior is found. So nodes are placed
 without floors; of those who contradict there the worst get one (`_worst`), and the nodes are placed
-anew, until nobody else contradicts. A sound blade seems to where another one carries the rotor
-away, and comes back. Where more than `MOST` of the blades that were read would be bounded, it is
-the model that is wrong, or the rotor is not one: then none is, as nobody tells which to believe.
+anew, until nobody else contradicts. (A sound blade seems to contradict where another one carries
+the rotor away, and fits again once that one is bounded.) Where more than `MOST` of the blades that
+were read would be bounded, it is the model that is wrong, or the rotor is not one: then none is,
+as nobody tells which to believe.
 """
 
 from __future__ import annotations
