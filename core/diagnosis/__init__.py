@@ -9,8 +9,8 @@ clock       the rotor's hours of a reading
 signature   how a cell would move the readings
 scan        every cell and pair against the residuals, with a null of their own
 bayes       what cells by themselves, or some together, gain
-misread     effects of one blade without any one of its readings; coherent: beside what the
-            simulation does wrong at all of them
+misread     effects of one blade without any one of its readings, blades that one of them sets
+            apart; coherent: beside what the simulation does wrong at all of them
 chance      how often chance alone gains as much, over everything that was tried
 hypotheses  cells and pairs with their evidence
 verdict     adequate | effect | not separable | unattributed
