@@ -151,7 +151,7 @@ def verdict(
         )
         miss = f"the rotor's best fit by {one['misfit_nat']:g} nat"
         apart = "; no other blade follows it" if one.get("bounded") else ""
-        reasons.append(f"blade {one['blade']} misses {miss}, {other}{apart}{_blamed(one)}")
+        reasons.append(f"blade {one['blade']} misses {miss}, {other}{apart}{_to_look_at(one)}")
     return {
         **health,
         "status": "contradicted" if contradicted else "ok" if met else "degenerate",
@@ -161,10 +161,10 @@ def verdict(
     }
 
 
-def _blamed(one: Mapping[str, Any]) -> str:
+def _to_look_at(one: Mapping[str, Any]) -> str:
     """Which reading is rather wrong, in words; none is told of states of before.
 
-    >>> _blamed({"suspects": [{"reading": "r7", "time_h": 19000.0, "misfit_nat": 2.1}]})
+    >>> _to_look_at({"suspects": [{"reading": "r7", "time_h": 19000.0, "misfit_nat": 2.1}]})
     '; without reading r7 (19,000 h) all others fit: look at that one'
     """
     told = [f"{s['reading']} ({s['time_h']:,.0f} h)" for s in one.get("suspects", ())]

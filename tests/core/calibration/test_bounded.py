@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from core.calibration import bounded
-from core.calibration.online import update
+from core.calibration.online import begun, update
 from core.calibration.space import shared_space
+from core.calibration.start import Start
 from core.calibration.state import RotorSpec, RotorState, shared_posterior
+from core.calibration.step import Step
 from core.calibration.target import assemble
+from core.calibration.weighed import Weighed
 from core.calibration.workspace import Workspace
 from core.observation import Inspection
 from tests.core.calibration.test_bad_data import MODEL, assert_finite, reading
@@ -85,8 +89,6 @@ def test_one_that_fits_once_the_others_are_believed_counts_in_full() -> None:
     """Dragged by a slip, the rotor's best node lies where sound blades contradict: they come back,
     and say what they said."""
     given = rotor(2, 400.0)
-    first = np.array([r.values[0] for r in given if r.blade != "b7"])
-    assert first.max() < 2.5
     state, others = update(MODEL, SPEC, given), update(MODEL, SPEC, without(given))
     assert [one["blade"] for one in state.meta["health"]["contradicted"]] == ["b7"]
     assert state.arrays["shared/log_w"] == pytest.approx(others.arrays["shared/log_w"], abs=1e-5)
@@ -95,9 +97,7 @@ def test_one_that_fits_once_the_others_are_believed_counts_in_full() -> None:
 def test_a_blade_that_is_another_one_is_set_apart() -> None:
     """Its readings agree with each other, and no shared parameters of the others give them: at the
     compromise between both all blades contradict."""
-    given = [
-        replace(r, values=r.values + 1.5) if r.blade == "b7" else r for r in rotor(6) if r.blade
-    ]
+    given = [replace(r, values=r.values + 1.5) if r.blade == "b7" else r for r in rotor(6)]
     state, others = update(MODEL, SPEC, given), update(MODEL, SPEC, without(given))
     told = state.meta["health"]["contradicted"]
     assert [(one["blade"], one["bounded"], one["suspects"]) for one in told] == [("b7", True, [])]
@@ -131,6 +131,28 @@ def test_quick_updates_keep_it_apart_and_its_own_readings_seal_at_once() -> None
     at_once = update(MODEL, SPEC, [*given, own], state, quick=True)
     assert at_once.sealed, "its floor was made for other readings"
     assert at_once.digest == update(MODEL, SPEC, [*given, own]).digest
+
+
+def test_a_comparison_begins_with_those_who_are_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A diagnosis asks for a dozen posteriors of one rotor: none is looked for where a slip has it,
+    and none has another evidence for it."""
+    given = rotor(7, 30.0)
+    state = update(MODEL, SPEC, given)
+    start = Start.of(MODEL, state)
+    assert start.apart == {"b7"}
+    assert start.joined(["a"], np.zeros((1, 1)), np.zeros(1), np.eye(1)).apart == {"b7"}
+    assert replace(start, apart=frozenset()).between(start).wider(2.0).apart == {"b7"}
+    asked: list[set[str]] = []
+    real = Step.weigh_with
+
+    def weigh_with(self: Step, floors: Mapping[str, float]) -> Weighed:
+        asked.append(set(floors))
+        return real(self, floors)
+
+    monkeypatch.setattr(Step, "weigh_with", weigh_with)
+    step = begun(MODEL, SPEC, given, start=start)
+    assert step.log_evidence == pytest.approx(state.meta["log_evidence"], abs=0.05)
+    assert asked == [{"b7"}]
 
 
 @pytest.mark.parametrize("wrong", [2, 4])

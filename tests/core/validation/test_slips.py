@@ -77,7 +77,7 @@ def test_an_unknown_kind_is_refused() -> None:
 
 
 def test_a_case_whose_slip_is_large_names_the_reading() -> None:
-    """Two finite-element blades' worth of a study: one rotor of twenty, a sign forgotten."""
+    """One finite-element rotor of twenty blades, a sign forgotten."""
     told = slips.one("sign", 0, 5, 256, "rotor-20")
     assert told["off"] > slips.NOTICED
     assert (told["right"], told["named"], told["accused before"]) == (True, True, 0)
