@@ -3,7 +3,8 @@
     ok            the nodes carry the posterior, and every blade fits the rotor
     degenerate    they do not: too few effective nodes, messages that are too rough, or tempered
                   until the state is sealed
-    contradicted  a blade's readings cannot be what the rotor's best parameters give
+    contradicted  a blade's readings cannot be what the rotor's best parameters give, or those of
+                  two blades look exchanged (`exchanged`)
 
 A blade contradicts where even its best local parameters, at the best shared node s*, leave
 residuals that noise does not: with chi² the least Σ (y − Y_m)² / var over the box of local
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from core.calibration.exchanged import in_words
 from core.calibration.message import BladeMessage
 from core.calibration.misfit import best_fit, suspects
 
@@ -119,9 +121,14 @@ def _most(rows: int, log_p: float) -> float:
 
 
 def verdict(
-    health: Mapping[str, Any], contradicted: Sequence[Mapping[str, Any]], *, sealed: bool
+    health: Mapping[str, Any],
+    contradicted: Sequence[Mapping[str, Any]],
+    exchanged: Sequence[Mapping[str, Any]] = (),
+    *,
+    sealed: bool,
 ) -> dict[str, Any]:
-    """`health` with its outcome: status, reasons, met_floor and the blades that contradict."""
+    """`health` with its outcome: status, reasons, met_floor, the blades that contradict and, where
+    there are any, those that look exchanged."""
     floor = FLOOR if sealed else QUICK_FLOOR
     reasons = []
     if not health["ess_ratio"] >= floor:
@@ -152,13 +159,15 @@ def verdict(
         miss = f"the rotor's best fit by {one['misfit_nat']:g} nat"
         apart = "; no other blade follows it" if one.get("bounded") else ""
         reasons.append(f"blade {one['blade']} misses {miss}, {other}{apart}{_to_look_at(one)}")
-    return {
+    reasons += [in_words(one) for one in exchanged]
+    out = {
         **health,
-        "status": "contradicted" if contradicted else "ok" if met else "degenerate",
+        "status": "contradicted" if contradicted or exchanged else "ok" if met else "degenerate",
         "reasons": reasons,
         "met_floor": met,
         "contradicted": [dict(one) for one in contradicted],
     }
+    return out | ({"exchanged": [dict(one) for one in exchanged]} if exchanged else {})
 
 
 def _to_look_at(one: Mapping[str, Any]) -> str:

@@ -94,6 +94,8 @@ def provisional(
     bad = [one | {"bounded": False} for one in blamed(step.messages, accused, best)]
     before = previous.meta["health"].get("contradicted", [])
     bad += [one for one in before if one["blade"] in unread]
+    pairs = previous.meta["health"].get("exchanged", [])
+    turned = [one for one in pairs if unread.issuperset(one["blades"])]
     error = step.message_error(unit, previous)
     return step.state(
         own,
@@ -102,6 +104,7 @@ def provisional(
         log_w,
         error,
         bad,
+        turned,
         sealed=False,
         thin=thin,
         tempered=beta,

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from core.calibration.alike import family_key
 from core.calibration.basis import Basis
 from core.calibration.bounded import Accused, settled
+from core.calibration.exchanged import exchanged
 from core.calibration.health import blamed, verdict
+from core.calibration.message import BladeMessage
 from core.calibration.rotor import weigh
 from core.calibration.sets import Nodes
 from core.calibration.smooth import NEARLY
@@ -26,6 +28,7 @@ from core.calibration.space import locals_of
 from core.calibration.state import ALGORITHM, Arrays, RotorState, health
 from core.calibration.surface import evening
 from core.calibration.weighed import Weighed
+from core.observation import Inspection
 from core.rng import seed_of
 from core.smc.particles import log_sum_exp
 from core.smc.proposal import Proposal
@@ -97,6 +100,7 @@ class Step(Basis):
         arrays = below.over(own, kept)
         best = weighed.unit[[int(np.argmax(weighed.log_p))]]
         bad = blamed(self.messages, self.settled[1], best)
+        turned = self.exchanged() if self.start is None else []
         return self.state(
             own,
             arrays,
@@ -104,10 +108,21 @@ class Step(Basis):
             log_w,
             self.message_error(weighed.unit),
             bad,
+            turned,
             sealed=True,
             thin=set(),
             surface=surface_error,
         )
+
+    def exchanged(self) -> list[dict[str, Any]]:
+        """Blades whose readings of a visit look exchanged (`exchanged`)."""
+
+        def messages_of(readings: Mapping[str, Sequence[Inspection]]) -> dict[str, BladeMessage]:
+            rows = {b: self.work.rows_of(self.model, own) for b, own in readings.items()}
+            return self.work.messages_of(self.model, rows, self.space, self.rotor.known or {})
+
+        weighed, accused = self.settled
+        return exchanged(self.messages, weighed, {one["blade"] for one in accused}, messages_of)
 
     def otherwise_known(self, previous: RotorState, weighed: Weighed) -> set[str]:
         """Blades whose column was a table's before and no longer is, or the other way round.
@@ -154,6 +169,7 @@ class Step(Basis):
         log_w: Array,
         message_error: tuple[float, float],
         contradicted: Sequence[Mapping[str, Any]],
+        turned: Sequence[Mapping[str, Any]],
         *,
         sealed: bool,
         thin: set[str],
@@ -188,7 +204,7 @@ class Step(Basis):
             "local": [p.name for p in locals_of(self.model)],
             "blades": list(self.rotor.blades),
             "log_evidence": log_sum_exp(whole) - float(np.log(nodes)),
-            "health": verdict(carried, contradicted, sealed=sealed),
+            "health": verdict(carried, contradicted, turned, sealed=sealed),
             "arrays": sorted(arrays),
         }
         if self.prior is not None:

@@ -12,7 +12,9 @@ written down wrongly:
 
 Where a slip is smaller than `NOTICED` noises nobody could notice it, and nobody has to; all cases
 are counted, with their size. Against the same rotor as it was read, the mean of the gas temperature
-is held in sds, with blades that contradict `bounded` and, as the control, without.
+is held in sds, with blades that contradict `bounded` and, as the control, without. Pairs of blades
+that are told as `exchanged` are counted in both: in the rotor as it was read none is. The rotor may
+carry an effect that its model lacks (`condition`), which must not be taken for an exchange.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from core.rng import stream
 from core.smc.particles import normalised
 from core.validation.effect_plans import NOISE
 from core.validation.effect_plans import plan as plan_of
-from core.validation.effect_sets import made
+from core.validation.effect_sets import conditions, made
 from core.validation.records import Record, code_digest, records
 
 WHAT = "t1t_rate"
@@ -100,9 +102,11 @@ def _moments(step: Step, found: Weighed) -> tuple[float, float]:
     return mean, float(np.sqrt(w @ (u - mean) ** 2))
 
 
-def one(kind: str, number: int, seed: int, particles: int, plan: str) -> Record:
+def one(
+    kind: str, number: int, seed: int, particles: int, plan: str, condition: str = "clean"
+) -> Record:
     """The record of a case."""
-    given = made(plan_of(plan), "clean", number, seed, particles)
+    given = made(plan_of(plan), condition, number, seed, particles)
     rng = stream(seed, "slips", kind, number)
     wrong, ids, off = slipped(kind, given.case.readings, rng)
     model, work = _model(), Workspace()
@@ -117,6 +121,7 @@ def one(kind: str, number: int, seed: int, particles: int, plan: str) -> Record:
         when: round((_moments(step, place)[0] - mean) / sd, 4)
         for when, place in (("moved", found), ("unbounded", step.weigh_with({})))
     }
+    pairs = [tuple(one["blades"]) for one in step.exchanged()]
     return {
         "kind": kind,
         "number": number,
@@ -127,6 +132,9 @@ def one(kind: str, number: int, seed: int, particles: int, plan: str) -> Record:
         "named": sorted(suspects) == sorted(ids),
         "among": bool(set(ids) & set(suspects)),
         "accused before": len(sound.settled[1]),
+        "exchange told": pairs == [tuple(sorted(blades))],
+        "exchanges": len(pairs),
+        "exchanges before": len(sound.exchanged()),
     }
 
 
@@ -140,6 +148,7 @@ def run(
     seed: int,
     particles: int,
     plan: str = "rotor-20",
+    condition: str = "clean",
     processes: int = 1,
     folder: str | Path | None = None,
     commit: str | None = None,
@@ -148,12 +157,14 @@ def run(
     """All cases of the kinds, by name and number; `folder` as in `coverage.run`."""
     if unknown := sorted(set(kinds) - set(KINDS)):
         raise InputError("kinds", unknown, "are unknown", f"use {', '.join(KINDS)}")
+    if condition not in (possible := conditions(plan_of(plan))):
+        raise InputError("condition", condition, "is unknown", f"use {', '.join(possible)}")
     file = None
     if folder is not None:
-        text = repr((seed, particles, plan, commit, code_digest(), _model().digest))
-        file = Path(folder) / f"slips-{sha256(text.encode()).hexdigest()[:12]}.jsonl"
+        told = (seed, particles, plan, condition, commit, code_digest(), _model().digest)
+        file = Path(folder) / f"slips-{sha256(repr(told).encode()).hexdigest()[:12]}.jsonl"
     calls = {
-        (kind, n): (kind, n, seed, particles, plan)
+        (kind, n): (kind, n, seed, particles, plan, condition)
         for n in range(max(kinds.values()))
         for kind, count in kinds.items()
         if n < count
@@ -166,7 +177,8 @@ def table(found: Sequence[Record]) -> dict[str, dict[str, float]]:
     """By kind, and of all: cases; of those that are `NOTICED` or larger how many, the share that is
     noticed in the right blade alone, and in which the wrong reading is a suspect, and is the only
     one; by how many sds the gas temperature moves at most and in the median, and without bounds;
-    and the same at most of the small ones."""
+    and the same at most of the small ones; the share of all cases in which the two blades are told
+    as exchanged, how many other pairs are, and how many before the slip."""
     out: dict[str, dict[str, float]] = {}
     for kind in (*KINDS, "all"):
         own = [r for r in found if kind in ("all", r["kind"])]
@@ -183,5 +195,10 @@ def table(found: Sequence[Record]) -> dict[str, dict[str, float]]:
                 row[f"{when}, above {MOVED:g} sd"] = float(np.mean(sizes > MOVED))
         if small:
             row["small, moved at most"] = float(max(abs(r["moved"]) for r in small))
+        if all("exchange told" in r for r in own):
+            row |= {"exchange told": sum(r["exchange told"] for r in own) / len(own)}
+            wrongly = sum(r["exchanges"] - r["exchange told"] for r in own)
+            row |= {"exchanges told wrongly": wrongly}
+            row["exchanges told before"] = sum(r["exchanges before"] for r in own)
         out[kind] = {k: round(float(v), 4) for k, v in row.items()}
     return out

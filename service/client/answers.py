@@ -25,11 +25,28 @@ class HealthContradicted(TypedDict):
     suspects: NotRequired[list[HealthContradictedSuspect]]
 
 
+class HealthExchangedRival(TypedDict):
+    blades: list[str]
+    campaign: str | None
+    time_h: list[float]
+
+
+class HealthExchanged(TypedDict):
+    blades: list[str]
+    campaign: str | None
+    time_h: list[float]
+    readings: list[list[str]]
+    gained_nat: float
+    probability: float
+    rivals: list[HealthExchangedRival]
+
+
 class Health(TypedDict):
     status: Literal["ok", "degenerate", "contradicted", "unknown"]
     reasons: list[str]
     met_floor: bool | None
     contradicted: list[HealthContradicted]
+    exchanged: NotRequired[list[HealthExchanged]]
     trusted: bool
 
 

@@ -25,6 +25,9 @@ def slips(
     plan: Annotated[
         str, typer.Option(help="rotor-20, or fleet-: 100, one-age, six-visits.")
     ] = "rotor-20",
+    condition: Annotated[
+        str, typer.Option(help="Effect that the model lacks, as in study effects.")
+    ] = "clean",
     particles: Annotated[int, typer.Option(help="Particles per blade.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of noise, labels and slips.")] = 7,
     processes: Annotated[int, typer.Option(help="Processes that share out the cases.")] = 1,
@@ -44,6 +47,7 @@ def slips(
             seed=seed,
             particles=particles,
             plan=plan,
+            condition=condition,
             processes=processes,
             folder=work,
             commit=made_by,
@@ -51,6 +55,7 @@ def slips(
         )
     facts: dict[str, Any] = {
         "plan": plan,
+        "condition": condition,
         "seed": seed,
         "particles": particles,
         "seconds": round(time.monotonic() - start, 1),

@@ -15,7 +15,9 @@ from service.api.answers.words import (
     named,
 )
 
+WHICH = {"blades": each(TEXT), "campaign": maybe(TEXT), "time_h": each(NUMBER)}
 HEALTH = having(
+    ("exchanged",),
     status={"enum": ["ok", "degenerate", "contradicted", "unknown"]},
     reasons=each(TEXT),
     met_floor=maybe(YES),
@@ -28,6 +30,15 @@ HEALTH = having(
             rows=WHOLE,
             bounded=YES,
             suspects=each(having(reading=TEXT, time_h=NUMBER, misfit_nat=NUMBER)),
+        )
+    ),
+    exchanged=each(
+        having(
+            **WHICH,
+            readings=each(each(TEXT)),
+            gained_nat=NUMBER,
+            probability=NUMBER,
+            rivals=each(having(**WHICH)),
         )
     ),
     trusted=YES,

@@ -27,12 +27,14 @@ const one = (value) => (Array.isArray(value) ? value[2] : value);
 function judged(found, health) {
   const limit = chosen.limit === null || chosen.limit === "" ? null : Number(chosen.limit);
   const contradicted = new Set((health?.contradicted ?? []).map((c) => c.blade ?? c));
+  const exchanged = new Set((health?.exchanged ?? []).flatMap((e) => e.blades));
   return found.items.map((blade) => {
     const mean = one(blade.prediction.mean);
     const sd = one(blade.prediction.sd.blade);
     const margin = limit === null ? null : (limit - mean) / sd;
     const alarms = [];
     if (contradicted.has(blade.id)) alarms.push(["bad", "contradicts the rotor"]);
+    if (exchanged.has(blade.id)) alarms.push(["bad", "readings look exchanged"]);
     if (margin !== null && margin < 0) alarms.push(["bad", "beyond the limit"]);
     else if (margin !== null && margin < 2) alarms.push(["warn", "limit within 2 sd"]);
     const held = blade.prediction.held_from_h;

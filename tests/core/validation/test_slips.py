@@ -74,6 +74,20 @@ def test_every_case_counts_and_small_ones_apart() -> None:
 def test_an_unknown_kind_is_refused() -> None:
     with pytest.raises(InputError, match="use inches, decimal"):
         slips.run({"ounces": 1}, seed=1, particles=64)
+    with pytest.raises(InputError, match="use clean, "):
+        slips.run({"sign": 1}, seed=1, particles=64, condition="rust")
+
+
+def test_exchanges_are_counted_where_they_were_looked_for() -> None:
+    case = {"kind": "swapped", "off": 3.0, "moved": 0.1, "unbounded": 0.1}
+    told = [(True, 1, 0), (True, 2, 0), (False, 0, 1), (False, 0, 0)]
+    names = ("exchange told", "exchanges", "exchanges before")
+    found = [case | dict(zip(names, one, strict=True)) for one in told]
+    own = slips.table(found)["all"]
+    assert [own[f"exchange{what}"] for what in (" told", "s told wrongly", "s told before")] == [
+        0.5, 1.0, 1.0,
+    ]  # fmt: skip
+    assert "exchange told" not in slips.table([case])["all"], "of studies of before"
 
 
 def test_a_case_whose_slip_is_large_names_the_reading() -> None:
@@ -82,3 +96,9 @@ def test_a_case_whose_slip_is_large_names_the_reading() -> None:
     assert told["off"] > slips.NOTICED
     assert (told["right"], told["named"], told["accused before"]) == (True, True, 0)
     assert abs(told["moved"]) < 1.0
+
+
+def test_two_blades_that_were_exchanged_are_told_and_a_worn_coating_is_no_exchange() -> None:
+    told = slips.one("swapped", 0, 991, 256, "rotor-20", "wear")
+    assert (told["exchange told"], told["exchanges"], told["exchanges before"]) == (True, 1, 0)
+    assert told["contradicted"] == [], "by itself neither is noticed"
