@@ -14,15 +14,16 @@ the rotor; 1 / (1 + 1/ODDS) is the least probability of an exchange that is told
 1/VISIT has one.
 
 Which of the thousands of pairs are weighed is told by a look at all of them (`cavity`): a reading
-foreseen by the others of blade a, held against that of b. Blades that are accused (`health`) are
-weighed with each other in any case. Of pairs that share a blade the likeliest is told, and as its
-rivals those that have not 1 / RIVAL of its evidence less. A blade that was read at no other visit
-can be exchanged with any.
+foreseen by the others of blade a, held against that of b, both near the rotor's best node. Blades
+that are accused (`health`) are weighed with each other in any case. Of pairs that share a blade the
+likeliest is told, and as its rivals those whose evidence is not `RIVAL` times less. Two blades that
+were read at no other visit are each other's: nothing tells them apart.
 """
 
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -41,8 +42,11 @@ VISIT = 0.01  # probability that a visit has an exchange
 ODDS = 9.0  # of an exchange that is told
 RIVAL = 20.0  # times less likely than the one that is told, and not told any more
 ROUGH = 6.0  # nats that a look may be off
+PLACES = 64  # of each shared parameter's range: what a look is at is rounded to them
+KEPT = 2000  # looks
 MOST = 24  # pairs of all visits that are weighed
 Pair = tuple[str, str]
+Kept = OrderedDict[tuple[str, bytes], dict[Visit, Seen]]
 Messages = Callable[[Mapping[str, Sequence[Inspection]]], Mapping[str, BladeMessage]]
 
 
@@ -72,15 +76,23 @@ def exchanged(
     made: Weighed,
     accused: Collection[str],
     messages_of: Messages,
+    kept: Kept,
 ) -> list[dict[str, Any]]:
     """Pairs of blades whose readings of a visit look exchanged, the clearest first.
 
     messages_of  the messages of blades with these readings
+    kept         looks, which are at places that few nodes move (`PLACES`)
     """
-    at = made.unit[[int(np.argmax(made.log_p))]]
+    at = np.round(made.unit[[int(np.argmax(made.log_p))]] * PLACES) / PLACES
     visits: dict[Visit, dict[str, Seen]] = {}
     for blade in sorted(messages):
-        for visit, seen in seen_of(messages[blade], at).items():
+        key = (messages[blade].name, at.tobytes())
+        if key not in kept:
+            kept[key] = seen_of(messages[blade], at)
+            while len(kept) > KEPT:
+                kept.popitem(last=False)
+        kept.move_to_end(key)
+        for visit, seen in kept[key].items():
             visits.setdefault(visit, {})[blade] = seen
     worth: list[Exchange] = []
     counts: dict[Visit, int] = {}

@@ -122,7 +122,8 @@ class Step(Basis):
             return self.work.messages_of(self.model, rows, self.space, self.rotor.known or {})
 
         weighed, accused = self.settled
-        return exchanged(self.messages, weighed, {one["blade"] for one in accused}, messages_of)
+        bad = {one["blade"] for one in accused}
+        return exchanged(self.messages, weighed, bad, messages_of, self.work.looks)
 
     def otherwise_known(self, previous: RotorState, weighed: Weighed) -> set[str]:
         """Blades whose column was a table's before and no longer is, or the other way round.

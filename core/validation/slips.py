@@ -14,7 +14,8 @@ Where a slip is smaller than `NOTICED` noises nobody could notice it, and nobody
 are counted, with their size. Against the same rotor as it was read, the mean of the gas temperature
 is held in sds, with blades that contradict `bounded` and, as the control, without. Pairs of blades
 that are told as `exchanged` are counted in both: in the rotor as it was read none is. The rotor may
-carry an effect that its model lacks (`condition`), which must not be taken for an exchange.
+carry an effect that its model lacks (`condition`), which must not be taken for an exchange;
+`EACH`: one condition of the plan after the other.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from core.validation.effect_sets import conditions, made
 from core.validation.records import Record, code_digest, records
 
 WHAT = "t1t_rate"
+EACH = "each"
 KINDS = ("inches", "decimal", "digits", "sign", "swapped", "slip")
 SLIP = (8.0, 40.0)  # noises
 NOTICED = 12.0  # noises; smaller slips may be what noise and blades' own parameters explain
@@ -106,6 +108,8 @@ def one(
     kind: str, number: int, seed: int, particles: int, plan: str, condition: str = "clean"
 ) -> Record:
     """The record of a case."""
+    every = conditions(plan_of(plan))
+    condition = every[number % len(every)] if condition == EACH else condition
     given = made(plan_of(plan), condition, number, seed, particles)
     rng = stream(seed, "slips", kind, number)
     wrong, ids, off = slipped(kind, given.case.readings, rng)
@@ -125,6 +129,7 @@ def one(
     return {
         "kind": kind,
         "number": number,
+        "condition": condition,
         "off": round(off, 2),
         **shifts,
         "contradicted": sorted(b["blade"] for b in told),
@@ -157,7 +162,7 @@ def run(
     """All cases of the kinds, by name and number; `folder` as in `coverage.run`."""
     if unknown := sorted(set(kinds) - set(KINDS)):
         raise InputError("kinds", unknown, "are unknown", f"use {', '.join(KINDS)}")
-    if condition not in (possible := conditions(plan_of(plan))):
+    if condition not in (possible := (EACH, *conditions(plan_of(plan)))):
         raise InputError("condition", condition, "is unknown", f"use {', '.join(possible)}")
     file = None
     if folder is not None:

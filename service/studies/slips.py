@@ -26,7 +26,7 @@ def slips(
         str, typer.Option(help="rotor-20, or fleet-: 100, one-age, six-visits.")
     ] = "rotor-20",
     condition: Annotated[
-        str, typer.Option(help="Effect that the model lacks, as in study effects.")
+        str, typer.Option(help="What the model lacks, as in study effects; each: all in turn.")
     ] = "clean",
     particles: Annotated[int, typer.Option(help="Particles per blade.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of noise, labels and slips.")] = 7,

@@ -372,9 +372,9 @@ def test_a_posterior_that_is_not_trusted_or_provisional_is_shown_as_such(watched
     def worse(route: Route) -> None:
         answer = route.fetch()
         body = answer.json()
-        told = {"blade": "B2"}
+        told = {"contradicted": [{"blade": "B2"}], "exchanged": [{"blades": ["B1", "B3"]}]}
         health = {"status": "contradicted", "trusted": False, "reasons": ["B2 fits no noise"]}
-        body["health"] = body["health"] | health | {"contradicted": [told]}
+        body["health"] = body["health"] | health | told
         body["posterior"]["sealed"] = False
         route.fulfill(response=answer, json=body)
 
@@ -382,8 +382,9 @@ def test_a_posterior_that_is_not_trusted_or_provisional_is_shown_as_such(watched
     page = watched.open("/rotors/r1")
     expect(page.locator("#notice .bad")).to_contain_text("not to be trusted (contradicted)")
     expect(page.locator("#states")).to_contain_text("provisional")
-    row = page.get_by_role("region", name="Blades").locator("tr", has_text="B2")
-    expect(row).to_contain_text("contradicts the rotor")
+    for blade, what in (("B2", "contradicts the rotor"), ("B1", "readings look exchanged")):
+        row = page.get_by_role("region", name="Blades").locator("tr", has_text=blade)
+        expect(row).to_contain_text(what)
 
 
 def test_a_blade_whose_input_is_held_at_the_runs_end_is_shown_as_such(watched: Watched) -> None:

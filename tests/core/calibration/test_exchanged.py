@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import replace
 
 import numpy as np
@@ -216,6 +217,26 @@ def test_a_provisional_state_says_it_of_blades_that_were_not_read_since() -> Non
     assert update(MODEL, SPEC, [*given, touched], again).meta["health"]["exchanged"]
 
 
+def test_looks_are_kept_for_blades_that_were_not_read_since(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looked: list[str] = []
+    monkeypatch.setattr(
+        module,
+        "seen_of",
+        lambda message, at: (
+            looked.append(message.rows.readings[0].blade) or seen_of(message, at)  # type: ignore[func-returns-value]
+        ),
+    )
+    given, work = turned(rotor(9), 2), Workspace()
+    first = begun(MODEL, SPEC, given, workspace=work).exchanged()
+    assert looked == list(BLADES)
+    more = Inspection("b0v9", "b0", "y", 2.6, np.array([1.0]), sigma=5.0)
+    again = begun(MODEL, SPEC, [*given, more], workspace=work).exchanged()
+    assert looked[len(BLADES) :] == ["b0"]
+    assert again[0]["blades"] == first[0]["blades"]
+
+
 def test_more_pairs_ask_for_more() -> None:
     assert least_gain(100) - least_gain(10) == pytest.approx(np.log(10.0))
 
@@ -228,5 +249,5 @@ def test_what_a_look_misses_by_chance_is_weighed_where_blades_are_accused(
     monkeypatch.setattr(module, "ROUGH", -1e9)
     assert step.exchanged() == []
     weighed = step.weighed
-    found = module.exchanged(step.messages, weighed, ["b1", "b4"], messages_of(step))
+    found = module.exchanged(step.messages, weighed, ["b1", "b4"], messages_of(step), OrderedDict())
     assert [one["blades"] for one in found] == [["b1", "b4"]]

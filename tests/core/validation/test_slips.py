@@ -74,7 +74,7 @@ def test_every_case_counts_and_small_ones_apart() -> None:
 def test_an_unknown_kind_is_refused() -> None:
     with pytest.raises(InputError, match="use inches, decimal"):
         slips.run({"ounces": 1}, seed=1, particles=64)
-    with pytest.raises(InputError, match="use clean, "):
+    with pytest.raises(InputError, match="use each, clean, "):
         slips.run({"sign": 1}, seed=1, particles=64, condition="rust")
 
 
@@ -100,5 +100,6 @@ def test_a_case_whose_slip_is_large_names_the_reading() -> None:
 
 def test_two_blades_that_were_exchanged_are_told_and_a_worn_coating_is_no_exchange() -> None:
     told = slips.one("swapped", 0, 991, 256, "rotor-20", "wear")
+    assert told["condition"] == "wear"
     assert (told["exchange told"], told["exchanges"], told["exchanges before"]) == (True, 1, 0)
     assert told["contradicted"] == [], "by itself neither is noticed"
