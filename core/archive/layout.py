@@ -65,12 +65,15 @@ def variable_of(out: h5netcdf.File, quantity: Quantity, *, runs: bool = False) -
 
 
 def opened(path: Path) -> h5netcdf.File:
-    """A netCDF file for reading; ModelError where it is none."""
+    """A netCDF file for reading; ModelError where it is none, or where its bytes are damaged."""
     import h5netcdf
+    import h5py
 
     try:
+        with h5py.File(path, "r") as file:  # whose end h5netcdf's object cannot bear half made
+            file.attrs.get("_nc3_strict")
         return h5netcdf.File(path, "r")
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
         raise ModelError(f"{path} cannot be read as netCDF: {error}") from error
 
 

@@ -142,14 +142,14 @@ class Archive:
     def done(self) -> tuple[int, ...]:
         """Indices of the runs that are present and can be opened, ascending."""
         found = []
-        for file in sorted(self.path.glob("run-*.nc")):
+        for file in self.path.glob("run-*.nc"):
             try:
                 with opened(file) as data:
                     if "inputs" in data.variables:
                         found.append(int(file.stem.removeprefix("run-")))
             except (ModelError, ValueError):
                 continue
-        return tuple(found)
+        return tuple(sorted(found))
 
     def inputs(self, indices: Sequence[int] | None = None) -> NDArray[np.float64]:
         """Inputs of the runs, (n, d), in the order of `indices` (default `done`)."""

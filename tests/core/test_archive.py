@@ -93,6 +93,34 @@ def test_a_file_cut_in_the_middle_does_not_count_as_done(tmp_path: Path) -> None
         archive.read(1)
 
 
+def test_a_file_with_a_damaged_byte_is_told_in_words_and_not_done(tmp_path: Path) -> None:
+    """HDF5 raises KeyError over some bytes, OSError over others, and does not mind the rest."""
+    archive = new(tmp_path / "a")
+    archive.write(0, run(0))
+    archive.write(1, run(1))
+    raw = archive.file(1).read_bytes()
+    gone = 0
+    for place in range(400):
+        spoilt = bytearray(raw)
+        spoilt[place] ^= 1
+        archive.file(1).write_bytes(spoilt)
+        done = archive.done()
+        assert done in ((0,), (0, 1)), place
+        if done == (0,):
+            gone += 1
+            with pytest.raises(ModelError, match="cannot be read as netCDF"):
+                archive.read(1)
+    assert gone > 40
+
+
+def test_runs_are_told_in_the_order_of_their_numbers_beyond_ten_thousand(tmp_path: Path) -> None:
+    archive = new(tmp_path / "a")
+    for index in (10_000, 9_999, 2):
+        archive.write(index, run(1))
+    assert archive.done() == (2, 9_999, 10_000)
+    assert [index for index, _ in archive.runs()] == [2, 9_999, 10_000]
+
+
 def test_a_process_killed_while_writing_leaves_the_runs_before_and_nothing_half(
     tmp_path: Path,
 ) -> None:
