@@ -113,11 +113,7 @@ def hyper_of(z: Array, fitted: Mapping[str, Fitted], trends: Sequence[int] = TRE
     )
     share /= len(moving)
     best, smallest = None, np.inf
-    for trend in trends:
-        if len(z) < 2 * len(multi_indices(z.shape[1], trend)):
-            break
-        if not carries(z, trend):
-            continue
+    for trend in _carried(z, trends):
         hyper = fit_hyper(z, joined, share, trend)
         e, _ = SharedGP.condition(z, joined, hyper).left_out()
         left = [np.sum(e[:, own] ** 2) for name, own in columns.items() if name in moving]
@@ -126,6 +122,18 @@ def hyper_of(z: Array, fitted: Mapping[str, Fitted], trends: Sequence[int] = TRE
             best, smallest = hyper, error
     assert best is not None
     return best
+
+
+def _carried(z: Array, trends: Sequence[int]) -> list[int]:
+    """The trends that inputs z (n, d) carry, by two runs for each term; the constant one where they
+    carry none of them (two inputs that move together, say).
+
+    >>> line = np.linspace(-1, 1, 9)[:, None]
+    >>> _carried(line, TRENDS), _carried(np.hstack([line, line]), (1,))
+    ([0, 1, 2], [0])
+    """
+    enough = [t for t in trends if len(z) >= 2 * len(multi_indices(z.shape[1], t))]
+    return [t for t in enough if carries(z, t)] or [0]
 
 
 def moves(one: Fitted) -> bool:

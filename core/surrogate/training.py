@@ -9,6 +9,9 @@
    training runs, bases refitted each time, gives the factor f by which the 95 % intervals have
    to grow to cover 95 %. Test runs are never looked at here. The same folds tell how far each
    quantity is off at runs that were left out, in its own unit (`Held`).
+
+Runs of the same inputs count once, the first of them: a run whose twin stays foretells itself when
+it is left out, and the error would be that of no surrogate.
 """
 
 from __future__ import annotations
@@ -49,16 +52,16 @@ def train(
     progress: Progress | None = None,
 ) -> Surrogate:
     """Train on the runs `indices` of an archive (default: all of them)."""
-    chosen = tuple(archive.done() if indices is None else indices)
     declared, d = archive.declaration, len(archive.declaration.inputs)
+    low = np.array([item.low for item in declared.inputs])
+    high = np.array([item.high for item in declared.inputs])
+    chosen, x = _single(archive, archive.done() if indices is None else indices, high - low)
     if len(chosen) < MINIMUM_RUNS * (d + 1):
         raise ModelError(
             f"{len(chosen)} runs are too few for {d} inputs: make {MINIMUM_RUNS * (d + 1)} or more"
         )
     say = progress or (lambda what, done, total: None)
-    low = np.array([item.low for item in declared.inputs])
-    high = np.array([item.high for item in declared.inputs])
-    z = 2.0 * (archive.inputs(chosen) - low) / (high - low) - 1.0
+    z = 2.0 * (x - low) / (high - low) - 1.0
 
     fitted: dict[str, Fitted] = {}
     steps = len(declared.quantities) + 1 + FOLDS
@@ -105,6 +108,15 @@ def train(
     notes: dict[str, Any] = {"runs": len(chosen), "seed": seed, "hyper": asdict(hyper)}
     notes |= {"bases": bases, "held_out": {name: one.to_json() for name, one in found.items()}}
     return replace(made, parts=parts, manifest={"training": notes})
+
+
+def _single(
+    archive: Archive, indices: Sequence[int], width: Array
+) -> tuple[tuple[int, ...], Array]:
+    """The first run of each inputs, to 1e-9 of their `width` (d,), and these, (n, d)."""
+    x = archive.inputs(indices)
+    first = np.sort(np.unique(np.round(x / width, 9), axis=0, return_index=True)[1])
+    return tuple(indices[k] for k in first), x[first]
 
 
 def _form_error(z: Array, target: Target, seed: int) -> float:

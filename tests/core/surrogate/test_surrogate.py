@@ -239,3 +239,27 @@ def test_training_twice_gives_the_same_digest_and_other_runs_another(tmp_path: P
 def test_too_few_runs_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="5 runs are too few for 2 inputs: make 9 or more"):
         train(own(tmp_path, 5))
+
+
+def test_runs_of_the_same_inputs_count_once(tmp_path: Path) -> None:
+    """With their twins in, left-out errors are nothing and so were the bands, 1e8 too narrow."""
+    archive = own(tmp_path, 12)
+    single = train(archive, seed=3)
+    for k in range(12):
+        archive.write(12 + k, archive.read(k))
+    twice = train(archive, seed=3)
+    assert digest_of(twice) == digest_of(single)
+    assert twice.manifest["training"]["runs"] == 12
+    with pytest.raises(ModelError, match="8 runs are too few"):
+        train(archive, [*range(8), *range(12, 20)])
+
+
+def test_inputs_that_move_together_are_learnt_along_their_line(tmp_path: Path) -> None:
+    archive = own(tmp_path, 14)
+    for k, u in enumerate(np.linspace(0.0, 1.0, 14)):
+        run = archive.read(k)
+        twist = u**2 * np.log1p(np.array(archive.declaration.time_h))
+        archive.write(k, Run({"gas": 900 + 300 * u, "flow": u}, {**run.values, "twist": twist}))
+    mean, sd = train(archive, seed=3).predict(np.array([[1065.0, 0.55]]), "twist", [1000.0])
+    assert mean[0, 0] == pytest.approx(0.55**2 * np.log(1001), rel=5e-3)
+    assert 0 < sd[0, 0] < 0.05
