@@ -54,12 +54,13 @@ class Course:
         return np.array([value for _, value in self.points])
 
     def over(self, start: float, end: float) -> Array:
-        """The values at both ends of an interval and at the points inside; none is outside these.
+        """The values at both ends of an interval and at the points inside; none is outside these,
+        nor before a step at its end.
 
         >>> Course.of([(0.0, 0.0), (60.0, 1.2)]).over(0.0, 50.0).tolist()
         [0.0, 1.0]
         """
-        inside = [value for hour, value in self.points if start < hour < end]
+        inside = [value for hour, value in self.points if start < hour <= end]
         return np.array([float(self.at(start)), *inside, float(self.at(end))])
 
     def at(self, hours: Array | float) -> Array:

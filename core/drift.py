@@ -50,8 +50,7 @@ class Drift:
 
     def __post_init__(self) -> None:
         _check_how(self.name, self.how)
-        starts = self.shape.points[0][0] <= 0.0 and self.shape.at(0.0) != 0.0
-        if starts and not self.shape.constant and not self.since:
+        if self.shape.at(0.0) != 0.0 and not self.shape.constant and not self.since:
             raise InputError(
                 f"shape of {self.name}", self.shape.points, "does not start from 0", "subtract it"
             )

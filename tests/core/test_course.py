@@ -30,6 +30,12 @@ def test_a_step_counts_from_its_hour_on() -> None:
     assert STEP.at(np.array([1999.9, 2000.0, 3000.0])).tolist() == [0.9, 0.95, 0.95]
 
 
+def test_a_step_at_the_end_of_an_interval_hides_nothing_that_was_before_it() -> None:
+    there_and_back = Course.of([(0.0, 0.0), (50.0, 5.0), (50.0, -1.0)])
+    assert (there_and_back.over(0.0, 50.0).min(), there_and_back.over(0.0, 50.0).max()) == (-1, 5)
+    assert set(there_and_back.over(50.0, 60.0).tolist()) == {-1.0}, "before its start it may"
+
+
 def test_pieces_end_where_any_course_has_a_point_and_hold_means() -> None:
     found = pieces({"a": RAMP, "b": STEP, "c": Course.of(1.0)}, 6000.0, 4)
     ends = [0.0, 1000.0, 2000.0, 3000.0, 4000.0, 5000.0, 6000.0]

@@ -56,6 +56,9 @@ def test_only_by_the_rotors_hours_may_a_shape_begin_with_a_value() -> None:
     begun = RAMP.shifted(4000.0)
     with pytest.raises(InputError, match="does not start from 0"):
         Drift("wear", "coating", begun)
+    late = Course.of([(100.0, 1.0), (200.0, 2.0)])  # 1 before its first point, too
+    with pytest.raises(InputError, match="does not start from 0"):
+        Drift("wear", "coating", late)
     assert Drift("wear", "coating", begun, since=(("B2", 1.0),)).shape == begun
     assert Drift("wear", "coating", Course.of(0.5)).shape.constant
 
