@@ -129,9 +129,9 @@ class Driven:
         self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
         """Mean and sd at inputs x (n, d): (n, T), with nodes (n, T, K) or (n, T, K, 3)."""
-        times = np.atleast_1d(np.asarray(times, float))
+        times = self.base.check_times(times)
         if len(x) >= MANY:
-            return self._compiled_answers(x, quantity, times, nodes)
+            return self._compiled_answers(self._in_time.checked(x), quantity, times, nodes)
         return self._followed(x, quantity, times, self._rows(quantity, nodes))
 
     def in_blocks(
@@ -141,7 +141,7 @@ class Driven:
 
         What the rows are is worked out once.
         """
-        times, what = np.atleast_1d(np.asarray(times, float)), self._rows(quantity, nodes)
+        times, what = self.base.check_times(times), self._rows(quantity, nodes)
         for start in range(0, len(x), size):
             yield self._followed(x[start : start + size], quantity, times, what)
 
@@ -177,7 +177,6 @@ class Driven:
         self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None
     ) -> tuple[Array, Array]:
         """`predict` by polynomials, compiled once for each time; 0 at the start."""
-        self.base.check_times(times)
         rows_at = self._kept.at(Wanted.of(quantity, nodes), times.tolist())
         basis = next((rows.basis(x) for rows in rows_at.values()), np.empty(0))
         ready = {t: rows.at(basis) for t, rows in rows_at.items()}

@@ -95,7 +95,8 @@ class FormulaModel:
         values = np.stack([formula(x, float(t)) for t in np.atleast_1d(times)], axis=1)
         names = [i.name for i in self.inputs]
         if quantity in self.positive:
-            return Response.fit(names, self.low, self.high, degree, x, b=np.log(values))
+            log = np.log(np.maximum(values, np.finfo(float).tiny))  # 0 at the start, say
+            return Response.fit(names, self.low, self.high, degree, x, b=log)
         return Response.fit(names, self.low, self.high, degree, x, a=values)
 
     def deformation_modes(self, nodes: Sequence[int]) -> Array:

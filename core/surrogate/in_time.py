@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from core.archive import Input
 from core.drift import Drift
-from core.errors import InputError
+from core.errors import InputError, RangeError
 from core.surrogate.reach import check_reach, run
 
 Array = NDArray[np.float64]
@@ -67,6 +67,23 @@ class InTime:
         free = [i for i in self.own if i.name not in self.fixed]
         kept = [Input(i.name, *self.range_of(i)) for i in free]
         return (*kept, *(Input(d.name, *self.ranges[d.name]) for d in self.drifts))
+
+    def checked(self, x: Array) -> Array:
+        """Inputs x (n, D) where all of them are in their ranges, beyond which polynomials know
+        nothing; InputError, RangeError."""
+        own = self.inputs
+        if x.shape[1:] != (len(own),):
+            names = ", ".join(i.name for i in own)
+            raise InputError("x", x.shape, "is the wrong shape", f"give (n, {len(own)}): {names}")
+        low, high = np.array([(i.low, i.high) for i in own]).T
+        slack = 1e-9 * (high - low)
+        outside = np.argwhere(~((x >= low - slack) & (x <= high + slack)))
+        if len(outside):
+            i, j = outside[0].tolist()
+            problem = f"lies outside {low[j]:g} … {high[j]:g}"
+            remedy = "stay inside the ranges that the model was given"
+            raise RangeError(f"x[{i}], {own[j].name}", float(x[i, j]), problem, remedy)
+        return x
 
     def until(self, x: Array, times: Array) -> tuple[Array, Array, Array]:
         """Edges (P + 1,) of pieces of time, and the own inputs for inputs x (n, D): over these

@@ -68,3 +68,13 @@ def test_rows_answer_the_formula_itself_in_any_company_of_inputs() -> None:
     assert both.evaluate(x)[0][0, 2] == 0.3
     with pytest.raises(ModelError, match="two models"):
         FormulaRows.stack([rows, form(horizon_h=90.0).rows("y", [1.0])])
+
+
+def test_a_positive_formula_that_begins_from_nothing_is_compiled_at_the_start_as_later() -> None:
+    """The logarithm of 0 made every row NaN, those of later hours too."""
+    narrow = ClosedForm(
+        (FormulaInput("l", 0.0, 0.5), FormulaInput("s", 2.5, 3.0)), {"y": decay}, "decay", 100.0
+    )
+    rows = replace(narrow, positive=("y",)).response("y", [0.0, 40.0])
+    x = np.array([[0.2, 2.7]])
+    assert rows.evaluate(x)[0][0] == pytest.approx([0.0, np.exp(0.2) * 40 / 2.7], rel=1e-4)

@@ -154,6 +154,30 @@ def test_many_at_the_start_are_nothing_in_the_right_shape(
     assert not mean.any()
 
 
+@pytest.mark.parametrize("count", [1, driven.MANY])
+def test_few_and_many_are_refused_beyond_the_inputs_and_the_hours(count: int) -> None:
+    """Polynomials would answer: 0.016 mm for a coating of 2.5."""
+    x, j = np.repeat(points(WORN, 1), count, axis=0), 0
+    assert WORN.inputs[j].name == "tbc_thickness"
+    for bad in (2.5, np.nan):
+        odd = x.copy()
+        odd[-1, j] = bad
+        with pytest.raises(RangeError, match="tbc_thickness"):
+            WORN.predict(odd, "elongation", np.array([5e4]))
+    for hour in (-1.0, np.nan, 6e4):
+        with pytest.raises(RangeError, match="times"):
+            WORN.predict(x, "elongation", np.array([hour]))
+        with pytest.raises(RangeError, match="times"):
+            list(WORN.in_blocks(x, "elongation", np.array([hour]), None, 64))
+    edge = np.repeat([[i.high for i in WORN.inputs]], count, axis=0)
+    assert np.all(WORN.predict(edge * (1 + 1e-15), "elongation", np.array([5e4]))[0] > 0)
+
+
+def test_many_of_the_wrong_shape_are_refused_by_the_names_that_are_wanted() -> None:
+    with pytest.raises(InputError, match="erosion"):
+        WORN.predict(points(WORN, driven.MANY)[:, :-1], "elongation", np.array([5e4]))
+
+
 @pytest.mark.parametrize(
     ("quantity", "nodes"),
     [("elongation", None), ("ceeq", [CRITICAL]), ("deformation", [TIP, CRITICAL])],
