@@ -47,7 +47,9 @@ OFFSETS = {
     "degC": (1.0, 273.15), "°C": (1.0, 273.15), "degF": (5.0 / 9.0, 459.67 * 5.0 / 9.0),
 }  # fmt: skip
 _TOKEN = re.compile(r"\s*(?:(\*\*|\^)|([·*/()])|([+-]?\d+)|([^\s·*/()^0-9+\-²³⁻¹]+)|([²³⁻¹]+))")
+_POWER = re.compile(r"\s*[+-]?\d")
 _RAISED = str.maketrans("²³⁻¹", "23-1")
+MOST = 200  # letters of a unit
 REMEDY = "write it like mm, MPa, 1/h, W/(m2 K), kg m^2 s^-2, % or degC; 1 where there is none"
 
 
@@ -67,6 +69,8 @@ def unit(text: str) -> Unit:
     >>> unit("W/(m2 K)") == unit("W m^-2 K^-1"), unit("%").factor, unit("kN").exponents[:3]
     (True, 0.01, (1, 1, -2))
     """
+    if len(text) > MOST:
+        raise _none(f"{text[:MOST]}…")
     if text.strip() in OFFSETS:
         factor, offset = OFFSETS[text.strip()]
         return Unit(factor, (0, 0, 0, 1, 0, 0, 0), offset)
@@ -129,6 +133,8 @@ def _tokens(text: str) -> list[str]:
             tokens.append(raised.translate(_RAISED))
         elif not power:
             tokens.append(sign or number or name)
+        elif not tokens or _POWER.match(text, match.end()) is None:
+            raise _none(text)
         at = match.end()
     if not tokens:
         raise _none(text)

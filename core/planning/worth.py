@@ -34,6 +34,7 @@ from core.smc.particles import normalised
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
+TINY = 1e-300  # stands for the variance of what is known, as nothing's at the start
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +84,11 @@ def worth(
     stays = float(aim.noise[0])  # surrogate and discrepancy: no reading takes it away
     told = expected(model, state, asked, known, most=most)
     variance = float(_own(aim))
+    unit = max(variance, TINY)
     c = told.cross(aim)[:, 0]
     each = np.array([_own(told, i) for i in range(len(asked))]) + told.noise
     left = np.maximum(variance - c**2 / each, 0.0)
-    order = sorted(range(len(asked)), key=lambda i: (round(float(left[i] / variance), 9), i))
+    order = sorted(range(len(asked)), key=lambda i: (round(float(left[i] / unit), 9), i))
     single = tuple((asked[i], math.sqrt(left[i] + stays)) for i in order)
     grown = tuple(
         (one, math.sqrt(rest + stays))
@@ -116,7 +118,7 @@ def _grown(
     while len(taken) < min(count, len(asked)):
         gain = np.where(own > 1e-12 * each, aim**2 / np.maximum(own, 1e-300), 0.0)
         gain[taken] = 0.0
-        i = int(np.argmax(np.round(gain / variance, 9)))
+        i = int(np.argmax(np.round(gain / max(variance, TINY), 9)))
         if gain[i] <= 1e-6 * variance:
             break
         row = covariance[:, i] + np.where(np.arange(len(asked)) == i, told.noise, 0.0)

@@ -206,6 +206,20 @@ def test_a_text_that_is_no_unit_is_refused(text: str) -> None:
         unit(text)
 
 
+@pytest.mark.parametrize("text", ["m^", "m^s", "kg m^ s^-2", "m**", "m^^2", "^2"])
+def test_a_power_without_its_number_is_refused(text: str) -> None:
+    with pytest.raises(UnitError, match="is no unit"):
+        unit(text)
+
+
+@pytest.mark.parametrize("text", ["(" * 3000 + "m" + ")" * 3000, "m" + "9" * 5000])
+def test_a_text_of_thousands_of_letters_is_refused_in_few(text: str) -> None:
+    """No RecursionError, nor Python's own bound on digits."""
+    with pytest.raises(UnitError, match="is no unit") as told:
+        unit(text)
+    assert len(str(told.value)) < 500
+
+
 @pytest.mark.parametrize(
     ("given", "wanted"), [("rpm", "rad/s"), ("rad/s", "rpm"), ("Hz", "rad/s"), ("deg/s", "kHz")]
 )

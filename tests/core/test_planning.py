@@ -151,6 +151,15 @@ def test_candidates_start_from_each_blades_latest_reading_and_end_with_the_model
     assert {c.time_h / horizon for c in by_itself} == {0.08, 0.16, 0.32}, "whatever it covers"
 
 
+def test_what_is_known_without_readings_is_narrowed_by_none(state: RotorState) -> None:
+    """Nothing has grown at the start."""
+    grown = replace(MODEL.surrogate, formulas={"y": lambda x, t: t * x.sum(axis=1)})  # type: ignore[type-var]
+    got = worth(replace(MODEL, surrogate=grown), state, replace(AIM, time_h=0.0), ASKED)
+    assert (got.mean, got.sd, got.grown) == (0.0, 0.0, ())
+    assert [one for one, _ in got.single] == list(ASKED)
+    assert {sd for _, sd in got.single} == {0.0}
+
+
 def test_a_target_that_is_none_is_refused(state: RotorState) -> None:
     for target, said in (
         (Target(), "not complete"),
