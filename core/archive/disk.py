@@ -25,6 +25,24 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
         part.unlink(missing_ok=True)
 
 
+def first_file(path: Path, fill: Callable[[Path], object]) -> bool:
+    """Write under a temporary name, flush to the disk, link; False where another was first.
+
+    A disk without hard links holds archives of one worker: there the file is renamed.
+    """
+    part = part_of(path)
+    try:
+        fill(part)
+        flush(part)
+        try:
+            return link_file(part, path)
+        except ModelError:
+            os.replace(part, path)
+            return True
+    finally:
+        part.unlink(missing_ok=True)
+
+
 def link_file(part: Path, path: Path) -> bool:
     """Give a file a second name that must not exist; False if it does.
 

@@ -33,7 +33,7 @@ from core.archive.declaration import (
     Quantity,
     Run,
 )
-from core.archive.disk import flush, link_file, part_of, replace_file
+from core.archive.disk import first_file, flush, link_file, part_of, replace_file
 from core.archive.layout import created, mesh_of, opened, run_of, variable_of, write_mesh, write_run
 from core.errors import InputError, ModelError, RangeError
 
@@ -58,7 +58,10 @@ class Archive:
         code: str = "",
         quantities: Sequence[Quantity] = BLADE_QUANTITIES,
     ) -> Archive:
-        """Start an archive, or go on with one whose declaration is the same."""
+        """Start an archive, or go on with one whose declaration is the same.
+
+        Of several who start different ones in one place at a time the first has it.
+        """
         path = Path(path)
         declaration = Declaration(
             inputs=tuple(inputs),
@@ -71,23 +74,22 @@ class Archive:
             command=command,
             code=code,
         )
-        if (path / "archive.json").exists():
-            present = cls.open(path)
-            if present.declaration != declaration:
-                old, new = asdict(present.declaration), asdict(declaration)
-                odd = ", ".join(name for name in new if new[name] != old[name])
-                raise ModelError(f"{path} holds another archive ({odd}): choose an empty directory")
-            return present
         path.mkdir(parents=True, exist_ok=True)
+        told, drawn = path / "archive.json", path / "mesh.nc"
+        text = declaration.to_json()
+        first = not told.exists() and first_file(told, lambda name: name.write_text(text))
+        if not first and (present := cls.open(path)).declaration != declaration:
+            old, new = asdict(present.declaration), asdict(declaration)
+            odd = ", ".join(name for name in new if new[name] != old[name])
+            raise ModelError(f"{path} holds another archive ({odd}): choose an empty directory")
 
         def fill(name: Path) -> None:
             with created(name) as out:
                 out.dimensions = {"node": len(mesh.points), "xyz": 3}
                 write_mesh(out, mesh)
 
-        if len(mesh.points):
-            replace_file(path / "mesh.nc", fill)
-        replace_file(path / "archive.json", lambda name: name.write_text(declaration.to_json()))
+        if len(mesh.points) and (first or not drawn.exists()):  # who was first may be killed here
+            replace_file(drawn, fill)
         return cls(path, declaration)
 
     @classmethod

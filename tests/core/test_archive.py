@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from core.archive import Archive, Declaration, Input, Mesh, Quantity, Run
+from core.archive import Archive, Declaration, Input, Mesh, Quantity, Run, disk
 from core.errors import InputError, ModelError, RangeError
 
 TIME_H = (0.0, 10.0, 100.0, 1000.0, 8000.0)
@@ -153,6 +153,42 @@ def test_create_goes_on_with_the_same_archive_and_refuses_another(tmp_path: Path
             command="make them",
             code="b2",
         )
+
+
+def test_of_two_that_start_different_archives_in_one_place_the_first_has_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other one comes between the look and the write; its mesh stays, too."""
+    real, path = disk.link_file, tmp_path / "a"
+    other = replace(MESH, points=MESH.points + 1.0, name="another")
+
+    def late(part: Path, file: Path) -> bool:
+        monkeypatch.undo()
+        Archive.create(path, inputs=INPUTS, time_h=TIME_H, mesh=other, seed=4, command="make them")
+        return real(part, file)
+
+    monkeypatch.setattr(disk, "link_file", late)
+    with pytest.raises(ModelError, match=r"another archive \(mesh, seed\)"):
+        new(path)
+    assert Archive.open(path).declaration.seed == 4
+    np.testing.assert_array_equal(Archive.open(path).mesh().points, other.points)
+    assert sorted(file.name for file in path.iterdir()) == ["archive.json", "mesh.nc"]
+
+
+def test_a_start_that_was_killed_before_its_mesh_is_gone_on_with(tmp_path: Path) -> None:
+    new(tmp_path / "a")
+    (tmp_path / "a" / "mesh.nc").unlink()
+    np.testing.assert_array_equal(new(tmp_path / "a").mesh().points, MESH.points)
+
+
+def test_one_worker_needs_no_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("os.link", none)
+    archive = new(tmp_path / "a")
+    archive.write(0, run(0))
+    assert Archive.open(tmp_path / "a").done() == (0,)
 
 
 def test_one_file_carries_the_whole_archive(tmp_path: Path) -> None:
