@@ -54,12 +54,17 @@ def common(time_h: Array, labels: Sequence[str], skip: Sequence[bool], found: Fi
 
     skip  runs that are left out, (n,)
     """
+    if np.all(skip):
+        found.fault("runs", 0, "are left to learn from", "leave fewer out, or make some")
+        return Axis(np.zeros(0), None)
     if time_h.ndim == 1:
         check(time_h, "time", found)
         return Axis(time_h, None)
     rows = [k for k in range(len(labels)) if not skip[k] and np.any(np.isfinite(time_h[k]))]
     for k in rows:
         own = time_h[k]
+        if np.any(np.isinf(own)):
+            found.fault(f"run {labels[k]}: time", float("inf"), "is no instant", "end with NaN")
         gap = np.flatnonzero(~np.isfinite(own))
         if len(gap) and np.any(np.isfinite(own[gap[0] :])):
             problem = f"is not finite at place {gap[0]}, but later instants are there"
@@ -68,7 +73,9 @@ def common(time_h: Array, labels: Sequence[str], skip: Sequence[bool], found: Fi
             )
         else:
             check(own[np.isfinite(own)], f"run {labels[k]}: time", found)
-    if found.faults or not rows:
+    if not rows:
+        found.fault("time_of_run", float("nan"), "holds no instant of any run", "give the hours")
+    if found.faults:
         return Axis(np.zeros(0), None)
     last = np.array([np.nanmax(time_h[k]) for k in rows])
     for k, end in zip(rows, last, strict=True):

@@ -76,7 +76,9 @@ def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wa
     for name in sorted(source.quantities.keys() - turned.keys() - asked):
         remedy = "declare it, if it is to be read or predicted"
         found.warn(f"quantity {name}", None, "is not in the network: left out", remedy)
-    return Wanted(tuple(inputs), np.array(columns).reshape(len(columns), -1).T, turned)
+    return Wanted(
+        tuple(inputs), np.array(columns).reshape(len(columns), len(source.labels)).T, turned
+    )
 
 
 def _no_clock(network: Network, found: Findings) -> None:

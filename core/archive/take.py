@@ -115,7 +115,7 @@ def _skipped(source: Source, leave_out: Sequence[str], found: Findings) -> Flags
             shown = ", ".join(map(str, lost[:20])) + (" …" if len(lost) > 20 else "")
             problem = f"is missing between runs {min(numbers)} and {max(numbers)}"
             found.warn("run", shown, problem, "add it, if the design had it: its place is empty")
-    return np.array([label in set(leave_out) for label in source.labels])
+    return np.array([label in set(leave_out) for label in source.labels], dtype=bool)
 
 
 def _take_run(

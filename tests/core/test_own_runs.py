@@ -292,6 +292,30 @@ def test_what_nothing_can_be_learnt_from_is_refused_by_name(
     assert words in fault.problem
 
 
+@pytest.mark.parametrize("kept", [0, 24])
+def test_nothing_to_learn_from_is_told(tmp_path: Path, kept: int) -> None:
+    """A file of no runs, or all of them left out."""
+    with pytest.raises(RunsError, match="runs = 0 are left to learn from"):
+        taken(dataset().isel(run=slice(0, kept)), tmp_path, leave_out=[str(k) for k in range(kept)])
+
+
+def hours(own: np.ndarray) -> xr.Dataset:
+    return dataset().assign(time_of_run=(("run", "time"), own, {"units": "h"}))
+
+
+def test_an_hour_without_end_is_refused_and_no_run_goes_on_to_it(tmp_path: Path) -> None:
+    """As a last instant it let the run's values go on beyond its last finite one."""
+    own = np.tile(TIME_H, (24, 1))
+    own[2, -1] = np.inf
+    (fault,) = refused(hours(own), tmp_path)
+    assert (fault.what, fault.problem) == ("run 2: time", "is no instant")
+
+
+def test_runs_without_any_hour_are_refused(tmp_path: Path) -> None:
+    (fault,) = refused(hours(np.full((24, len(TIME_H)), np.nan)), tmp_path)
+    assert fault.what == "time_of_run"
+
+
 def test_the_same_run_twice_counts_once(tmp_path: Path) -> None:
     data = dataset()
     twice = xr.concat([data, data.isel(run=[4])], "run").assign_coords(run=np.arange(25))
