@@ -32,6 +32,7 @@ from core.units import ratio, unit
 Array = NDArray[np.float64]
 HEADER = re.compile(r"\s*([A-Za-z_][\w.\-]*)\s*(?:\[([^\]]*)\])?\s*")
 SAME = 1e-12
+KEPT = ("points", "cells", "time_of_run", "parametric", "xyz", "node")  # `core.archive.reading`
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +119,9 @@ def _header(row: Sequence[str], found: Findings) -> dict[str, str]:
         text = "h" if match.group(1) == "time_h" and text is None else text
         if name in units:
             found.fault("header", name, "names a column twice", "name each once")
+        if name in KEPT:
+            problem = "is a name that the format of runs keeps for itself"
+            found.fault("header", name, problem, "rename the column")
         units[name] = "" if text is None else text.strip()
         if name in ("run", "file"):
             continue
@@ -146,7 +150,11 @@ def _number(what: str, cell: str, found: Findings) -> float:
     if not cell or cell.lower() in ("nan", "na"):
         return float("nan")
     try:
-        return float(cell)
+        value = float(cell)
+        if np.isfinite(value):
+            return value
+        found.fault(what, cell, "is not finite", "write the number, or leave it empty")
+        return float("nan")
     except ValueError:
         found.fault(what, cell, "is no number", "write it with a decimal point, or leave it empty")
         return float("nan")

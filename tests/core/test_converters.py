@@ -77,6 +77,8 @@ def test_runs_of_a_table_may_have_instants_of_their_own(tmp_path: Path) -> None:
         ("run,time [h],a [1],y [K]\n1,0,2,3\n1,0,2,4\n", "run 1", "two lines at 0 h"),
         ("run,time [h],a [1],y [K]\n1,,2,3\n", "line 2: time", "is no instant"),
         ("run,time [h],a [1],y [K]\n,0,2,3\n", "line 2: run", "is empty"),
+        ("run,time [h],a [1],y [K]\n1,0,2,inf\n", "line 2: y", "is not finite"),
+        ("run,time [h],points [1],y [K]\n1,0,2,3\n", "header", "keeps for itself"),
     ],
 )
 def test_what_is_wrong_with_a_table_is_told_with_line_and_column(
@@ -204,6 +206,56 @@ def test_units_of_the_same_differ_by_their_factor(given: str, wanted: str, facto
 def test_a_text_that_is_no_unit_is_refused(text: str) -> None:
     with pytest.raises(UnitError, match="is no unit"):
         unit(text)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"time": np.array(["a"] * 9)}, "time"),
+        ({"time": np.array(3.0)}, "time"),
+        ({"time": np.zeros((3, 9))}, "time"),
+        ({"run": np.arange(3)}, "run"),
+        ({"bounds": json.dumps({"roughness": [1.0]})}, "bounds of roughness"),
+        ({"bounds": json.dumps({"roughness": ["a", "b"]})}, "bounds of roughness"),
+        ({"bounds": json.dumps({"roughness": 5})}, "bounds of roughness"),
+        ({"xyz": np.zeros(12)}, "xyz"),
+    ],
+)
+def test_arrays_that_do_not_fit_each_other_are_named(
+    change: dict[str, object], what: str, tmp_path: Path
+) -> None:
+    with pytest.raises(RunsError) as caught:
+        convert_arrays(arrays(tmp_path / "a.npz", **change), tmp_path / "n")
+    assert what in fields(caught)
+    assert not (tmp_path / "n").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"cells": np.array([0, 9])}, "cells"),
+        ({"cells": np.array([[0, 9]])}, "cells"),
+        ({"cells": np.array([[0.5, np.nan]])}, "cells"),
+        ({"points": np.full((6, 3), "a")}, "points"),
+        ({"points": np.zeros((5, 3))}, "points"),
+    ],
+)
+def test_a_mesh_that_does_not_fit_the_fields_is_named(
+    change: dict[str, object], what: str, tmp_path: Path
+) -> None:
+    units = {"roughness": "um", "fouling_rate": "1/h", "drop": "kPa", "time": "h", "heat": "K"}
+    whole: dict[str, object] = {"heat": np.ones((12, 9, 6)), "points": np.zeros((6, 3))}
+    whole |= {"cells": np.array([[0, 5]]), "units": json.dumps(units)}
+    convert_arrays(arrays(tmp_path / "a.npz", **whole), tmp_path / "sound")
+    with pytest.raises(RunsError) as caught:
+        convert_arrays(arrays(tmp_path / "a.npz", **(whole | change)), tmp_path / "n")
+    assert fields(caught) == [what]
+
+
+def test_arrays_without_runs_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", time=TIME_H, units=json.dumps({"time": "h"}))
+    with pytest.raises(RunsError, match="holds no input"):
+        convert_arrays(tmp_path / "a.npz", tmp_path / "n")
 
 
 @pytest.mark.parametrize("text", ["m^", "m^s", "kg m^ s^-2", "m**", "m^^2", "^2"])
