@@ -10,6 +10,7 @@ from typing import Any, Literal
 from core.errors import InputError
 from core.prior import Prior
 
+KINDS = ("scalar", "field", "vector")
 Kind = Literal["none", "constant", "paper", "gp"]
 WIDTH = 4.0  # theta's normal priors are cut at as many standard deviations
 LEAST_GAIN = 0.1  # what multiplies the model stays above this
@@ -126,6 +127,17 @@ class Quantity:
                 self.sigma_obs.low,
                 "is no standard deviation",
                 "give bounds above 0",
+            )
+        if self.kind not in KINDS:
+            problem = "is of an unknown kind"
+            raise InputError(f"kind of {self.name}", self.kind, problem, f"use one of {[*KINDS]}")
+        if not self.low < self.high:
+            ends = (self.low, self.high)
+            raise InputError(f"range of {self.name}", ends, "holds no reading", "give low < high")
+        if not 0 <= self.numerical < math.inf:
+            problem = "is no relative standard error"
+            raise InputError(
+                f"numerical of {self.name}", self.numerical, problem, "give 0 or more, as 0.01"
             )
 
     @property

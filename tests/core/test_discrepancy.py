@@ -116,6 +116,25 @@ def test_names_that_would_collide_are_refused() -> None:
         Network.from_json(bad)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "what"),
+    [
+        ({"kind": "curve"}, "kind of y"),
+        ({"low": 1.0, "high": 0.0}, "range of y"),
+        ({"low": float("nan")}, "range of y"),
+        ({"numerical": -0.01}, "numerical of y"),
+        ({"numerical": float("nan")}, "numerical of y"),
+    ],
+)
+def test_a_quantity_that_no_reading_could_be_of_is_refused(
+    wrong: dict[str, Any], what: str
+) -> None:
+    given: dict[str, Any] = {"name": "y", "unit": "mm", "kind": "scalar", "low": 0.0, "high": 1.0}
+    assert Quantity(sigma_obs=NOISE, **given).numerical == 0.0
+    with pytest.raises(InputError, match=what):
+        Quantity(sigma_obs=NOISE, **(given | wrong))
+
+
 # --- modes --------------------------------------------------------------------------------------
 
 
