@@ -67,8 +67,10 @@ class ClosedForm(FormulaModel):
     @cached_property
     def _probes(self) -> tuple[Array, Array]:
         """Places (PROBES, d) spread over the box, and four times [h]."""
-        steps = np.sqrt([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37]) % 1.0
-        shares = (0.5 + np.arange(PROBES)[:, None] * steps[: len(self.inputs)]) % 1.0
+        roots = np.sqrt([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37])
+        j = np.arange(len(self.inputs))  # beyond the twelfth, of multiples of the roots
+        steps = roots[j % len(roots)] * (1 + j // len(roots)) % 1.0
+        shares = (0.5 + np.arange(PROBES)[:, None] * steps) % 1.0
         return self.low + shares * (self.high - self.low), self.horizon_h * 0.1 ** np.arange(4.0)
 
     @cached_property

@@ -78,3 +78,15 @@ def test_a_positive_formula_that_begins_from_nothing_is_compiled_at_the_start_as
     rows = replace(narrow, positive=("y",)).response("y", [0.0, 40.0])
     x = np.array([[0.2, 2.7]])
     assert rows.evaluate(x)[0][0] == pytest.approx([0.0, np.exp(0.2) * 40 / 2.7], rel=1e-4)
+
+
+def test_more_inputs_than_twelve_are_probed_too() -> None:
+    inputs = tuple(FormulaInput(f"x{j}", 0.0, 1.0) for j in range(26))
+
+    def fall(x: Array, t: Array) -> Array:
+        return np.asarray(t * (x[..., :25].sum(axis=-1) - x[..., 25]))
+
+    made = ClosedForm(inputs, {"y": fall}, "wide", rising=("x24",), falling=("x25",))
+    assert len(np.unique(made._probes[0].round(9), axis=1).T) == 26
+    with pytest.raises(InputError, match="goes the other way"):
+        replace(made, rising=("x25",), falling=())
