@@ -12,6 +12,10 @@ are score and information of the others (the inverse of a matrix without a row a
 read at many nodes at once is no slip of one value and stays in. Dealt sets (`dealing`) are asked
 the same, so that the test keeps its size. Such a reading is told in words (`slips`).
 
+So do effects of an instrument or a campaign that read few blades, as a reading that was taken again
+between two outages: one slip would be the zero of the whole campaign. Of `LEAST_BLADES` or more
+their scatter about the effect tells (`scatter`).
+
 A blade that contradicts by one reading, and is `bounded` in its state, has particles that were
 fitted to that reading: its residuals at the others are as wrong as at this one. Of such a blade
 nothing is scanned (`apart`), and the verdict says so (`set_apart`). One whose readings contradict
@@ -31,6 +35,7 @@ from core.calibration.state import RotorState
 from core.diagnosis.bayes import one_by_one
 from core.diagnosis.grammar import Cell
 from core.diagnosis.left_out import LeftOut
+from core.diagnosis.scatter import LEAST_BLADES
 from core.diagnosis.scores import Scores
 from core.observation import Inspection
 
@@ -41,7 +46,7 @@ TOLD = 5
 
 @dataclass(frozen=True)
 class Spared:
-    """Cells of one blade without each of its readings in turn, L of both together.
+    """Cells (`spared`) without each of their readings in turn, L of both together.
 
     cell, blade, row  (L,); share: a_i / Q_ii, lost: a_i² / Q_ii, pull: h_i, (L,) each
     """
@@ -55,7 +60,7 @@ class Spared:
 
     @staticmethod
     def of(seen: Scores, g: Array, h: Array, alone: NDArray[np.bool_]) -> Spared:
-        """Of signatures g with their covariances h, (B, n, C); alone: cells of one blade, (C,)."""
+        """Of signatures g with their covariances h, (B, n, C); alone: which are spared, (C,)."""
         single = np.array(
             [
                 [place >= 0 and rows.readings[place].values.size == 1 for place in own]
@@ -88,7 +93,7 @@ class Spared:
         signs: NDArray[np.int64],
         pulled: bool = True,
     ) -> Array:
-        """log BF of each cell (C,), of those of one blade the least without a reading.
+        """log BF of each cell (C,), of those that are spared the least without a reading.
 
         u, phi, signs (C,), q (B, n); information: of each cell by itself, (C,); pulled: whether
         the scores have their covariances in them
@@ -106,6 +111,15 @@ def alone_of(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
     out = np.zeros(columns, bool)
     out[: len(cells)] = [cell.whom == "blade" for cell in cells]
     return out
+
+
+def spared(cells: Sequence[Cell], g: Array) -> NDArray[np.bool_]:
+    """Columns of signatures g (B, n, C) that one misread value could make: of one blade, or of an
+    instrument or campaign that read few, (C,)."""
+    few = np.any(g != 0, axis=1).sum(axis=0) < LEAST_BLADES
+    reader = np.zeros(g.shape[2], bool)
+    reader[: len(cells)] = [cell.whom in ("instrument", "campaign") for cell in cells]
+    return np.asarray(alone_of(cells, g.shape[2]) | (few & reader))
 
 
 def apart(state: RotorState) -> frozenset[str]:

@@ -6,7 +6,8 @@ standard-normal amplitudes, the log Bayes factor of a set of cells S against the
     log BF = ½ U_Sᵀ (1 + I_SS)⁻¹ U_S − ½ log |1 + I_SS|
 
 to second order in the effects. It weighs fit against the room that an effect takes, so that a
-cell which the parameters imitate (I = 0) gains nothing. One of one blade counts as `misread` says.
+cell which the parameters imitate (I = 0) gains nothing. What a slip could make counts as `misread`
+says, and in a set less what it gains by that.
 
 Blades are the replicates. A common effect must be common: where the blades' contributions to U
 scatter by more than the noise allows (material that creeps in bursts, readings with heavy tails),
@@ -38,7 +39,7 @@ from core.diagnosis.chance import family_wise
 from core.diagnosis.coherent import discount
 from core.diagnosis.dealing import FEW, dealt_sets
 from core.diagnosis.grammar import Cell
-from core.diagnosis.misread import Spared, alone_of
+from core.diagnosis.misread import Spared, alone_of, spared
 from core.diagnosis.scatter import LEAST_BLADES, Scatter
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures
@@ -77,8 +78,7 @@ class Scan:
         free: Mapping[str, Signatures] | None = None,
     ) -> Scan:
         """All cells at once, and free sets of columns."""
-        places: dict[str, tuple[int, ...]] = {}
-        parts, width = [found], len(cells)
+        places, parts, width = dict[str, tuple[int, ...]](), [found], len(cells)
         for name, columns in (free or {}).items():
             parts.append(columns)
             places[name] = tuple(range(width, width + columns.g.shape[2]))
@@ -123,8 +123,7 @@ class Scan:
 
         Of several with signs the factors of their sides are multiplied, as if they went apart.
         """
-        u, information = self._scaled
-        s = list(which)
+        (u, information), s = self._scaled, list(which)
         a = information[np.ix_(s, s)] + np.eye(len(s))
         covariance = np.linalg.inv(a)
         amplitude, sd = covariance @ u[s], np.sqrt(np.diag(covariance))
@@ -132,21 +131,24 @@ class Scan:
         if len(s) > 1 and np.any(signed & (amplitude < 0)):
             return -np.inf
         sides = np.where(signed, np.log(2.0) + log_ndtr(amplitude / sd), 0.0)
-        return float(0.5 * u[s] @ amplitude - 0.5 * np.linalg.slogdet(a)[1] + sides.sum())
+        gain = 0.5 * u[s] @ amplitude - 0.5 * np.linalg.slogdet(a)[1] + sides.sum()
+        return float(gain - np.sum((self._one_by_one - self.gains)[s]))
 
     def amplitudes(self, *which: int) -> tuple[Array, Array]:
         """Mean (k,) and covariance (k, k) of a set's amplitudes, in expected sizes."""
-        u, information = self._scaled
-        s = list(which)
+        (u, information), s = self._scaled, list(which)
         covariance = np.linalg.inv(information[np.ix_(s, s)] + np.eye(len(s)))
         return np.asarray(covariance @ u[s]), np.asarray(covariance)
 
     @cached_property
     def gains(self) -> Array:
-        """log BF of every single cell, (C,); of one blade's as `misread` counts them."""
-        own = np.diag(self.information)
-        gains = one_by_one(self.u, own, self.phi, self._signs)
+        """log BF of every single cell, (C,); of some as `misread` counts them."""
+        own, gains = np.diag(self.information), self._one_by_one
         return self._spared.least(gains, self.u, self.seen.q, own, self.phi, self._signs)
+
+    @cached_property
+    def _one_by_one(self) -> Array:
+        return one_by_one(self.u, np.diag(self.information), self.phi, self._signs)
 
     @cached_property
     def _alone(self) -> NDArray[np.bool_]:
@@ -158,7 +160,7 @@ class Scan:
 
     @cached_property
     def _spared(self) -> Spared:
-        return Spared.of(self.seen, self.g, self.h, self._alone)
+        return Spared.of(self.seen, self.g, self.h, spared(self.cells, self.g))
 
     @cached_property
     def _signs(self) -> NDArray[np.int64]:
@@ -169,8 +171,7 @@ class Scan:
     @cached_property
     def z(self) -> Array:
         """Amplitude over its standard deviation without a prior, (C,)."""
-        information = np.diag(self.information)
-        return np.asarray(self.u / np.sqrt(np.maximum(information * self.phi, 1e-300)))
+        return self.u / np.sqrt(np.maximum(np.diag(self.information) * self.phi, 1e-300))
 
     @cached_property
     def families(self) -> dict[str, list[int]]:
@@ -194,8 +195,8 @@ class Scan:
     @property
     def found(self) -> dict[str, float]:
         """`by_family` of the readings, by name."""
-        values = self.by_family(self.gains, self.u, self.phi)
-        return dict(zip((*self.families, *self.free), values.tolist(), strict=True))
+        values = self.by_family(self.gains, self.u, self.phi).tolist()
+        return dict(zip((*self.families, *self.free), values, strict=True))
 
     def null(self, count: int, seed: int) -> Array:
         """`by_family` of `count` dealt sets, (count, families and free sets)."""
@@ -223,8 +224,7 @@ class Scan:
         """`by_family` of contributions (B, C) and scores (C,); q (B, n): of a dealt set."""
         own = np.diag(self.information)
         phi = self._scatter.phi(c, u, own) * self._discount
-        seen = self.seen.q if q is None else q
-        gains = one_by_one(u, own, phi, self._signs)
+        gains, seen = one_by_one(u, own, phi, self._signs), self.seen.q if q is None else q
         gains = self._spared.least(gains, u, seen, own, phi, self._signs, q is None)
         return self.by_family(gains, u, phi)
 
@@ -240,8 +240,8 @@ class Scan:
 
     def by_scores(self, u: Array) -> Array:
         """`by_family` of scores (C,) whose blades scatter as the noise says."""
-        one = np.ones(len(u))
-        return self.by_family(one_by_one(u, np.diag(self.information), one, self._signs), u, one)
+        own, one = np.diag(self.information), np.ones(len(u))
+        return self.by_family(one_by_one(u, own, one, self._signs), u, one)
 
     def including(self, *which: int) -> Scan:
         """The scan of what is left once these cells' effects are in the model."""

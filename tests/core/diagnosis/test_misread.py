@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from core.diagnosis.bayes import one_by_one
+from core.diagnosis.grammar import Facts
 from core.diagnosis.left_out import left_out
 from core.diagnosis.misread import Spared, slips
 from core.diagnosis.scan import Scan
+from core.diagnosis.scores import Scores
 from core.diagnosis.verdict import judge
 from tests.core.diagnosis import fleet
 from tests.core.diagnosis.fleet import SIGMA, rotor, scan
@@ -85,6 +87,58 @@ def test_a_misread_value_is_no_rub_of_a_tip(monkeypatch: pytest.MonkeyPatch) -> 
     blind(monkeypatch)
     claimed = [names for _, names in verdicts(last)]
     assert claimed == [RUB] * 5, "the control: it would be claimed"
+
+
+def again(
+    seed: int, add: Callable[[int, int], float], blades: Iterable[int], read: dict[str, str]
+) -> tuple[Scores, dict[str, Facts]]:
+    """Some blades were read by somebody else, or on a day of their own, the second time."""
+    seen, facts = rotor(seed, add)
+    rows = list(seen.rows)
+    for b in blades:
+        readings = list(rows[b].readings)
+        readings[1] = replace(readings[1], **read)  # type: ignore[arg-type]
+        rows[b] = replace(rows[b], readings=tuple(readings))
+    return replace(seen, rows=tuple(rows)), facts
+
+
+def extra(add: Callable[[int, int], float], blades: Iterable[int], read: dict[str, str]) -> int:
+    """Of five rotors, those in which who read these blades is suspected."""
+    found = [judge(scan(*again(k, add, blades, read)), k, dealt=DEALT).names for k in range(5)]
+    return sum(any("extra" in name for name in names) for names in found)
+
+
+READ = ({"campaign": "extra"}, {"instrument": "extra"})
+
+
+@pytest.mark.parametrize("read", READ)
+def test_one_misread_value_is_no_zero_of_the_day_on_which_it_was_read(
+    read: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slip = lambda b, k: 10 * SIGMA * ((b, k) == (5, 1))  # noqa: E731
+    assert extra(slip, (5,), read) == 0
+    assert extra(lambda b, k: 6 * SIGMA * (3 <= b < 8 and k == 1), range(3, 8), read) == 5, "many"
+    blind(monkeypatch)
+    assert extra(slip, (5,), read) == 5, "the control: it would be claimed"
+
+
+def test_beside_an_effect_that_is_there_a_misread_value_makes_no_pair(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The third campaign reads too long, and the one value of another one is wrong."""
+    both = lambda b, k: 4 * SIGMA * (k == 2) + 10 * SIGMA * ((b, k) == (5, 1))  # noqa: E731
+
+    def more() -> float:
+        one = scan(*again(0, both, (5,), READ[0]))
+        there, wrong = (
+            next(i for i, c in enumerate(one.cells) if (c.whom, c.value) == ("campaign", value))
+            for value in ("c2", "extra")
+        )
+        return one.gain(there, wrong) - float(one.gains[there])
+
+    assert more() < 3.0
+    blind(monkeypatch)
+    assert more() > 6.0, "the control"
 
 
 def test_what_several_readings_carry_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
