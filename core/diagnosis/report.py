@@ -1,12 +1,12 @@
 """Before and after: both models, calibrated on the same readings, on readings held out of these.
 
-Held out is all that was read at the latest third of a blade's hours, one at least, of every second
-blade (in the order of names, of those read at two hours or more): later times, on blades whose
-lots, instruments and campaigns the other blades still speak of. Neither calibration used them; but
-which effect is in the second model was chosen by all readings, these among them, so that they test
-its amplitude and the forecast, not the choice. Each model predicts the *reading*, with the bias of
-whoever took it and the reading's own noise where it has one; the score is the log density of a
-normal with the prediction's mean and sd [nat per reading].
+Held out are all single values that were read at the latest third of a blade's hours, one at least,
+of every second blade (in the order of names, of those read at two hours or more): later times, on
+blades whose lots, instruments and campaigns the other blades still speak of. Neither calibration
+used them; but which effect is in the second model was chosen by all readings, these among them, so
+that they test its amplitude and the forecast, not the choice. Each model predicts the *reading*,
+with the bias of whoever took it and the reading's own noise where it has one; the score is the log
+density of a normal with the prediction's mean and sd [nat per reading].
 """
 
 from __future__ import annotations
@@ -79,8 +79,11 @@ class BeforeAfter:
 
 
 def held_out(readings: Sequence[Inspection], quantity: str) -> tuple[Inspection, ...]:
-    """What was read at the latest third of its hours of every second blade with two or more."""
-    of = [r for r in readings if r.quantity == quantity]
+    """Single values of the latest third of its hours of every second blade with two or more.
+
+    What a reading of several nodes says of each is not scored.
+    """
+    of = [r for r in readings if r.quantity == quantity and r.values.size == 1]
     at: dict[str, set[float]] = {}
     for r in of:
         at.setdefault(r.blade, set()).add(r.time_h)

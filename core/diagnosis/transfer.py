@@ -107,7 +107,8 @@ def transferred(
     work = workspace or Workspace()
     found = []
     for name, value, blades in conditions(spec.known, sorted({r.blade for r in readings})):
-        held = [r for r in readings if r.blade in blades and r.quantity == quantity]
+        of = [r for r in readings if r.quantity == quantity and r.values.size == 1]
+        held = [r for r in of if r.blade in blades]
         kept = [r for r in readings if r.blade not in blades]
         if not held:
             continue

@@ -13,7 +13,7 @@ from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
 from core.diagnosis import report
 from core.diagnosis.densities import density, leans, quantiles
-from core.diagnosis.report import before_after, fleet, held_out, score
+from core.diagnosis.report import before_after, fleet, held_out, parted, score
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
@@ -91,6 +91,11 @@ def test_held_out_is_all_that_was_read_at_a_blades_latest_hours() -> None:
     ]
     data += [Inspection(f"once-{k}", "b01", "y", 2.0, np.array([1.0])) for k in range(3)]
     assert [r.id for r in held_out(data, "y")] == ["b1-4.0-g1", "b1-4.0-g2"]
+    scan = Inspection("scan", "b1", "y", 4.0, np.ones(3), nodes=np.arange(3))
+    assert "scan" not in {r.id for r in held_out([*data, scan], "y")}, "its first node is not it"
+    late = replace(scan, id="late", time_h=9.0)
+    held, kept = parted([*data, scan, late], "y")
+    assert not {"scan", "late"} & {r.id for r in (*held, *kept)}, "nor is it known"
 
 
 def test_nothing_that_a_held_out_blade_was_read_later_is_known(
