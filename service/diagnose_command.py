@@ -19,7 +19,8 @@ import typer
 from core.errors import BladetwinError, InputError
 from service.commands.reach import reached
 from service.report.alternatives import names
-from service.report.split import IDLE, campaign, inspection, percent
+from service.report.split import campaign, inspection, percent
+from service.report.verdict import IDLE
 
 if TYPE_CHECKING:
     from service.client import Client

@@ -209,11 +209,14 @@ def _room(
     return low, high
 
 
-def amplitude_of(cell: Cell) -> str:
-    """What an amplitude of 1 means, in words."""
+def amplitude_of(cell: Cell, *, woken: bool = False) -> str:
+    """What an amplitude of 1 means, in words.
+
+    woken  of a dormant input that is free itself (`frees`): what is lost of it is below zero
+    """
     family = cell.family
     what = {"plus": "added to", "times": "of"}[family.how]
-    direction = "lost " if family.sign < 0 else ""
+    direction = "lost " if family.sign < 0 and not woken else ""
     when = f" by {cell.reference_h:,.0f} h" if cell.shape in ("early", "linear", "late") else ""
     return f"{direction}{what} {family.of}{when}"
 

@@ -163,7 +163,7 @@ def heard(verdict: Verdict, told: tuple[Concerned, ...]) -> Verdict:
     said = replace(verdict, concerns=told, reasons=(*verdict.reasons, *reasons))
     if not unsure or verdict.word not in ("effect", "not separable"):
         return said
-    alone = replace(said, word="unattributed", names=(), reasons=reasons)
+    alone = replace(said, word="unattributed", names=(), beside=(), reasons=reasons)
     if any(one.all <= 1.0 - NAMED for one in unsure):
         return alone
     if verdict.word == "not separable":

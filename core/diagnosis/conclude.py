@@ -182,9 +182,7 @@ def conclude(
     )
     sure = sorted({c for c in claims.values() if c is not None})
     if all(c is not None for c in claims.values()):
-        verbs = "gains", "leaves"
-        if len(sure) > 1:
-            verbs = "gain", "leave"
+        verbs = ("gain", "leave") if len(sure) > 1 else ("gains", "leaves")
         whys = [f"{' and '.join(sure)} {verbs[0]} {gained:.1f} nat and {verbs[1]} nothing behind"]
         whys += [
             f"how {claim} runs is open: {name} has {evidence.get(name, 0.0):.0%} of the evidence"
@@ -202,7 +200,8 @@ def conclude(
         why += f" beside {' and '.join(sure)}"
     if len(several) > MOST_NAMES:
         return replace(said, word="unattributed", names=(), several=several, reasons=(why,))
-    return replace(said, word="not separable", names=several, reasons=(why,))
+    apart = replace(said, word="not separable", names=several, reasons=(why,))
+    return replace(apart, beside=tuple(sure))
 
 
 def _against(

@@ -1,8 +1,9 @@
 """What a report shows of a diagnosis beside its numbers; plain JSON, computed with the particles.
 
 readings     each as both models predict it from all the others (`core.diagnosis.left_out`)
-courses      each blade itself (no reading's noise) over the hours, by both models: 2.5, 50 and
-             97.5 % of the posterior, mean and sd
+courses      each blade that is on the rotor itself (no reading's noise) over the hours, by both
+             models: 2.5, 50 and 97.5 % of the posterior, mean and sd; and the hours at which it was
+             read last, by whatever quantity (0: never)
 amplitudes   of every effect in the model: prior and posterior density
 parameters   prior's bounds, and where a posterior leans on one
 """
@@ -101,7 +102,8 @@ def _both_courses(found: Diagnosis, case: Case) -> Json | None:
         "quantity": quantity,
         "unit": model.network.quantity(quantity).unit,
         "time_h": hours.tolist(),
-        "blades": list(case.spec.blades),
+        "blades": list(case.present),
+        "now_h": [float(case.read_h.get(blade, 0.0)) for blade in case.present],
         "before": before,
         "after": before if same else _courses(*found.after, case, quantity, hours),
     }
@@ -123,11 +125,11 @@ def _courses(model: Model, state: RotorState, case: Case, quantity: str, hours: 
         )
 
     # one blade of each model first: it compiles what the others ask for again
-    first = {id(model.for_blade(b)): b for b in reversed(case.spec.blades)}.values()
+    first = {id(model.for_blade(b)): b for b in reversed(case.present)}.values()
     made = {b: course(b) for b in first}
-    rest = [b for b in case.spec.blades if b not in made]
+    rest = [b for b in case.present if b not in made]
     made |= zip(rest, POOL.map(course, rest), strict=True)
-    for blade in case.spec.blades:
+    for blade in case.present:
         got = made[blade]
         rows = (got.mean, got.sd["total"], got.lower, got.quantiles[LEVELS[1]], got.upper)
         for name, row in zip(told, rows, strict=True):

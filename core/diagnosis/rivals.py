@@ -47,11 +47,11 @@ def rivals_of(
         if len(rivals) == most:
             break
         covered = {n for r in rivals for n in r.names}
-        said = {n if n in allowed else turn.called(n) for n in one.names}
-        if not set(one.names) - covered or not said <= allowed:
+        said = tuple(n if n in allowed else turn.called(n) for n in one.names)
+        if not set(one.names) - covered or not set(said) <= allowed:
             continue
         if (known := turn.rivals.get(one.names)) is not None:
-            rivals.append(Rival(one.names, known.model, known.state, one.weight))
+            rivals.append(Rival(one.names, known.model, known.state, one.weight, said))
             continue
         say(f"{' and '.join(one.names)}, which is not told apart")
         try:
@@ -60,7 +60,7 @@ def rivals_of(
             made = update(bigger, case.spec, case.readings, workspace=workspace)
         except InputError:
             continue
-        rivals.append(Rival(one.names, bigger, made, one.weight))
+        rivals.append(Rival(one.names, bigger, made, one.weight, said))
     return rivals
 
 

@@ -54,12 +54,16 @@ NOTHING = 1e-3  # nat that a further reading has to add
 
 @dataclass(frozen=True)
 class Rival:
-    """A calibrated hypothesis: its names, its model and state, its share of the evidence."""
+    """A calibrated hypothesis: its names, its model and state, its share of the evidence.
+
+    called  the names as the verdict has them: causes, where how these run is open
+    """
 
     names: tuple[str, ...]
     model: Model
     state: RotorState
     weight: float
+    called: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +231,10 @@ def separation_json(found: Separation, shown: int = 12) -> Json:
             }
         )
     return {
-        "rivals": [{"names": list(r.names), "weight": r.weight} for r in found.rivals],
+        "rivals": [
+            {"names": list(r.names), "called": list(r.called or r.names), "weight": r.weight}
+            for r in found.rivals
+        ],
         "entropy_nat": found.entropy,
         "single": single,
         "set": [{**candidate.to_json(), **_told(told)} for candidate, told in found.grown],

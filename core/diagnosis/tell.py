@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from core.calibration.state import RotorState, shared_posterior
-from core.diagnosis.adopt import amplitude_of
+from core.diagnosis.adopt import amplitude_of, frees
 from core.diagnosis.alternatives import Alternatives
 from core.diagnosis.case import Case
 from core.diagnosis.diagnose import Diagnosis
@@ -46,6 +46,7 @@ def to_json(
     return {
         "verdict": verdict.word,
         "names": list(verdict.names),
+        "beside": list(verdict.beside),
         "several": list(verdict.several),
         "reasons": [*verdict.reasons, *([] if wide is None else [in_words(wide)])],
         "p": verdict.p,
@@ -53,7 +54,11 @@ def to_json(
         "effects": [
             {
                 **cell_json(e.cell),
-                "amplitude": {"mean": e.mean, "sd": e.sd, "of": amplitude_of(e.cell)},
+                "amplitude": {
+                    "mean": e.mean,
+                    "sd": e.sd,
+                    "of": amplitude_of(e.cell, woken=frees(e.cell, found.before[0].network)),
+                },
             }
             for e in found.effects
         ],
@@ -118,6 +123,7 @@ def cell_json(cell: Cell) -> Json:
     return {
         "name": cell.name,
         "words": describe(cell),
+        "cause": cell.cause,
         "family": cell.family.name,
         "kind": cell.family.kind,
         "on": cell.family.target,
@@ -128,6 +134,7 @@ def cell_json(cell: Cell) -> Json:
         "value": cell.value,
         "clock": cell.family.clock,
         "step_h": cell.step_h,
+        "reference_h": cell.reference_h,
     }
 
 

@@ -91,6 +91,7 @@ class Verdict:
 
     p           family-wise probability of so large a gain by chance; after: of what is left
     names       those that are claimed, or the set that is not separable
+    beside      of a set that is not separable, those that are sure: the rest is not told apart
     several     those that share the evidence where they are too many to be an answer: none is
                 claimed, and what to read next can be told (`rivals`)
     hypotheses  all that have a noticeable share of the evidence, largest first
@@ -110,6 +111,7 @@ class Verdict:
     held: tuple[Held, ...]
     reasons: tuple[str, ...]
     several: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
     concerns: tuple[Concerned, ...] = ()
 
 

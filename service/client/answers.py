@@ -463,6 +463,7 @@ class PicturesCourses(TypedDict):
     unit: str
     time_h: list[float]
     blades: list[str]
+    now_h: NotRequired[list[float]]
     before: Course
     after: Course
 
@@ -507,6 +508,7 @@ class Pictures(TypedDict):
 
 class SeparatingRival(TypedDict):
     names: list[str]
+    called: NotRequired[list[str]]
     weight: float
 
 
@@ -665,6 +667,7 @@ class FoundRestsOn(TypedDict):
 class Found(TypedDict):
     verdict: Literal["adequate", "effect", "not separable", "unattributed"]
     names: list[str]
+    beside: NotRequired[list[str]]
     several: NotRequired[list[str]]
     reasons: list[str]
     p: float | None

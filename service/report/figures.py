@@ -42,16 +42,15 @@ def named(which: str, *, changed: bool) -> str:
     return which if changed else "the model"
 
 
-def amplitude(one: Json) -> Markup:
-    """An amplitude's prior and posterior."""
+def amplitude(one: Json, scale: float, unit: str) -> Markup:
+    """An amplitude's prior and posterior, times a scale, in a unit (`words.unit_of`)."""
     x_values, prior, post = one["x"], one["prior_density"], one["density"]
-    percent = 100.0 if one["unit"] == "1" else 1.0
-    unit = "%" if percent == 100.0 else one["unit"]
-    x = Scale(percent * x_values[0], percent * x_values[-1], 64.0, WIDE - 28)
+    x = Scale(scale * x_values[0], scale * x_values[-1], 64.0, WIDE - 28)
     top = 1.08 * min(max(*prior, *post), STEEP * max(post))
     y = Scale(0.0, top, 170.0, 34.0)
-    frame = Frame(x, y, f"amplitude of {one['name']} [{unit}]", "density", grid_y=False)
-    at = [x(percent * v) for v in x_values]
+    in_unit = f" [{unit}]" if unit else ""
+    frame = Frame(x, y, f"amplitude of {one['name']}{in_unit}", "density", grid_y=False)
+    at = [x(scale * v) for v in x_values]
     parts = [frame.drawn(y_ticks=False)]
     if x.low < 0 < x.high:
         parts.append(line(x(0.0), y.end, x(0.0), y.start, "zero"))
@@ -59,7 +58,7 @@ def amplitude(one: Json) -> Markup:
     parts.append(path(list(zip(at, (y(v) for v in post), strict=True)), "after course"))
     low_part = [(x_at, y(min(v, top))) for x_at, v in zip(at, prior, strict=True)]
     parts.append(path(low_part, "prior course"))
-    low, _, high = (x(percent * q) for q in one["quantiles"])
+    low, _, high = (x(scale * q) for q in one["quantiles"])
     parts.append(block(low, y.start - 4, high - low, 4, "after mark"))
     entries = [("prior mark", "prior"), ("after area", "posterior"), ("after mark", "95 % of it")]
     parts.append(legend(66, 20, entries))

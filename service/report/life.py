@@ -27,7 +27,7 @@ class Life:
 
 @dataclass(frozen=True, slots=True)
 class Lives:
-    """Of one blade by both models, and its hours at its latest reading."""
+    """Of one blade by both models, and its hours at its latest reading of any kind; 0: none."""
 
     blade: str
     now_h: float
@@ -63,8 +63,8 @@ def passing(hours: Sequence[float], course: Sequence[float], limit: float) -> fl
 def lives(courses: Json, readings: Sequence[Json], limit: float) -> list[Lives]:
     """Of every blade, in the order of the medians after; those beyond the model's hours last."""
     hours = courses["time_h"]
-    now: dict[str, float] = {}
-    for r in readings:
+    now: dict[str, float] = dict(zip(courses["blades"], courses.get("now_h", ()), strict=False))
+    for r in readings if not now else ():  # of a release that told it of single values alone
         now[r["blade"]] = max(now.get(r["blade"], 0.0), r["time_h"])
 
     def life(course: Json, i: int) -> Life:

@@ -17,10 +17,11 @@ from service.report import alternatives, evidence, residuals, sections, split
 from service.report.conditions import conditions
 from service.report.markup import Markup, el, join
 from service.report.tables import facts, pairs, section
-from service.report.words import do_next, number, verdict
+from service.report.verdict import do_next, verdict
+from service.report.words import number
 
 Json = Mapping[str, Any]
-LAYOUT = 2  # raised when the page changes, so that its tag does
+LAYOUT = 3  # raised when the page changes, so that its tag does
 
 
 @cache

@@ -10,7 +10,7 @@ from service.report.heat import heat, rows_of
 from service.report.markup import Child, Markup, el
 from service.report.sections import OLDER, SHOWN, changes
 from service.report.tables import figure, note, section
-from service.report.words import number
+from service.report.words import counted, number
 
 Json = Mapping[str, Any]
 STANDS_OUT = 3.0  # of a group's mean z, in its standard errors
@@ -72,8 +72,9 @@ def known(found: Json) -> Markup | None:
         mean = sum(z) / len(z)
         if abs(mean) * len(z) ** 0.5 >= STANDS_OUT:
             side = "above" if mean > 0 else "below"
-            told = f"{len(z)} readings of {name} lie {number(abs(mean), 2)} sd {side} the model's"
-            said.append(el("li", f"{told} prediction on average."))
+            told = f"{counted(len(z), 'reading')} of {name} lie{'s' * (len(z) == 1)}"
+            far = f"{number(abs(mean), 2)} sd {side} the model's prediction"
+            said.append(el("li", f"{told} {far}{' on average' * (len(z) > 1)}."))
     return section("What is known", el("ul", *said[:SHOWN]))
 
 

@@ -10,7 +10,8 @@ from service.report.fleet import fleet
 from service.report.life import Life, lives
 from service.report.markup import Child, Markup, el
 from service.report.tables import cell, figure, note, section, table
-from service.report.words import capital, number, sentence, with_sd
+from service.report.verdict import claims
+from service.report.words import capital, counted, number, sentence, unit_of, with_sd
 
 Json = Mapping[str, Any]
 ALARM, LEFT, CONFIRMED, NAMED = 0.05, 0.01, 5.0, 0.90  # of core.diagnosis.verdict
@@ -23,24 +24,28 @@ def effects(found: Json) -> Markup:
     pictures = found.get("pictures") or {}
     told = {one["name"]: one for one in pictures.get("amplitudes", ())}
     model = found["rests_on"]["model"]
-    title = "The effect" if found["claimed"] else "Effects that were calibrated, not claimed"
+    title = "The effect" if len(found["effects"]) == 1 else "The effects"
+    if not found["claimed"]:
+        title = "Effects that were calibrated, not claimed"
     if not found["effects"]:
         return section("Effects", el("p", "No effect was put into the model."))
     parts: list[Child] = []
+    _, open_ = claims(found)
     for one in found["effects"]:
         known = told.get(one["name"])
         parts.append(el("h3", one["name"]))
         parts.append(el("p", capital(sentence(one, known and known["unit"], model)) + "."))
-        parts.append(note(f"{one['words']}. Kind: {one['kind']}."))
+        unclaimed = " In the model, not claimed." if found["claimed"] and one in open_ else ""
+        parts.append(note(f"{one['words']}. Kind: {one['kind']}.{unclaimed}"))
         if known is None:
             continue
-        share = 100.0 if known["unit"] == "1" else 1.0
-        unit = "%" if share == 100.0 else known["unit"]
-        low, middle, high = (number(share * q) for q in known["quantiles"])
-        said = f"Median {middle} {unit}, 95 % between {low} and {high} {unit}."
+        scale, unit = unit_of(one, known["unit"], model)
+        low, middle, high = (f"{number(scale * q)} {unit}".strip() for q in known["quantiles"])
+        said = f"Median {middle}, 95 % between {low} and {high}."
         if known["at_bound"]:
-            said += f" The amplitude leans on its {known['at_bound']} bound: it may be larger."
-        parts.append(figure(figures.amplitude(known), said))
+            side = {"low": "lower", "high": "upper"}[known["at_bound"]]
+            said += f" It leans on its {side} bound and would go on beyond it if it could."
+        parts.append(figure(figures.amplitude(known, scale, unit), said))
     if not told:
         parts.append(note(OLDER.format("the amplitudes' densities")))
     parts.append(el("p", f"Log evidence gained by all of it: {number(found['gained_nat'])} nat."))
@@ -50,12 +55,8 @@ def effects(found: Json) -> Markup:
 def before_after(found: Json) -> Markup:
     """Both models on readings that neither used."""
     title = "Before and after, on readings that neither model used"
-    compared, words = (
-        found["before_after"],
-        "compared where an effect is claimed, unless told not to",
-    )
-    if compared is None:
-        return section(title, el("p", f"Not compared: the two models are {words}."))
+    if (compared := found["before_after"]) is None:
+        return section(title, el("p", f"Not compared: {_not_compared(found)}."))
     a, b = compared["before"], compared["after"]
     unit = (found.get("pictures") or {}).get("courses") or {}
     unit = unit["unit"] if unit.get("quantity") == compared["quantity"] else ""
@@ -75,12 +76,14 @@ def before_after(found: Json) -> Markup:
         after = cell(number(b[key], digits), numeric=True, kind=kind)
         rows.append([what, number(a[key], digits), after, good, told])
     forecast = compared["forecast"]
-    at = f"fleet's mean {compared['quantity']} at {number(forecast['time_h'])} h{in_unit}"
+    what = f"{compared['quantity']} at {number(forecast['time_h'])} h{in_unit}"
+    at = f"forecast: blades' mean {what} ± sd of a single blade"
     ahead = [with_sd(forecast[w]["mean"], forecast[w]["sd"]) for w in figures.BOTH]
     rows.append([at, *ahead, "", "moves by " + number(_moved(forecast))])
+    many = f"{counted(a['count'], 'reading')} of {compared['quantity']}"
     said = (
-        f"{a['count']} readings of {compared['quantity']}, the latest third of every second "
-        "blade's: both models were calibrated without them, and then predicted them."
+        f"{many}, the latest third of every second blade's: both models were calibrated without "
+        f"them, and then predicted them; the forecast is theirs, too. {_after(found)}"
     )
     held = {w: [z for z in compared[w]["z"] if z is not None] for w in figures.BOTH}
     strips = figures.groups("z of held-out readings", {"held out": held})
@@ -88,6 +91,29 @@ def before_after(found: Json) -> Markup:
         title, el("p", said), table(["", "before", "after", "good is", ""], rows, (1, 2)),
         figure(strips, "Held-out readings: how many sd each lies from its prediction."),
     )  # fmt: skip
+
+
+def _not_compared(found: Json) -> str:
+    """Why there is no comparison: nothing to compare with, not wanted, or nothing left out."""
+    wide = found.get("widened") or {}
+    if not (found["claimed"] or wide.get("borne_out")):
+        return "there is no other model, as no effect is claimed"
+    return (
+        "it was not asked for, or too little was read: two blades at least have to be read at two "
+        "hours or more, by single values"
+    )
+
+
+def _after(found: Json) -> str:
+    """What `after` is here, and what the scores do not test."""
+    if found["claimed"]:
+        return (
+            "Which effect is in the model after was chosen by all readings, these among them: they "
+            "test its size and the forecast, not the choice."
+        )
+    return (
+        "After is the model with a discrepancy that names no cause, whose size all readings gave."
+    )
 
 
 def improved(key: str, before: float | None, after: float | None) -> bool | None:
@@ -133,19 +159,19 @@ def life(found: Json, limit: float | None) -> Markup | None:
         parts.append(
             el(
                 "p",
-                f"On average over the {len(moved)} blades that pass it in both models the median "
-                f"hour moves by {number(sum(moved) / len(moved))} h, at most by "
-                f"{number(max(moved, key=abs))} h.",
+                f"On average over {counted(len(moved), 'blade')} with a median that passes it in "
+                f"both models, the median hour moves by {number(sum(moved) / len(moved))} h, at "
+                f"most by {number(max(moved, key=abs))} h.",
             )
         )
     rows = [
-        [one.blade, number(one.now_h), _hours(one.before, one.now_h)]
+        [one.blade, number(one.now_h) if one.now_h else "not read", _hours(one.before, one.now_h)]
         + both * [_hours(one.after, one.now_h), number(one.moved_h)]
         for one in every[:SHOWN]
     ]
-    head = ["blade", "hours now", "hours left"]
+    head = ["blade", "hours when last read", "hours left from then"]
     if both:
-        head[2:] = ["hours left before", "hours left after", "median moves by [h]"]
+        head[2:] = ["hours left from then, before", "after", "median moves by [h]"]
     parts.append(table(head, rows, (1, 4)))
     first = f"The {SHOWN} of {len(every)} blades that pass first. " * (len(every) > SHOWN)
     parts.append(note(f"{first}Median and, in brackets, 95 % of the hours left."))

@@ -20,11 +20,11 @@ from service.report.svg import (
     words,
 )
 from service.report.tables import figure, note, section, table
+from service.report.verdict import IDLE
 from service.report.words import joined, number, with_sd
 
 Json = Mapping[str, Any]
 CURVES = 5
-IDLE = 0.02  # nat: an inspection that tells less tells nothing
 
 
 def split(found: Json) -> Markup | None:
@@ -66,7 +66,8 @@ def split(found: Json) -> Markup | None:
     ]  # fmt: skip
     head = ["one reading", "blades alike", "tells [nat]", "share of the true one", "settles it"]
     parts += [el("h3", "Every kind of reading"), table(head, rows, (1, 2, 3, 4))]
-    missing = [n for n in found["names"] if not any(n in r["names"] for r in told["rivals"])]
+    there = {n for r in told["rivals"] for n in (*r["names"], *r.get("called", ()))}
+    missing = [n for n in found["names"] if n not in there and n not in found.get("beside", ())]
     if missing:
         parts.append(note(f"Not among those told apart here: {joined(missing)}."))
     parts.append(

@@ -1,4 +1,4 @@
-"""What a diagnosis says, in words for an engineer: sentences, numbers with units."""
+"""Effects in words for an engineer: sentences, numbers with units."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 
 Json = Mapping[str, Any]
 LARGE = 1e7  # from which on a power of ten says more than digits
-SEVERAL = 6  # names in a sentence
 BLADE_INPUTS: dict[str, tuple[str, float, str]] = {
     "tbc_thickness": ("coating thickness over nominal", 1.0, ""),
     "t1t_rate": ("gas temperature", 600.0, "K"),
@@ -72,15 +71,30 @@ def joined(names: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
+def counted(count: int, what: str) -> str:
+    """A number of things, of which one is said in the singular.
+
+    >>> counted(1, "blade"), counted(1200, "reading")
+    ('1 blade', '1,200 readings')
+    """
+    return f"{count:,} {what}{'s' * (count != 1)}"
+
+
+def unit_of(effect: Json, unit: str | None, model: str) -> tuple[float, str]:
+    """What an amplitude is multiplied by, and the unit that engineers use for it; "": none."""
+    if effect["how"] == "times":
+        return 100.0, "%"
+    shown = "" if unit in (None, "1") else str(unit)
+    if model.startswith("rotor-blade") and on_input(effect):
+        return BLADE_INPUTS.get(effect["target"], ("", 1.0, shown))[1:]
+    return 1.0, shown
+
+
 def size(effect: Json, unit: str | None, model: str) -> tuple[float, float, str]:
     """An effect's amplitude and sd with its sign, in a unit that engineers use."""
     told = effect["amplitude"]
     sign = -1.0 if str(told.get("of", "")).startswith("lost ") else 1.0
-    scale, shown = 1.0, "" if unit in (None, "1") else str(unit)
-    if effect["how"] == "times":
-        scale, shown = 100.0, "%"
-    elif model.startswith("rotor-blade") and on_input(effect):
-        _, scale, shown = BLADE_INPUTS.get(effect["target"], ("", 1.0, shown))
+    scale, shown = unit_of(effect, unit, model)
     mean, sd = (math.nan if told[k] is None else scale * told[k] for k in ("mean", "sd"))
     return sign * mean, sd, shown
 
@@ -109,12 +123,14 @@ def when(effect: Json) -> str:
     clock = "blade" if effect["clock"] == "blade" else "rotor"
     shape = effect["shape"]
     if shape == "step":
-        then = ", in the blades that were there" if effect["clock"] == "event" else ""
+        there = effect["clock"] == "event" and effect["value"] is None
+        then = ", in the blades that were there" if there else ""
         return f"from about {number(effect['step_h'])} h of the {clock} on{then}"
     if shape == "constant":
-        return "from the first hour on" if on_input(effect) else "always by the same"
+        return "always by the same" if effect["kind"] == "sensor" else "from the first hour on"
     pace = {"early": "faster at first", "linear": "evenly", "late": "faster towards the end"}
-    return f"by 50,000 h of the {clock}, {pace.get(shape, shape)}"
+    by = number(effect.get("reference_h") or 50_000.0)  # as older ones have it
+    return f"by {by} h of the {clock}, {pace.get(shape, shape)}"
 
 
 def sentence(effect: Json, unit: str | None, model: str) -> str:
@@ -127,8 +143,11 @@ def sentence(effect: Json, unit: str | None, model: str) -> str:
             name = BLADE_INPUTS.get(effect["target"], (name, 1.0, ""))[0]
         direction = "higher" if value >= 0 else "lower"
         return f"{name} {whom(effect)} is {how_much} {direction}, {when(effect)}"
-    direction = "too much" if value >= 0 else "too little"
     what = effect["target"].replace("_", " ")
+    if effect["kind"] != "sensor":  # the blade itself: what reads it is right
+        more = "more" if value >= 0 else "less"
+        return f"{what} {whom(effect)} is {how_much} {more} than the model had it, {when(effect)}"
+    direction = "too much" if value >= 0 else "too little"
     return f"readings of {what} {whom(effect)} say {how_much} {direction}, {when(effect)}"
 
 
@@ -139,75 +158,3 @@ def capital(said: str) -> str:
     'Readings of LE-2'
     """
     return said[:1].upper() + said[1:]
-
-
-def verdict(found: Json, rotor: str, units: Mapping[str, str]) -> str:
-    """The verdict in one or two sentences."""
-    count, p = found["readings"]["used"], found["p"]
-    chance = "" if p is None else f" (p = {number(p, 2)})"
-    if found["verdict"] == "adequate":
-        return (
-            f"The model explains the {count} readings of rotor {rotor}: a misfit as large as the "
-            f"largest that was found comes by chance{chance}."
-        )
-    if found["verdict"] == "effect":
-        model = found["rests_on"]["model"]
-        told = joined([sentence(e, units.get(e["name"]), model) for e in found["effects"]])
-        left = found["p_after"]
-        rest = "" if left is None else f" (p of what is left: {number(left, 2)})"
-        return (
-            f"The model of rotor {rotor} lacks {joined(found['names'])}: {told}. With it in the "
-            f"model nothing is left that chance would not explain{rest}."
-        )
-    if found["verdict"] == "not separable":
-        return (
-            f"The model of rotor {rotor} lacks something{chance}, and its readings cannot tell "
-            f"which of these it is: {joined(found['names'], 'or')}."
-        )
-    if several := found.get("several"):
-        shown = several if len(several) <= SEVERAL else [*several[:SEVERAL], "others"]
-        return (
-            f"The model of rotor {rotor} lacks something{chance}, and {len(several)} effects share "
-            f"the evidence, none with enough of it to be named: {joined(shown)}. No cause is named."
-        )
-    if found.get("separating"):  # of a release that did not tell which
-        return (
-            f"The model of rotor {rotor} lacks something{chance}, and more effects would explain "
-            "it than an answer can hold. No cause is named."
-        )
-    return (
-        f"The model of rotor {rotor} lacks something{chance}, and no effect that was tried "
-        f"explains it. No cause is named."
-    )
-
-
-def do_next(found: Json) -> str:
-    """What an engineer may do with the verdict."""
-    return {
-        "adequate": "Nothing has to be done: forecasts and bands of the model can be used.",
-        "effect": "Check the cause on the machine or the instrument. Forecasts of the model as it "
-        "was have the errors shown below; those with the effect in it are the better ones.",
-        "not separable": "Do not act on one of the names alone. The inspections below would tell "
-        "them apart.",
-        "unattributed": "Look at the residuals below: they show where the misfit is. Bands of the "
-        "model are too narrow there, and forecasts may be biased." + _many(found) + _wider(found),
-    }[found["verdict"]]
-
-
-def _many(found: Json) -> str:
-    """Where no cause of several can be named, and what would tell them apart is known."""
-    if not found.get("separating"):
-        return ""
-    return " Several causes would explain it; the inspections below would tell them apart."
-
-
-def _wider(found: Json) -> str:
-    """Where a discrepancy without a name widens the bands."""
-    wide = found.get("widened")
-    if not wide or not wide["borne_out"]:
-        return ""
-    before, after = (number(wide["sd"][w], 3) for w in ("before", "after"))
-    return (
-        f" With a discrepancy of {wide['quantity']} that names no cause the sd of a forecast at "
-        f"{number(wide['time_h'])} h is {after} instead of {before}; it can be adopted."
-    )

@@ -22,12 +22,13 @@ from service.report.heat import heat
 from service.report.life import lives
 from service.report.page import policy, report, style
 from service.report.residuals import groups_of
+from service.report.words import sentence
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 from tests.service.test_diagnoses import command, straight
-from tests.service.told import Json, course, pictures, told
+from tests.service.told import Json, course, effect, pictures, told
 
 __all__ = ["straight"]  # a fixture
 VERDICTS = ("adequate", "effect", "not separable", "unattributed")
@@ -328,6 +329,170 @@ def test_the_life_left_is_where_the_course_passes_the_limit() -> None:
     assert "Remaining life" not in Read(page_of(told("effect"))).said
     beyond = lives(seen["courses"], seen["readings"], 5.0)
     assert all(one.after.median is None and one.moved_h is None for one in beyond)
+
+
+def test_hours_left_count_from_the_last_reading_of_whatever_quantity() -> None:
+    """B1 was scanned at 40,000 h, 8,000 h after its last single value; B3 was never read."""
+    found = told("effect")
+    found["pictures"]["courses"]["now_h"] = [40_000.0, 32_000.0, 0.0]
+    first = {one.blade: one for one in lives(found["pictures"]["courses"], [], 0.35)}
+    assert [first[b].now_h for b in ("B1", "B2", "B3")] == [40_000.0, 32_000.0, 0.0]
+    said = " ".join(Read(page_of(found, 0.35)).said.split())
+    assert "B1 40,000 0 (0 … 0) 3,750" in said, "43,750 h less 40,000 after, 35,000 before"
+    assert "B3 not read" in said
+
+
+def wears(**changes: Any) -> Json:
+    """Coating wear in a model that covers 20,000 h, of a result as `core.diagnosis.tell` has it."""
+    return effect("coating wear", "spring") | {
+        "cause": "coating loss", "kind": "physics", "on": "input", "target": "tbc_thickness",
+        "how": "times", "shape": "linear", "whom": "all", "value": None, "clock": "blade",
+        "amplitude": {"mean": 0.25, "sd": 0.05, "of": "lost of tbc_thickness by 20,000 h"},
+        "reference_h": 20_000.0,
+    } | changes  # fmt: skip
+
+
+def test_what_grows_is_said_by_the_hour_at_which_it_has_its_size() -> None:
+    said = sentence(wears(), "1", "rotor-blade")
+    assert said == (
+        "coating thickness over nominal of all blades is 25.0 ± 5.0 % lower, by 20,000 h of the "
+        "blade, evenly"
+    )
+    older = {k: v for k, v in wears().items() if k != "reference_h"}
+    assert "by 50,000 h" in sentence(older, "1", "rotor-blade")
+
+
+def test_what_happens_to_a_blade_is_no_fault_of_its_readings() -> None:
+    """A rub makes a blade shorter: what reads it is right."""
+    rub = effect("tip rub", "spring") | {
+        "kind": "physics", "shape": "step", "step_h": 12_000.0, "clock": "event", "whom": "blade",
+        "value": "B7", "amplitude": {"mean": 0.1, "sd": 0.02, "of": "lost added to elongation"},
+    }  # fmt: skip
+    assert sentence(rub, "mm", "rotor-blade") == (
+        "elongation of blade B7 is 0.100 ± 0.020 mm less than the model had it, from about "
+        "12,000 h of the rotor on"
+    )
+    every = rub | {"whom": "all", "value": None}
+    assert sentence(every, "mm", "rotor-blade").endswith("on, in the blades that were there")
+    settled = rub | {"shape": "constant", "clock": "blade"}
+    assert sentence(settled, "mm", "rotor-blade").endswith("from the first hour on")
+
+
+@pytest.mark.parametrize(
+    ("target", "unit", "band"),
+    [
+        ("t1t_rate", "1", "Median 24 K, 95 % between 12 K and 36 K"),
+        ("creep_steady", "1", "Median 0.04 sd of the material, 95 % between 0.02 sd"),
+        ("cooling_flow", "1", "Median 0.04, 95 % between 0.02 and 0.06."),
+    ],
+)
+def test_an_amplitude_has_one_unit_in_sentence_band_and_picture(
+    target: str, unit: str, band: str
+) -> None:
+    """Not "24 K" in one and "4 %" in the other."""
+    amplitude = {"mean": 0.04, "sd": 0.01, "of": f"added to {target}"}
+    one = wears(target=target, how="plus", amplitude=amplitude)
+    found = told("effect", names=["coating wear"], effects=[one])
+    found["pictures"]["amplitudes"][0] |= {
+        "name": "coating wear", "unit": unit, "quantiles": [0.02, 0.04, 0.06],
+    }  # fmt: skip
+    page = page_of(found)
+    said = " ".join(Read(page).said.split())
+    assert band in said
+    drawn = re.search(r'aria-label="Prior and posterior.*?</svg>', page, re.S)
+    assert drawn is not None
+    (title,) = re.findall(r"amplitude of coating wear(?: \[[^]]*\])?<", drawn.group())
+    inside = band.split(",")[0].split(" ", 2)[2:]
+    assert title == f"amplitude of coating wear{f' [{inside[0]}]' if inside else ''}<"
+
+
+def test_an_amplitude_below_zero_is_lower_unless_it_is_what_is_lost() -> None:
+    """A dormant coolant flow that woke, and one that declines."""
+    told_ = {"mean": -0.04, "sd": 0.01, "of": "added to cooling_flow"}
+    woken = wears(target="cooling_flow", how="plus", shape="constant", amplitude=told_)
+    lost = woken | {"amplitude": {"mean": 0.04, "sd": 0.01, "of": "lost added to cooling_flow"}}
+    for one in (woken, lost):
+        assert "is 0.040 ± 0.010 lower, from the first hour on" in sentence(one, "1", "rotor-blade")
+
+
+def test_only_what_is_claimed_is_said_to_lack() -> None:
+    """The cause of two effects is claimed; whether all blades have a third one is open."""
+    two = [wears(), wears(name="coating spallation", shape="step", step_h=9000.0)]
+    open_ = effect("campaign offset (campaign spring)", "spring")
+    found = told("effect", names=["coating loss"], effects=[*two, open_])
+    found["pictures"]["amplitudes"] = []
+    said = " ".join(Read(page_of(found)).said.split())
+    first = said[said.index("The model of rotor r1 lacks") :].split("explain (p")[0]
+    assert first.count("coating thickness") == 2
+    assert "say 0.0199" not in first
+    assert "Beside it, campaign offset (campaign spring) is in the model, not claimed." in first
+    assert "With all of it in the model nothing is left" in first
+    assert said.count("In the model, not claimed.") == 1
+    alone = " ".join(Read(page_of(found | {"effects": two})).said.split())
+    assert "With them in the model nothing is left" in alone
+    assert "With it in the model nothing is left" in Read(page_of(told("effect"))).said
+
+
+def test_what_is_sure_is_not_among_what_cannot_be_told_apart() -> None:
+    sure = "instrument gain (instrument g1)"
+    found = told("not separable", beside=[sure])
+    found["names"] = [*found["names"], sure]
+    said = " ".join(Read(page_of(found)).said.split())
+    assert (
+        f"lacks {sure}, and something else (p = 0.0025), of which its readings cannot tell whether "
+        "it is campaign offset (campaign spring) or root settling." in said
+    )
+    assert "Not among those told apart" not in said
+
+
+def test_a_cause_is_told_apart_by_its_courses() -> None:
+    found = told("not separable", names=["coating loss", "root settling"])
+    for rival, names in zip(
+        found["separating"]["rivals"], (["coating wear"], ["root settling"]), strict=True
+    ):
+        rival["names"] = names
+    assert "Not among those told apart here: coating loss" in Read(page_of(found)).said, "older"
+    found["separating"]["rivals"][0]["called"] = ["coating loss"]
+    assert "Not among those told apart" not in Read(page_of(found)).said
+
+
+def test_why_nothing_was_compared_is_said_as_it_is() -> None:
+    few = " ".join(Read(page_of(told("effect", before_after=None))).said.split())
+    assert "Not compared: it was not asked for, or too little was read: two blades" in few
+    assert "have the errors shown below" not in few
+    none = " ".join(Read(page_of(told("adequate"))).said.split())
+    assert "Not compared: there is no other model, as no effect is claimed" in none
+
+
+def test_the_comparison_says_what_it_does_not_test() -> None:
+    said = " ".join(Read(page_of(told("effect"))).said.split())
+    assert "was chosen by all readings, these among them" in said
+    assert "2 readings of elongation, the latest third" in said
+    assert "blades' mean elongation at 50,000 h [mm] ± sd of a single blade 0.410 ± 0.020" in said
+    one = told("effect")
+    for which in ("before", "after"):
+        one["before_after"][which] |= {"count": 1, "z": [0.5]}
+    assert "1 reading of elongation, the latest third" in Read(page_of(one)).said
+    wide = told("unattributed", before_after=one["before_after"])
+    assert "After is the model with a discrepancy that names no cause" in Read(page_of(wide)).said
+
+
+def test_what_to_do_promises_no_more_than_was_found() -> None:
+    assert "those with the effect in it are the better ones" in Read(page_of(told("effect"))).said
+    worse = told("effect")
+    worse["before_after"]["after"]["rmse"] = 0.03
+    said = Read(page_of(worse)).said
+    assert "the better ones" not in said
+    assert "the model with the effect is not the better one" in said
+    apart = "inspections below would tell them apart"
+    assert apart in Read(page_of(told("not separable"))).said
+    assert apart not in Read(page_of(told("not separable", separating=None))).said
+    idle = told("not separable")
+    for one in (*idle["separating"]["single"], *idle["separating"]["campaigns"]):
+        one["gain_nat"] = 0.001
+    assert apart not in Read(page_of(idle)).said
+    single = told("adequate", readings={"used": 1, "delivered": 1})
+    assert "explains the 1 reading of rotor" in Read(page_of(single)).said
 
 
 def test_a_hundred_blades_and_many_groups_are_all_drawn() -> None:

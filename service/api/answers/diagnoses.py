@@ -45,10 +45,12 @@ PICTURES = having(
     readings_not_shown=WHOLE,
     courses=maybe(
         having(
+            ("now_h",),  # older reports have none
             quantity=TEXT,
             unit=TEXT,
             time_h=each(NUMBER),
             blades=each(TEXT),
+            now_h=each(NUMBER),
             before=COURSE,
             after=COURSE,
         )
@@ -91,7 +93,7 @@ TELLS = {"gain_nat": NUMBER, "share": NUMBER, "settled": NUMBER}
 CANDIDATE = READABLE | TELLS
 SEPARATING = having(
     ("campaigns",),  # older reports have none
-    rivals=each(having(names=each(TEXT), weight=NUMBER)),
+    rivals=each(having(("called",), names=each(TEXT), called=each(TEXT), weight=NUMBER)),
     entropy_nat=NUMBER,
     single=each(
         having(
@@ -148,6 +150,7 @@ FOUND = having(
     (
         "adds",
         "alternatives",
+        "beside",
         "concerns",
         "conditions",
         "not_adopted",
@@ -158,6 +161,7 @@ FOUND = having(
     ),
     verdict=VERDICT,
     names=each(TEXT),
+    beside=each(TEXT),
     several=each(TEXT),
     reasons=each(TEXT),
     p=maybe(NUMBER),

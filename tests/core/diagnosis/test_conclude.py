@@ -71,6 +71,8 @@ def test_every_turn_has_to_settle() -> None:
     doubtful = said(("wear", "offset"), first, turn("offset", offset=0.55, gain=0.45))
     assert (doubtful.word, doubtful.names) == ("not separable", ("gain", "offset", "wear"))
     assert doubtful.reasons == ("2 names share the evidence beside wear",)
+    assert doubtful.beside == ("wear",), "it is sure: the others are not told apart"
+    assert both.beside == ()
 
 
 def test_an_open_one_that_chance_explains_leaves_the_others_their_names_and_is_told() -> None:

@@ -132,6 +132,21 @@ def test_without_it_nothing_is_missing() -> None:
     assert one.after == one.before
 
 
+def test_courses_are_of_blades_on_the_rotor_with_the_hours_at_which_each_was_read_last() -> None:
+    """A blade has left; another was read last by a scan, which is no row of the pictures."""
+    data = readings(lambda b, t: 0.0)
+    one = found(data)
+    facts = {b: Facts() for b in SPEC.blades}
+    case = Case(SPEC, data, facts, dealt=199, serving=SPEC.blades[1:])
+    case.__dict__["read_h"] = {**case.read_h, "b01": 2.5}
+    told = pictures(one, case)["courses"]
+    assert told["blades"] == list(SPEC.blades[1:])
+    assert told["now_h"] == [2.5, *[TIMES[-1]] * (BLADES - 2)]
+    assert len(told["before"]["mean"]) == BLADES - 1
+    everybody = pictures(one, replace(case, serving=()))["courses"]
+    assert everybody["before"]["mean"][1:] == told["before"]["mean"]
+
+
 def test_what_only_half_of_the_blades_have_is_not_given_the_name_of_what_all_have() -> None:
     one = found(readings(lambda b, t: 0.5 * t**2 * (b % 2), seed=5))
     assert one.first.word != "adequate"
@@ -250,6 +265,19 @@ def test_only_what_is_constant_and_the_same_for_all_wakes_a_dormant_input() -> N
     assert not frees(everywhere, awake.network)
     down = Cell(replace(BEND, sign=-1), "constant", "all")
     assert with_effects(MODEL, [down], {}, {}).network.parameter("bend").prior.high == 0.0
+
+
+def test_what_is_lost_of_a_dormant_input_that_wakes_is_below_zero_and_told_so() -> None:
+    """Its amplitude is the parameter's own, less its nominal value: "lost" would turn it round."""
+    losing = Model(
+        replace(MODEL.network, families=(replace(BEND, sign=-1), OFFSET)), MODEL.surrogate
+    )
+    data = readings(lambda b, t: -0.25 * t**2)
+    one = found(data, losing)
+    assert one.verdict.names == ("bend",)
+    (told,) = to_json(one, Case(SPEC, data, {b: Facts() for b in SPEC.blades}))["effects"]
+    assert told["amplitude"]["mean"] < -0.15
+    assert told["amplitude"]["of"] == "added to bend"
 
 
 def test_a_provisional_state_is_not_diagnosed() -> None:

@@ -11,6 +11,7 @@ from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec
 from core.diagnosis import conclude, rivals
 from core.diagnosis.case import Case
+from core.diagnosis.conclude import Turn
 from core.diagnosis.diagnose import Diagnosis, diagnose
 from core.diagnosis.grammar import Facts
 from core.diagnosis.rivals import rivals_of, splitting
@@ -61,6 +62,20 @@ def test_the_rivals_are_those_of_the_verdict_with_the_evidence_that_it_saw(
         assert gained == pytest.approx(seen[one.names], abs=1e-6)
 
 
+def test_a_rival_is_called_as_the_verdict_has_it(
+    torn: tuple[Diagnosis, Case, Workspace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By its cause, where how this runs is open."""
+    found, case, work = torn
+    cause = lambda self, name: "zero" if name.startswith("instrument") else name  # noqa: E731
+    monkeypatch.setattr(Turn, "called", cause)
+    names = ("zero", *(n for n in found.verdict.names if n.startswith("campaign")))
+    other = replace(found, verdict=replace(found.verdict, names=names))
+    called = {one.names: one.called for one in rivals_of(other, case, work)}
+    assert set().union(*called.values()) == set(names)
+    assert called["instrument offset (instrument g2)",] == ("zero",)
+
+
 def test_the_suspect_instrument_reads_again_and_then_another_one(
     torn: tuple[Diagnosis, Case, Workspace],
 ) -> None:
@@ -72,6 +87,7 @@ def test_the_suspect_instrument_reads_again_and_then_another_one(
     assert steps[-7:] == ["what one reading would tell", *everybody]
     assert split is not None
     told = separation_json(split)
+    assert all(r["called"] == r["names"] for r in told["rivals"])
     best = {one["instrument"]: one for one in reversed(told["single"])}
     assert told["single"][0]["instrument"] == "g2"
     assert best["g2"]["gain_nat"] > 0.3
