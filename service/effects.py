@@ -49,6 +49,7 @@ from core.surrogate.driven import Driven
 from service.ports import BladeRecord, Json, Progress
 from service.variant import effects_between
 
+MOST_TIMES = 10.0  # of an input or a reading
 RANKED = 10  # steps at most, of inspections that would split what is not separable
 
 
@@ -81,12 +82,23 @@ def read_families(
 
 
 def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
-    """Families that a model may be asked for; see `read_families`."""
+    """Families that a model may be asked for; see `read_families`.
+
+    Raises InputError as well for one that is expected to be larger than all there is of its input
+    or quantity: `MOST_TIMES` of it where it is in proportion, else the range.
+    """
     surrogate = model.surrogate
     base = surrogate.base if isinstance(surrogate, Driven) else surrogate
-    inputs = [i.name for i in getattr(base, "inputs", ())]
-    quantities = [q.name for q in model.network.quantities]
-    return read_families(told, inputs, quantities, families_for(model.network))
+    inputs = {i.name: i.high - i.low for i in getattr(base, "inputs", ())}
+    quantities = {q.name: q.high - q.low for q in model.network.quantities}
+    found = read_families(told, [*inputs], [*quantities], families_for(model.network))
+    for i, one in enumerate(found):
+        whole = (inputs if one.target == "input" else quantities)[one.of]
+        most = MOST_TIMES if one.how == "times" else whole
+        if one.size is not None and one.size > most:
+            what = f"is larger than all there can be of {one.of}"
+            raise InputError(f"families[{i}].size", one.size, what, f"give {most:g} at most")
+    return found
 
 
 def compared(readings: Sequence[Inspection]) -> str:

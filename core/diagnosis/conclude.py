@@ -214,7 +214,7 @@ def _against(
     reasons = []
     if not names:
         reasons.append("no effect of the grammar earns its place in the model")
-        reasons += [f"{' and '.join(n)} was not calibrated: {why}" for n, why in refused.items()]
+        reasons += [f"{' and '.join(n)} could not be calibrated: {w}" for n, w in refused.items()]
     elif after <= LEFT:
         reasons.append(f"what is left has a p of {after:.3g}: more is there than they explain")
     return reasons + [_apart(h) for h in held if not h.stands]

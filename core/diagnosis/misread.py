@@ -12,9 +12,9 @@ are score and information of the others (the inverse of a matrix without a row a
 read at many nodes at once is no slip of one value and stays in. Dealt sets (`dealing`) are asked
 the same, so that the test keeps its size. Such a reading is told in words (`slips`).
 
-So do effects of an instrument or a campaign that read few blades, as a reading that was taken again
-between two outages: one slip would be the zero of the whole campaign. Of `LEAST_BLADES` or more
-their scatter about the effect tells (`scatter`).
+So do effects of an instrument or a campaign that read few of the blades, half of them at most, as a
+reading that was taken again between two outages: one slip would be the zero of the whole campaign.
+Of `LEAST_BLADES` or more their scatter about the effect tells (`scatter`).
 
 A blade that contradicts by one reading, and is `bounded` in its state, has particles that were
 fitted to that reading: its residuals at the others are as wrong as at this one. Of such a blade
@@ -115,8 +115,9 @@ def alone_of(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
 
 def spared(cells: Sequence[Cell], g: Array) -> NDArray[np.bool_]:
     """Columns of signatures g (B, n, C) that one misread value could make: of one blade, or of an
-    instrument or campaign that read few, (C,)."""
-    few = np.any(g != 0, axis=1).sum(axis=0) < LEAST_BLADES
+    instrument or campaign that read few of them, (C,)."""
+    read = np.any(g != 0, axis=1).sum(axis=0)
+    few = (read < LEAST_BLADES) & (2 * read <= len(g))
     reader = np.zeros(g.shape[2], bool)
     reader[: len(cells)] = [cell.whom in ("instrument", "campaign") for cell in cells]
     return np.asarray(alone_of(cells, g.shape[2]) | (few & reader))

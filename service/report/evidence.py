@@ -38,7 +38,7 @@ def evidence(found: Json) -> Markup:
         drawn = figures.bars("Log evidence gained", "[nat]", calibrated, share=False)
         parts.append(figure(drawn, said))
     for one in found["no_room"]:
-        parts.append(note(f"{joined(one['names'])} was not calibrated: {one['why']}"))
+        parts.append(note(f"{joined(one['names'])} could not be calibrated: {one['why']}"))
     parts += _tried(found)
     return section("Evidence, and everything that was tried", *parts)
 

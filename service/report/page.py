@@ -55,7 +55,7 @@ def report(
         el("span", word, class_=f"word {word.replace(' ', '-')}"),
         el("p", verdict(found, rotor, units), class_="said"),
         el("p", do_next(found)),
-        el("p", f"Why: {'; '.join(found['reasons'])}.", class_="note"),
+        el("p", f"Why: {'; '.join(r.removesuffix('.') for r in found['reasons'])}.", class_="note"),
         _key_figures(found),
     )
     parts = [
@@ -98,12 +98,14 @@ def _key_figures(found: Json) -> Markup:
     if found["p_after"] is not None:
         told.append((number(found["p_after"], 2), "p of what is left"))
     if found["effects"]:
-        told.append((f"{number(found['gained_nat'])} nat", "log evidence gained"))
+        whose = "" if found["claimed"] else ", by what is not claimed"
+        told.append((f"{number(found['gained_nat'])} nat", f"log evidence gained{whose}"))
     if (compared := found["before_after"]) is not None:
         a, b = compared["before"]["rmse"], compared["after"]["rmse"]
         if a and b is not None:
             change = f"{100 * (b / a - 1):+.0f} %".replace("-", "−")
-            told.append((change, "RMSE on readings not used"))
+            whose = "" if found["claimed"] else ", by the discrepancy"
+            told.append((change, f"RMSE on readings not used{whose}"))
     return facts(told)
 
 

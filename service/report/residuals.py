@@ -10,7 +10,7 @@ from service.report.heat import heat, rows_of
 from service.report.markup import Child, Markup, el
 from service.report.sections import OLDER, SHOWN, changes
 from service.report.tables import figure, note, section
-from service.report.words import counted, number
+from service.report.words import capital, counted, number
 
 Json = Mapping[str, Any]
 STANDS_OUT = 3.0  # of a group's mean z, in its standard errors
@@ -63,7 +63,7 @@ def known(found: Json) -> Markup | None:
     """Where nothing could be named: what is known all the same. None for the other verdicts."""
     if found["verdict"] != "unattributed":
         return None
-    said = [el("li", reason) for reason in found["reasons"]]
+    said = [el("li", capital(reason.removesuffix(".")) + ".") for reason in found["reasons"]]
     for one in found["tried"]:
         if one["what"].startswith("by ") and (one["log_bf"] or 0.0) > 0:
             gain = f"{number(one['log_bf'])} nat"

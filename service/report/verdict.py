@@ -131,7 +131,9 @@ def _wider(found: Json) -> str:
     if not wide or not wide["borne_out"]:
         return ""
     before, after = (number(wide["sd"][w], 3) for w in ("before", "after"))
+    told = (found.get("pictures") or {}).get("courses") or {}
+    unit = f" {told['unit']}" if told.get("quantity") == wide["quantity"] else ""
     return (
         f" With a discrepancy of {wide['quantity']} that names no cause the sd of a forecast at "
-        f"{number(wide['time_h'])} h is {after} instead of {before}; it can be adopted."
+        f"{number(wide['time_h'])} h is {after}{unit} instead of {before}{unit}; it can be adopted."
     )

@@ -401,6 +401,22 @@ def test_a_family_of_an_input_that_the_model_has_not_is_refused_before_anything_
     assert request_diagnosis(fleet, science, "r1", [worn], compare=True, horizon_h=None)[1]
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [{"size": 1e300}, {"how": "times", "size": 11.0}, {"target": "input", "of": "t1t_rate",
+     "whom": ["all"], "size": 0.21}],
+)  # fmt: skip
+def test_a_family_that_is_larger_than_all_there_is_is_refused(
+    fleet: SqlStore, changes: Json
+) -> None:
+    """Of 1e300 mm nothing can be computed: the test of chance had p = 0 in a sound rotor."""
+    science = formula_science()
+    with pytest.raises(InputError, match=r"families\[0\].size"):
+        request_diagnosis(fleet, science, "r1", [FAMILY | changes], compare=True, horizon_h=None)
+    fits = FAMILY | {"target": "input", "of": "t1t_rate", "whom": ["all"], "size": 0.19}
+    assert request_diagnosis(fleet, science, "r1", [fits], compare=True, horizon_h=None)[1]
+
+
 def test_a_dormant_input_that_woke_is_told_and_woken_again_in_its_place() -> None:
     before = creep_specimens.network()
     after = creep_specimens.freed(before, {"tertiary": "shared"})

@@ -473,7 +473,15 @@ def test_the_comparison_says_what_it_does_not_test() -> None:
     for which in ("before", "after"):
         one["before_after"][which] |= {"count": 1, "z": [0.5]}
     assert "1 reading of elongation, the latest third" in Read(page_of(one)).said
-    wide = told("unattributed", before_after=one["before_after"])
+    spread = {"borne_out": True, "quantity": "elongation", "time_h": 50_000.0,
+              "sd": {"before": 0.007, "after": 0.0378}}  # fmt: skip
+    two = {"effects": told("effect")["effects"], "gained_nat": 12.5, "widened": spread}
+    wide = told("unattributed", before_after=one["before_after"], **two)
+    apart = Read(page_of(wide)).said
+    assert "12.5 nat log evidence gained, by what is not claimed" in apart
+    assert "RMSE on readings not used, by the discrepancy" in apart, "not by the effects"
+    assert "at 50,000 h is 0.0378 mm instead of 0.007 mm" in apart
+    assert "Because it is so." in apart
     assert "After is the model with a discrepancy that names no cause" in Read(page_of(wide)).said
 
 

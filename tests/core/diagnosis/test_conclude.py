@@ -130,7 +130,7 @@ def test_a_set_holds_what_was_taken_even_where_another_cause_has_the_evidence() 
 def test_what_has_no_room_in_the_runs_is_told_and_not_claimed() -> None:
     found = said((), turn("", cooling=0.98), refused={("cooling",): "finds no room in the runs"})
     assert (found.word, found.names) == ("unattributed", ())
-    assert "cooling was not calibrated: finds no room in the runs" in found.reasons
+    assert "cooling could not be calibrated: finds no room in the runs" in found.reasons
 
 
 def test_nothing_is_claimed_while_more_is_there_or_halves_disagree() -> None:
