@@ -14,7 +14,9 @@ the same, so that the test keeps its size. Such a reading is told in words (`sli
 
 So do effects of an instrument or a campaign that read few of the blades, half of them at most, as a
 reading that was taken again between two outages: one slip would be the zero of the whole campaign.
-Of `LEAST_BLADES` or more their scatter about the effect tells (`scatter`).
+Of `LEAST_BLADES` or more their scatter about the effect tells (`scatter`). And so do effects of the
+rest: where one reading of a blade is by another instrument, a gain of the usual one is told by this
+reading alone, which is not among those that it concerns.
 
 A blade that contradicts by one reading, and is `bounded` in its state, has particles that were
 fitted to that reading: its residuals at the others are as wrong as at this one. Of such a blade
@@ -42,6 +44,7 @@ from core.observation import Inspection
 Array = NDArray[np.float64]
 RARE = 0.01  # of rotors with normal noise have a reading so far off
 TOLD = 5
+LONE = 3.0  # blades that have an effect's information, below which one value may be all of it
 
 
 @dataclass(frozen=True)
@@ -113,14 +116,18 @@ def alone_of(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
     return out
 
 
-def spared(cells: Sequence[Cell], g: Array) -> NDArray[np.bool_]:
-    """Columns of signatures g (B, n, C) that one misread value could make: of one blade, or of an
-    instrument or campaign that read few of them, (C,)."""
+def spared(cells: Sequence[Cell], g: Array, own: Array) -> NDArray[np.bool_]:
+    """Columns of signatures g (B, n, C) that one misread value could make, (C,).
+
+    Those of one blade; of an instrument or a campaign that read few of the blades; and of any but
+    all of them, where a blade or two have the information (own, (B, C)).
+    """
+    whom = np.array([cell.whom for cell in cells] + ["all"] * (g.shape[2] - len(cells)))
     read = np.any(g != 0, axis=1).sum(axis=0)
-    few = (read < LEAST_BLADES) & (2 * read <= len(g))
-    reader = np.zeros(g.shape[2], bool)
-    reader[: len(cells)] = [cell.whom in ("instrument", "campaign") for cell in cells]
-    return np.asarray(alone_of(cells, g.shape[2]) | (few & reader))
+    tell = own.sum(axis=0) ** 2 / np.maximum(np.sum(own**2, axis=0), 1e-300)
+    few = np.isin(whom, ("instrument", "campaign")) & (read < LEAST_BLADES) & (2 * read <= len(g))
+    lone = (whom != "all") & (tell < LONE) & (2 * tell <= len(g))
+    return np.asarray(alone_of(cells, g.shape[2]) | few | lone)
 
 
 def apart(state: RotorState) -> frozenset[str]:

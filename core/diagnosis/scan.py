@@ -160,7 +160,7 @@ class Scan:
 
     @cached_property
     def _spared(self) -> Spared:
-        return Spared.of(self.seen, self.g, self.h, spared(self.cells, self.g))
+        return Spared.of(self.seen, self.g, self.h, spared(self.cells, self.g, self.own))
 
     @cached_property
     def _signs(self) -> NDArray[np.int64]:

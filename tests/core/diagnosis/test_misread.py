@@ -122,6 +122,34 @@ def test_one_misread_value_is_no_zero_of_the_day_on_which_it_was_read(
     assert extra(slip, (5,), read) == 5, "the control: it would be claimed"
 
 
+def test_one_misread_value_is_no_fault_of_the_instrument_that_read_all_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One reading of one blade is by another instrument than its others: which of both is off?"""
+
+    def named() -> int:
+        count = 0
+        for seed in range(4):
+            seen, facts = rotor(seed, lambda b, k: 10 * SIGMA * ((b, k) == (5, 1)))
+            who = [["extra" if (b, k) == (5, 1) else "g" for k in range(3)] for b in range(24)]
+            rows = tuple(
+                replace(
+                    own,
+                    readings=tuple(
+                        replace(r, instrument=i) for r, i in zip(own.readings, names, strict=True)
+                    ),
+                )
+                for own, names in zip(seen.rows, who, strict=True)
+            )
+            found = judge(scan(replace(seen, rows=rows), facts), seed, dealt=DEALT)
+            count += any("(instrument " in name for name in found.names)
+        return count
+
+    assert named() == 0
+    blind(monkeypatch)
+    assert named() > 0, "the control"
+
+
 def test_beside_an_effect_that_is_there_a_misread_value_makes_no_pair(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
