@@ -119,14 +119,15 @@ def alone_of(cells: Sequence[Cell], columns: int) -> NDArray[np.bool_]:
 def spared(cells: Sequence[Cell], g: Array, own: Array) -> NDArray[np.bool_]:
     """Columns of signatures g (B, n, C) that one misread value could make, (C,).
 
-    Those of one blade; of an instrument or a campaign that read few of the blades; and of any but
-    all of them, where a blade or two have the information (own, (B, C)).
+    Those of one blade, or of a lot of which one was read; of an instrument or a campaign that read
+    few of the blades, or of which a blade or two have the information (own, (B, C)).
     """
     whom = np.array([cell.whom for cell in cells] + ["all"] * (g.shape[2] - len(cells)))
     read = np.any(g != 0, axis=1).sum(axis=0)
     tell = own.sum(axis=0) ** 2 / np.maximum(np.sum(own**2, axis=0), 1e-300)
-    few = np.isin(whom, ("instrument", "campaign")) & (read < LEAST_BLADES) & (2 * read <= len(g))
-    lone = (whom != "all") & (tell < LONE) & (2 * tell <= len(g))
+    few = (read < LEAST_BLADES) & (2 * read <= len(g)) | (tell < LONE) & (2 * tell <= len(g))
+    few &= np.isin(whom, ("instrument", "campaign"))
+    lone = (whom != "all") & (read == 1) & (len(g) > 1)
     return np.asarray(alone_of(cells, g.shape[2]) | few | lone)
 
 

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from core.diagnosis.bayes import one_by_one
-from core.diagnosis.grammar import Facts
+from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.left_out import left_out
-from core.diagnosis.misread import Spared, slips
+from core.diagnosis.misread import Spared, slips, spared
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
+from core.diagnosis.signature import signatures
 from core.diagnosis.verdict import judge
 from tests.core.diagnosis import fleet
-from tests.core.diagnosis.fleet import SIGMA, rotor, scan
+from tests.core.diagnosis.fleet import READING, SIGMA, rotor, scan
 
 DEALT, SETS = 99, 60
 SIX = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
@@ -120,6 +121,21 @@ def test_one_misread_value_is_no_zero_of_the_day_on_which_it_was_read(
     assert extra(lambda b, k: 6 * SIGMA * (3 <= b < 8 and k == 1), range(3, 8), read) == 5, "many"
     blind(monkeypatch)
     assert extra(slip, (5,), read) == 5, "the control: it would be claimed"
+
+
+def test_what_is_spared_is_of_one_blade_of_few_readers_or_of_a_lot_that_one_was_read_of() -> None:
+    """A lot of several blades is not, though a few of them have its information."""
+    seen, facts = again(0, lambda b, k: 0.0, (5,), READ[0])
+    family = replace(READING[0], name="sag", whom=("lot",), kind="material", clock="blade")
+    every = [Cell(family, "constant", "lot", "L1"), Cell(family, "constant", "lot", "own")]
+    every += [Cell(READING[0], "constant", "blade", "b01"), Cell(READING[0], "constant", "all")]
+    day = next(f for f in READING if f.name == "campaign offset")
+    every += [Cell(day, "constant", "campaign", name) for name in ("c0", "extra")]
+    facts = facts | {"b02": Facts("own")}
+    g = signatures(fleet.MODEL, seen, every, facts, {"y": SIGMA}).g
+    own = np.tile(np.r_[1.0, np.full(23, 1e-3)][:, None], (1, len(every)))
+    assert spared(every, g, own).tolist() == [False, True, True, False, True, True]
+    assert spared(every, g, np.ones_like(own)).tolist() == [False, True, True, False, False, True]
 
 
 def test_one_misread_value_is_no_fault_of_the_instrument_that_read_all_others(
