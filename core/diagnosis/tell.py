@@ -16,7 +16,7 @@ from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.grammar import Cell
 from core.diagnosis.report import BeforeAfter, Scored
 from core.diagnosis.verdict import Verdict, describe
-from core.diagnosis.widen import Widened
+from core.diagnosis.widen import EARNED, Widened
 from core.quantity import Discrepancy
 
 Json = dict[str, Any]
@@ -111,7 +111,7 @@ def in_words(wide: Widened) -> str:
     if not wide.settled:
         return f"{what} could not be calibrated: too few nodes carry its posterior"
     if not wide.borne_out:
-        return f"{what} gains {wide.gained:.1f} nat: the misfit is not common to the blades"
+        return f"{what} gains {wide.gained:.1f} nat, where {EARNED:g} are asked for: it is left out"
     return (
         f"{what} gains {wide.gained:.1f} nat and is {wide.share:.0%} of the variance at "
         f"{wide.hour_h:,.0f} h; it names no cause"

@@ -18,7 +18,7 @@ def evidence(found: Json) -> Markup:
     """Shares of the evidence by name, calibrated hypotheses, p-values, and everything tried."""
     parts: list[Child] = []
     rows = [("of the model as it was", found["p"], ALARM)] if found["p"] is not None else []
-    if found["p_after"] is not None:
+    if found["p_after"] is not None and found["effects"]:  # else nothing was put in
         rows.append(("of what is left after", found["p_after"], LEFT))
     if rows:
         said = "Family-wise over everything that was tried; the null is made of the residuals."

@@ -95,7 +95,7 @@ def _key_figures(found: Json) -> Markup:
     told = [(f"{readings['used']} of {readings['delivered']}", "readings used of delivered")]
     if found["p"] is not None:
         told.append((number(found["p"], 2), "p of the model as it was"))
-    if found["p_after"] is not None:
+    if found["p_after"] is not None and found["effects"]:
         told.append((number(found["p_after"], 2), "p of what is left"))
     if found["effects"]:
         whose = "" if found["claimed"] else ", by what is not claimed"

@@ -13,6 +13,7 @@ from service.report.tables import figure, note, section
 from service.report.words import capital, counted, number
 
 Json = Mapping[str, Any]
+NOTICEABLE = 2.0  # nat
 STANDS_OUT = 3.0  # of a group's mean z, in its standard errors
 
 
@@ -65,7 +66,7 @@ def known(found: Json) -> Markup | None:
         return None
     said = [el("li", capital(reason.removesuffix(".")) + ".") for reason in found["reasons"]]
     for one in found["tried"]:
-        if one["what"].startswith("by ") and (one["log_bf"] or 0.0) > 0:
+        if one["what"].startswith("by ") and (one["log_bf"] or 0.0) >= NOTICEABLE:
             gain = f"{number(one['log_bf'])} nat"
             said.append(el("li", f"A misfit of any course {one['what']} gains {gain}."))
     for name, z in groups_of((found.get("pictures") or {}).get("readings", ())):

@@ -36,7 +36,7 @@ def split(found: Json) -> Markup | None:
         why = "It was not computed: an older release, or fewer than two could be calibrated."
         return section(title, note(why))
     best = told["single"][0]
-    names = [joined(r["names"]) for r in told["rivals"]]
+    names = [" + ".join(r["names"]) for r in told["rivals"]]  # they stand in a sentence's list
     weights = [r["weight"] for r in told["rivals"]]
     now = sum(w**2 for w in weights) / sum(weights) ** 2  # what is expected of no reading
     parts: list[Child] = []
@@ -51,7 +51,7 @@ def split(found: Json) -> Markup | None:
         parts.append(
             figure(
                 curves(names, best),
-                f"What each of them expects of that reading. {joined(_expected(names, best))}.",
+                f"What each of them expects of that reading: {joined(_expected(names, best))}.",
             )
         )
     if told.get("campaigns"):

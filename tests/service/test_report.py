@@ -168,6 +168,12 @@ def test_what_is_known_of_an_unattributed_misfit_is_told() -> None:
     said = Read(page_of(told("unattributed"))).said
     assert "3 readings of visit spring lie 3.5 sd above the model's prediction" in said
     assert "A misfit of any course by age gains 4 nat" in said
+    faint = told("unattributed", p_after=0.03)
+    faint["tried"][1]["log_bf"] = 0.4
+    said = Read(page_of(faint)).said
+    assert "A misfit of any course" not in said, "it is no more than chance"
+    assert "what is left" not in said, "nothing was put into the model"
+    assert "what is left" in Read(page_of(told("effect"))).said
     assert "What is known" not in Read(page_of(told("effect"))).said
 
 
@@ -177,6 +183,9 @@ def test_the_inspection_that_splits_the_set_is_told_with_what_it_promises() -> N
     assert "from 52 % to 90 %" in said, "0.6² + 0.4² is expected of no reading"
     assert "settles the question in 70 % of cases" in said
     assert "root settling: 0.360 ± 0.012 mm" in said
+    pair = told("not separable")
+    pair["separating"]["rivals"][1]["names"] = ["root settling", "tip rub"]
+    assert "and root settling + tip rub: 0.360 ± 0.012 mm" in Read(page_of(pair)).said, "one of two"
     assert "The inspection that would" not in Read(page_of(told("effect"))).said
     assert "Best: 3-D scan (deformation of 96 nodes) of 3 blades, now" in said
     assert "to 97 % and settles the question in 94 % of cases" in said

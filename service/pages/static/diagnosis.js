@@ -84,7 +84,7 @@ function result(found, unitName) {
       ["Readings", `${found.readings.used} used of ${found.readings.delivered}`],
       ["Rests on", `entries to ${found.rests_on.through_seq}, model ${found.rests_on.model} ${found.rests_on.model_version.slice(0, 8)}`],
     ])),
-    panel("Effects", effects),
+    panel(found.claimed || !found.effects.length ? "Effects" : "Effects that were calibrated, not claimed", effects),
     panel("Before and after", beforeAfter(found.before_after, unitName),
       shared.length ? table([
         { name: "Shared parameter", value: (p) => words(p.name) },

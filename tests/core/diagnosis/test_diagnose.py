@@ -143,6 +143,9 @@ def test_courses_are_of_blades_on_the_rotor_with_the_hours_at_which_each_was_rea
     assert told["blades"] == list(SPEC.blades[1:])
     assert told["now_h"] == [2.5, *[TIMES[-1]] * (BLADES - 2)]
     assert len(told["before"]["mean"]) == BLADES - 1
+    steps = np.diff(told["time_h"])
+    assert np.all(np.diff(steps) > 0), "fine where creep is fast"
+    assert told["time_h"][-1] == pytest.approx(MODEL.surrogate.horizon_h)
     everybody = pictures(one, replace(case, serving=()))["courses"]
     assert everybody["before"]["mean"][1:] == told["before"]["mean"]
 
