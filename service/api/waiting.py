@@ -12,11 +12,14 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Protocol
 
+IDLE_S = 0.5  # between looks while nobody waits
+
 
 class Watcher(Protocol):
     """Sleeps until something was committed (service.worker.wake)."""
 
     def wait(self, timeout_s: float) -> bool: ...
+    def skip(self) -> None: ...
     def close(self) -> None: ...
 
 
@@ -41,12 +44,16 @@ class Changes:
         watcher = self._open()
         try:
             while not self._closed.is_set():
-                if not self._busy.wait(0.5):
-                    continue
-                if watcher.wait(0.2) and not self._closed.is_set():
+                told = watcher.wait(0.2) if self._busy.wait(IDLE_S) else self._skipped(watcher)
+                if told and not self._closed.is_set():
                     loop.call_soon_threadsafe(self._fire)
         finally:
             watcher.close()
+
+    def _skipped(self, watcher: Watcher) -> bool:
+        """Whether somebody came meanwhile, who may have looked before what was skipped."""
+        watcher.skip()
+        return self._busy.is_set()
 
     def _fire(self) -> None:
         self._event.set()

@@ -19,12 +19,18 @@ from service.store.engine import is_sqlite
 if TYPE_CHECKING:
     import psycopg
 
+SKIP_S = 0.02  # of reading what nobody waits for
+
 
 class Wake(Protocol):
     """Sleeps until something was committed."""
 
     def wait(self, timeout_s: float) -> bool:
         """True as soon as something was committed since the last call, False at the timeout."""
+        ...
+
+    def skip(self) -> None:
+        """Forget what was committed so far: nobody waits."""
         ...
 
     def close(self) -> None: ...
@@ -52,6 +58,9 @@ class SqliteWake:
         self._seen = version
         return True
 
+    def skip(self) -> None:
+        self._seen = self._version()
+
     def close(self) -> None:
         self._cursor.close()
         self._connection.close()
@@ -61,13 +70,17 @@ class PostgresWake:
     """Listens on one channel with a connection of its own, opened again if it was lost.
 
     A database that is away when this begins is as good as one that went away: nothing is raised,
-    `wait` tries again. What was committed while nobody listened gave no hint, so each opening
-    counts as one.
+    `wait` tries again. So is a standby, which has no notifications. What was committed while nobody
+    listened gave no hint, so each opening counts as one.
+
+    PostgreSQL keeps what a listener does not read: first in the connection, then, for all databases
+    of the server, in a queue from which nothing goes before its slowest listener has it, and when
+    that is full no commit that notifies succeeds. Who does not wait has to `skip` now and then.
     """
 
     def __init__(self, engine: Engine, channel: str) -> None:
         driver: Any = engine.dialect.dbapi
-        self._connect, self._away = driver.connect, driver.OperationalError
+        self._connect, self._away = driver.connect, driver.Error
         self._parameters = engine.dialect.create_connect_args(engine.url)
         self._channel = channel
         self._connection: psycopg.Connection[Any] | None = None
@@ -76,8 +89,13 @@ class PostgresWake:
 
     def _open(self) -> None:
         arguments, options = self._parameters
-        self._connection = self._connect(*arguments, **options, autocommit=True)
-        self._connection.execute(f"LISTEN {self._channel}")
+        connection = self._connect(*arguments, **options, autocommit=True)
+        try:
+            connection.execute(f"LISTEN {self._channel}")
+        except self._away:
+            connection.close()
+            raise
+        self._connection = connection
 
     def wait(self, timeout_s: float) -> bool:
         try:
@@ -89,6 +107,14 @@ class PostgresWake:
             self.close()
             time.sleep(min(1.0, timeout_s))
             return True
+
+    def skip(self) -> None:
+        try:
+            if self._connection is not None:
+                for _ in self._connection.notifies(timeout=SKIP_S):
+                    pass
+        except self._away:
+            self.close()
 
     def close(self) -> None:
         if self._connection is not None:

@@ -32,6 +32,8 @@ class Restless:
         time.sleep(min(0.001, timeout_s))
         return timeout_s > 0.001
 
+    def skip(self) -> None: ...
+
     def close(self) -> None: ...
 
 

@@ -1,0 +1,128 @@
+"""Who waits is woken by a commit, and while nobody does nothing is heaped up for them."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import psycopg
+import pytest
+from sqlalchemy import Engine, text
+
+from service.api import waiting
+from service.api.waiting import Changes
+from service.store.engine import open_engine, transaction
+from service.worker.wake import PostgresWake, open_wake
+from tests.postgres import Databases
+
+CHANNEL = "bladetwin_applied"
+TELL = text("SELECT count(pg_notify(:channel, :lot || g)) FROM generate_series(1, 1000) AS g")
+LISTENER = text(
+    "SELECT wait_event FROM pg_stat_activity WHERE datname = current_database()"
+    " AND query LIKE 'LISTEN%'"
+)
+
+
+@pytest.fixture
+def engine(databases: Databases) -> Iterator[Engine]:
+    name = databases.take()
+    opened = open_engine(databases.url(name))
+    yield opened
+    opened.dispose()
+    databases.give(name)
+
+
+def told(engine: Engine, lots: int) -> None:
+    """Notes of a thousand rotors at a time, which take more than a connection holds unread."""
+    for lot in range(lots):
+        with transaction(engine, write=True) as connection:
+            connection.execute(TELL, {"channel": CHANNEL, "lot": f"rotor-{lot}-"})
+
+
+def reads(engine: Engine) -> bool:
+    """Whether the listener's server waits to be asked, not for the listener to read."""
+    with transaction(engine, write=False) as connection:
+        return connection.execute(LISTENER).scalar_one() == "ClientRead"
+
+
+def test_what_is_told_while_nobody_waits_is_read_all_the_same(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PostgreSQL's queue of notifications has an end, at which no commit succeeds any more."""
+    monkeypatch.setattr(waiting, "IDLE_S", 0.02)
+
+    async def idle() -> bool:
+        changes = Changes(lambda: open_wake(engine, CHANNEL, 5.0))
+        changes.start()
+        await asyncio.sleep(0.2)
+        await asyncio.to_thread(told, engine, 10)
+        end, in_a_row = time.monotonic() + 10.0, 0
+        while in_a_row < 5 and time.monotonic() < end:
+            await asyncio.sleep(0.05)
+            in_a_row = in_a_row + 1 if await asyncio.to_thread(reads, engine) else 0
+        changes.close()
+        return in_a_row == 5
+
+    assert asyncio.run(idle())
+
+
+class Skipping:
+    """Somebody commits while what nobody waits for is skipped."""
+
+    def __init__(self) -> None:
+        self.skips, self.goes_on = threading.Event(), threading.Event()
+
+    def wait(self, timeout_s: float) -> bool:
+        time.sleep(timeout_s)
+        return False
+
+    def skip(self) -> None:
+        self.skips.set()
+        self.goes_on.wait(10.0)
+
+    def close(self) -> None: ...
+
+
+def test_who_comes_while_hints_are_skipped_misses_none() -> None:
+    async def come() -> bool:
+        watcher = Skipping()
+        changes = Changes(lambda: watcher)
+        changes.start()
+        await asyncio.to_thread(watcher.skips.wait, 10.0)
+        async with changes.waiting():
+            event = changes.event()
+            watcher.goes_on.set()
+            woken = asyncio.create_task(event.wait())
+            done, _ = await asyncio.wait([woken], timeout=5.0)
+            woken.cancel()
+        changes.close()
+        return bool(done)
+
+    assert asyncio.run(come())
+
+
+def test_a_standby_is_listened_to_once_it_takes_over(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A standby refuses LISTEN with an error that psycopg calls an internal one."""
+    real, refused = psycopg.Connection.execute, 0
+
+    def execute(self: Any, query: Any, *given: Any, **named: Any) -> Any:
+        nonlocal refused
+        if str(query).startswith("LISTEN") and refused < 2:
+            refused += 1
+            raise psycopg.errors.ReadOnlySqlTransaction("cannot execute LISTEN during recovery")
+        return real(self, query, *given, **named)
+
+    monkeypatch.setattr(psycopg.Connection, "execute", execute)
+    wake = open_wake(engine, CHANNEL, 5.0)
+    assert isinstance(wake, PostgresWake)
+    assert [wake.wait(0.01), refused] == [True, 2]
+    assert wake.wait(0.01), "it listens now, and what was before gave no hint"
+    assert not wake.wait(0.01)
+    told(engine, 1)
+    assert wake.wait(5.0)
+    wake.close()
