@@ -14,6 +14,8 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Sequence
+from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, delete, func, select, text, update
 
@@ -43,14 +45,19 @@ def written(kind: str, data: dict[str, object]) -> str:
 
 
 def bound(connection: Connection, webhook_id: str, rotor_id: str) -> None:
-    """Drop what waits beyond the newest `WAITING`, and leave a gap; the rotor is locked."""
+    """Drop what waits beyond the newest `WAITING`, and leave a gap; the rotor is locked.
+
+    So are they, for a worker may be noting just now that the oldest was sent: what it notes first
+    is not dropped, and what is dropped first it marks no more.
+    """
     own = (d.webhook_id == webhook_id) & (d.status == "pending") & (d.rotor_id == rotor_id)
     last = select(d.id).where(own).order_by(d.id.desc()).offset(WAITING).limit(1)
     number = connection.execute(last).scalar()
     if number is None:
         return
-    head = select(d.id, d.event, d.attempts, d.not_before, d.tried_at, d.last_error)
-    first = connection.execute(head.where(own).order_by(d.id).limit(1)).one()
+    if not (rows := locked(connection, own & (d.id <= number))) or rows[-1].id < number:
+        return  # sent meanwhile
+    first = rows[0]
     if (first.id, first.event) == (number, GAP):
         return  # nothing but the gap itself is older
     count_untold(connection, webhook_id, own & (d.id <= number) & (d.event != GAP))
@@ -64,6 +71,13 @@ def bound(connection: Connection, webhook_id: str, rotor_id: str) -> None:
     values |= {name: getattr(first, name) for name in ("attempts", "not_before", "tried_at")}
     gap = update(t.delivery).where(d.id == number)
     connection.execute(gap.values(**values, last_error=first.last_error))
+
+
+def locked(connection: Connection, which: ColumnElement[bool]) -> Sequence[Any]:
+    """The deliveries that a condition names, the oldest first, kept as they are by a lock."""
+    columns = (d.id, d.event, d.attempts, d.not_before, d.tried_at, d.last_error)
+    query = select(*columns).where(which).order_by(d.id)
+    return connection.execute(query.with_for_update()).all()
 
 
 def count_untold(connection: Connection, webhook_id: str, which: ColumnElement[bool]) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import select, text, update
+from sqlalchemy import ColumnElement, Connection, event, select, text, update
 
 from service.client import Client, read_webhook
 from service.handlers.rotors import create_rotor
@@ -26,6 +26,7 @@ from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.store.webhooks import prune
 from service.worker.deliver import Deliverer
+from service.worker.hook_lease import claim_webhook
 from tests.service.receiver import Receiver, receiving, then
 
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
@@ -223,6 +224,70 @@ def test_many_rotors_may_drop_at_once_while_the_webhook_is_deleted(
     with transaction(store.engine, write=False) as connection:
         left = connection.execute(select(t.untold.c.webhook_id).distinct()).scalars().all()
     assert left == ["other"]
+
+
+def sent_meanwhile(store: SqlStore, settings: Settings, after: str, act: Callable[[], None]) -> int:
+    """While `act` drops what is too much, a worker notes that the oldest was sent, as soon as a
+    statement with these words was said; how often it did."""
+    deliverer = Deliverer(store.engine, settings, "sender")
+    (oldest,) = list_deliveries(store, "ops", "pending", None, 1000)[-1:]
+    lease = claim_webhook(store.engine, "sender", 60.0)
+    assert lease is not None
+    threads = [
+        threading.Thread(target=deliverer.record, args=(lease, oldest, None), kwargs={"counts": 1})
+    ]
+    begun: list[threading.Thread] = []
+
+    def note(_c: object, _cursor: object, statement: str, *_: object) -> None:
+        if after in statement and threads:
+            begun.append(threads.pop())
+            begun[0].start()
+            begun[0].join(0.5)  # it may have to wait for who drops
+
+    event.listen(store.engine, "after_cursor_execute", note)
+    try:
+        act()
+    finally:
+        event.remove(store.engine, "after_cursor_execute", note)
+        for thread in begun:
+            thread.join()
+    return len(begun)
+
+
+POINTS = {"looked": ("OFFSET", ["e1", "e2", "e3"], 0), "counted": ("INTO untold", ["gap"], 1)}
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_what_is_sent_while_it_is_dropped_is_one_of_both(
+    store: SqlStore, settings: Settings, rotors: list[str], hook: Callable[[str], str],
+    happens: Callable[..., None], point: str,
+) -> None:  # fmt: skip
+    """On PostgreSQL, where the worker that sends does not wait for the rotor's lock."""
+    if is_sqlite(store.engine):
+        pytest.skip("one writes at a time")
+    after, first, count = POINTS[point]
+    hook("ops")
+    happens("r1", "e0", "e1", "e2")
+    assert sent_meanwhile(store, settings, after, lambda: happens("r1", "e3")) == 1
+    assert (waiting(store, "r1")[: len(first)], dropped(store)) == (first, count)
+
+
+def test_without_the_lock_what_was_dropped_is_told_as_sent(
+    store: SqlStore, settings: Settings, rotors: list[str], hook: Callable[[str], str],
+    happens: Callable[..., None], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    if is_sqlite(store.engine):
+        pytest.skip("one writes at a time")
+
+    def seen(connection: Connection, which: ColumnElement[bool]) -> Sequence[Any]:
+        return connection.execute(select(t.delivery).where(which).order_by(t.delivery.c.id)).all()
+
+    monkeypatch.setattr(untold, "locked", seen)
+    after, _, _ = POINTS["counted"]
+    hook("ops")
+    happens("r1", "e0", "e1", "e2")
+    assert sent_meanwhile(store, settings, after, lambda: happens("r1", "e3")) == 1
+    assert waiting(store, "r1") == ["e1", "e2", "e3"], "the gap is not sent"
 
 
 def test_the_bound_is_looked_for_by_the_index_alone(
