@@ -76,7 +76,7 @@ def write(
     path: Path, facts: Json, rotor: Json, blades: Iterable[Json], log: Iterable[Json]
 ) -> Json:
     """Write the file and give its manifest; the file appears whole or not at all."""
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".{path.name}.{os.urandom(4).hex()}.part")
     files: dict[str, Json] = {}
     try:
         with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:

@@ -26,8 +26,12 @@ def moment(seconds: float | None) -> str | None:
     return text.replace("+00:00", "Z")
 
 
+class OutsideError(ValueError):
+    """A moment before 1970 or after 9999."""
+
+
 def seconds_of(text: str) -> float:
-    """A moment as seconds since 1970; ValueError without an offset, before 1970
+    """A moment as seconds since 1970; ValueError without an offset, OutsideError before 1970
     or after 9999.
 
     >>> seconds_of("1970-01-02T01:00:00.250+01:00")
@@ -38,7 +42,7 @@ def seconds_of(text: str) -> float:
         raise ValueError("a moment needs its offset, e.g. 2031-05-04T10:00:00Z")
     seconds = at.timestamp()
     if seconds < 0:
-        raise ValueError("a moment of the log is not before 1970")
+        raise OutsideError("lies before 1970, when no log had begun")
     if seconds > LAST_S:
-        raise ValueError("no moment after 9999 can be written")
+        raise OutsideError("lies after 9999")
     return seconds

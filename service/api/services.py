@@ -60,10 +60,10 @@ def page_size(services: Services, limit: int | None) -> int:
     """The number of items of a page; above the maximum is refused, not cut."""
     most = services.settings.page_limit
     if limit is not None and limit > most:
-        faults = [
-            fault("limit", limit, f"is above {most}", f"ask for 1 … {most}, and follow `next`")
-        ]
-        raise RequestError(422, "invalid-input", f"limit = {limit} is above {most}", faults)
+        remedy = f"ask for 1 … {most}, and follow `next`"
+        detail = f"limit = {limit} is above {most}. To mend it: {remedy}"
+        faults = [fault("limit", limit, f"is above {most}", remedy)]
+        raise RequestError(422, "invalid-input", detail, faults)
     return min(50, most) if limit is None else limit
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import Depends, Query
 
 from service.api.problems import RequestError, fault
-from service.moments import seconds_of
+from service.moments import OutsideError, seconds_of
 from service.ports import Which
 
 Version = Annotated[int | None, Query(ge=1, lt=2**62, description="a version that is kept")]
@@ -25,6 +25,8 @@ async def which_of(version: Version = None, at: At = None) -> Which:
         raise refuse(at, "is given beside `version`", "give one of the two")
     try:
         return Which(at=seconds_of(at))
+    except OutsideError as error:
+        raise refuse(at, str(error), "ask for a moment of the rotor, or leave it out") from None
     except (ValueError, OverflowError):
         remedy = "write it with its offset, e.g. 2031-05-04T10:00:00Z (a plus sign as %2B)"
         raise refuse(at, "is no moment", remedy) from None

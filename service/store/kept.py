@@ -28,6 +28,7 @@ from service.ports import StateRecord
 from service.store import intact
 from service.store import tables as t
 from service.store.cache import Checked
+from service.store.engine import now_s
 from service.store.intact import Stored
 from service.store.named import digests, digests_since
 from service.store.settled import end_of
@@ -137,8 +138,8 @@ class KeptVersions:
         first = self._connection.execute(times).scalar()
         begun = row.created_at if first is None else min(row.created_at, first)
         if not (begun < end and at <= self._settled):
-            now = moment(self._settled)
-            problem = f"lies outside {moment(begun)} … {now}, the rotor's time till now"
+            now = max(self._settled, self._connection.execute(select(now_s())).scalar_one())
+            problem = f"lies outside {moment(begun)} … {moment(now)}, the rotor's time till now"
             raise RangeError("at", moment(at), problem, "ask for a moment inside, or leave it out")
         later = select(func.min(e.seq)).where(e.rotor_id == rotor_id, e.received_at >= end)
         after = self._connection.execute(later).scalar()

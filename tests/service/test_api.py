@@ -426,7 +426,9 @@ def test_a_list_is_paged_to_its_end_and_its_maximum_enforced(created: httpx.Clie
             break
         params["cursor"] = page["next"]
     assert seen == [f"i{i}" for i in range(7)]
-    refuse(created.get("/v1/rotors/r1/inspections?limit=201"), 422, "limit")
+    above = created.get("/v1/rotors/r1/inspections?limit=201")
+    refuse(above, 422, "limit")
+    assert "To mend it: ask for 1 … 200, and follow `next`" in above.json()["detail"]
     refuse(created.get("/v1/rotors/r1/inspections?limit=0"), 422, "limit")
     refuse(created.get("/v1/rotors/r1/inspections?cursor=zz"), 422, "cursor")
     for i in range(4):

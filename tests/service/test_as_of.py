@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -180,6 +181,20 @@ def test_a_moment_that_is_none_of_the_rotor_s_is_refused(
     answer = api.get(url, params=dict(httpx.QueryParams(query)) | given)
     assert answer.status_code == 422
     assert answer.json()["faults"][0]["field"] == "at"
+
+
+def test_a_refused_moment_is_told_between_which_it_has_to_be(api: httpx.Client, aged: str) -> None:
+    """Also where it lies before the rotor; one before 1970 is a moment all the same."""
+    now = api.get("/v1/rotors/r1", params={"at": "2999-01-01T00:00:00Z"}).json()["detail"]
+    early = api.get("/v1/rotors/r1", params={"at": moment(T0 - DAY)}).json()["detail"]
+    (last, begun), (till, since) = [
+        re.search(r"outside (\S+) … (\S+),", one).group(2, 1)  # type: ignore[union-attr]
+        for one in (now, early)
+    ]
+    assert begun == since < last <= till
+    first = api.get("/v1/rotors/r1", params={"at": "1969-05-04T10:00:00Z"}).json()["faults"][0]
+    assert first["problem"] == "lies before 1970, when no log had begun"
+    assert "offset" not in first["remedy"]
 
 
 def test_waiting_is_not_mixed_with_a_version(api: httpx.Client, aged: str) -> None:

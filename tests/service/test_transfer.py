@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -134,6 +134,25 @@ def test_the_same_rotor_gives_the_same_bytes(store: SqlStore, file: Path, tmp_pa
     export_rotor(store, "r1", again, "test")
     assert again.read_bytes() == file.read_bytes()
     assert sorted(p.name for p in tmp_path.glob("*.zip*")) == ["again.zip", "r1.zip"]
+
+
+def test_two_exports_into_one_file_at_once_leave_it_whole(
+    store: SqlStore, lived: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that ends last has it; neither writes into what the other has under its hands."""
+    target, real, inner = tmp_path / "r.bundle", bundle._write_member, []
+
+    def slow(archive: zipfile.ZipFile, name: str, rows: Iterable[Any]) -> Any:
+        if name == "log.jsonl" and not inner:
+            inner.append(name)
+            export_rotor(store, lived, target, "test")
+        return real(archive, name, rows)
+
+    monkeypatch.setattr(bundle, "_write_member", slow)
+    manifest = export_rotor(store, lived, target, "test")
+    with target.open("rb") as handle:
+        assert bundle.opened(target, handle).manifest == manifest
+    assert [one.name for one in tmp_path.iterdir() if "bundle" in one.name] == ["r.bundle"]
 
 
 def test_the_order_of_blades_is_that_of_their_bytes_however_the_database_sorts_text(
