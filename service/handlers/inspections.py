@@ -8,11 +8,12 @@ keep other writers waiting; blades are only ever added, so a check that passed s
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import nsmallest
 
-from core.errors import InputError
+from core.errors import InputError, RangeError
 from core.network import Network
 from core.observation import Covers, Inspection, faults
 from service.digests import digest_of_json
@@ -105,10 +106,23 @@ def faults_of(
             found.append(
                 InputError(f"{where}replaces", reading.id, "is the reading itself", "give a new id")
             )
-        for error in faults(reading, network, model, where):
+        for error in (*faults(reading, network, model, where), *_vague(reading, network, where)):
             prefixed = error.what if error.what.startswith(where) else f"{where}{error.what}"
             found.append(type(error)(prefixed, error.value, error.problem, error.remedy))
     return found
+
+
+def _vague(reading: Inspection, network: Network, where: str) -> Iterator[InputError]:
+    """A reading whose noise is wider than all that it may be says nothing, and its square may be no
+    number any more: residuals of the whole rotor end with that."""
+    sigma = reading.sigma
+    quantity = next((one for one in network.quantities if one.name == reading.quantity), None)
+    if sigma is None or quantity is None or not quantity.high - quantity.low < sigma < math.inf:
+        return
+    plausible = f"{quantity.low:g} … {quantity.high:g} {quantity.unit}"
+    problem = f"is wider than the plausible {plausible}"
+    remedy = "check the unit, or leave out a reading that says nothing"
+    yield RangeError(f"{where}sigma", sigma, problem, remedy)
 
 
 def _event(reading: Inspection) -> NewEvent:
