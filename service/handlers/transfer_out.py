@@ -33,7 +33,7 @@ def export_rotor(store: Store, rotor_id: str, path: Path, release: str) -> Json:
         card = tx.records.model(rotor.model_id, rotor.model_version)
         head = rotor.head_seq
         blades = blades_at(tx.records.blades(rotor_id), head)
-        state = _newest_sealed(tx, rotor_id)
+        state = _newest_sealed(tx, rotor_id, head)
     _check_creation(rotor, blades)
     line = RotorLine(
         id=rotor.id,
@@ -70,13 +70,16 @@ def _check_creation(rotor: RotorRecord, blades: Sequence[BladeRecord]) -> None:
         raise DamagedRotorError(rotor.id, [f"rotor {rotor.id}: {now}"])
 
 
-def _newest_sealed(tx: Transaction, rotor_id: str) -> Json | None:
-    """Digests of the newest version, if it is sealed and sound, to compare an import with."""
+def _newest_sealed(tx: Transaction, rotor_id: str, head: int) -> Json | None:
+    """Digests of the newest version, if it is sealed and sound, to compare an import with.
+
+    Where it rests on entries after `head`, which came while this was read, there is none.
+    """
     try:
         state = tx.states.get(rotor_id)
     except (NotYetError, DamagedError):
         return None
-    if not state.sealed:
+    if not state.sealed or state.through_seq > head:
         return None
     names = ("through_seq", "events_digest", "digest", "algorithm_version")
     return {name: getattr(state, name) for name in names}

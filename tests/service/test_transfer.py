@@ -21,6 +21,7 @@ from service.bundle import BundleError
 from service.cli import app as commands
 from service.errors import ConflictError, DamagedLogError, DamagedRotorError, GoneError
 from service.fake import FakeScience
+from service.handlers import transfer_out
 from service.handlers.blades import add_blade, retire_blade
 from service.handlers.inspections import Item, post_inspections, retract
 from service.handlers.listing import list_inspections
@@ -134,6 +135,25 @@ def test_the_same_rotor_gives_the_same_bytes(store: SqlStore, file: Path, tmp_pa
     export_rotor(store, "r1", again, "test")
     assert again.read_bytes() == file.read_bytes()
     assert sorted(p.name for p in tmp_path.glob("*.zip*")) == ["again.zip", "r1.zip"]
+
+
+def test_a_file_tells_of_no_state_that_rests_on_more_than_it_holds(
+    store: SqlStore, science: FakeScience, settings: Settings, lived: str, reading: Make,
+    post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """An entry comes, and is sealed, between two questions of the export."""
+    real = transfer_out.blades_at
+
+    def meanwhile(*given: Any) -> Any:
+        post(lived, reading("late", time_h=21_000.0))
+        work(store, science, settings)
+        return real(*given)
+
+    monkeypatch.setattr(transfer_out, "blades_at", meanwhile)
+    manifest = export_rotor(store, lived, tmp_path / "r1.zip", "test")
+    assert sealed(store, lived)[2] == manifest["head_seq"] + 1
+    told = manifest["state"]
+    assert told is None or told["through_seq"] == manifest["head_seq"]
 
 
 def test_two_exports_into_one_file_at_once_leave_it_whole(
