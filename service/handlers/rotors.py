@@ -44,7 +44,18 @@ class RotorView:
 
     def has_applied(self, seq: int) -> bool:
         """Every entry up to `seq` counts in the newest posterior."""
-        return self.rotor.version > 0 and self.rotor.applied_seq >= seq
+        return has_applied(self.rotor, seq)
+
+
+def has_applied(rotor: RotorRecord, seq: int) -> bool:
+    """Every entry up to `seq` counts in the newest posterior."""
+    return rotor.version > 0 and rotor.applied_seq >= seq
+
+
+def find_rotor(store: Store, rotor_id: str) -> RotorRecord:
+    """The rotor's row and where its cursor stands."""
+    with store.read() as tx:
+        return tx.records.rotor(rotor_id)
 
 
 def check_network(store: Store, science: Science, model_id: str, network: Json | None) -> ModelCard:

@@ -8,13 +8,19 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import httpx
 import psycopg
 import pytest
-from sqlalchemy import Engine, text
+from sqlalchemy import Engine, event, text
 
 from service.api import waiting
 from service.api.waiting import Changes
+from service.handlers.rotors import create_rotor
+from service.ports import BladeRecord
 from service.store.engine import open_engine, transaction
+from service.store.outbox import post as note
+from service.store.unit_of_work import SqlStore
+from service.worker.loop import Worker
 from service.worker.wake import PostgresWake, open_wake
 from tests.postgres import Databases
 
@@ -126,3 +132,33 @@ def test_a_standby_is_listened_to_once_it_takes_over(
     told(engine, 1)
     assert wake.wait(5.0)
     wake.close()
+
+
+def test_who_waits_looks_at_little_when_other_rotors_move_on(
+    api: httpx.Client, store: SqlStore, worker: Worker, rotor: str
+) -> None:
+    """Each commit wakes all who wait; a rotor with all of its blades is read at the ends alone."""
+    create_rotor(store, "r2", "rotor-blade", [BladeRecord("B1")], 64, 7)
+    worker.drain()
+    looks = {"rotor": 0, "blades": 0}
+
+    def said(_c: object, _cursor: object, statement: str, *_: object) -> None:
+        if "FROM rotor JOIN cursor" in statement:
+            looks["blades" if "FROM blade" in statement else "rotor"] += 1
+
+    answers: list[httpx.Response] = []
+    url = f"/v1/rotors/{rotor}?wait_for=99&timeout=2"
+    waits = threading.Thread(target=lambda: answers.append(api.get(url)))
+    event.listen(store.engine, "after_cursor_execute", said)
+    waits.start()
+    while not looks["blades"]:
+        time.sleep(0.01)
+    for number in range(10):
+        with transaction(store.engine, write=True) as connection:
+            note(connection, "r2", "blocked", {"error": str(number), "event": None})
+        time.sleep(0.05)
+    waits.join()
+    event.remove(store.engine, "after_cursor_execute", said)
+    assert answers[0].json()["id"] == rotor
+    assert looks["rotor"] >= 5, "it is woken all the same"
+    assert looks["blades"] <= 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from contextlib import suppress
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
@@ -142,17 +143,21 @@ async def _wait(
     changes = services.changes
     end = time.monotonic() + timeout
     async with changes.waiting():
-        while True:
-            event = changes.event()
-            view = await run_in_threadpool(use.view_rotor, services.store, r)
+        event = changes.event()
+        view = await run_in_threadpool(use.view_rotor, services.store, r)
+        rotor = view.rotor
+        while not (use.has_applied(rotor, wait_for) or rotor.blocked or changes.closing):
             left = end - time.monotonic()
-            done = view.has_applied(wait_for) or view.rotor.blocked
-            if done or left <= 0 or changes.closing:
-                return view
-            try:
+            if left <= 0:
+                break
+            with suppress(TimeoutError):
                 await asyncio.wait_for(event.wait(), min(left, LOOK_AGAIN_S))
-            except TimeoutError:
-                continue
+            # each commit of any rotor wakes all who wait: they look at no more than they wait for
+            event = changes.event()
+            rotor = await run_in_threadpool(use.find_rotor, services.store, r)
+    if rotor == view.rotor:
+        return view
+    return await run_in_threadpool(use.view_rotor, services.store, r)
 
 
 @router.post("/{r}/retry", status_code=202, summary="Let a blocked rotor be tried again")
