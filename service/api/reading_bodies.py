@@ -37,6 +37,7 @@ from service.api.problems import (
     invalid,
     too_many,
 )
+from service.api.repeated import refuse_repeated
 from service.api.schemas import Body, Id, Moment, Text
 from service.api.sensorthings import sensorthings_rows
 from service.export.sensorthings import MEDIA
@@ -222,6 +223,7 @@ def _json_rows(body: bytes) -> list[tuple[str, Any]]:
         data = from_json(body, allow_inf_nan=True)
     except ValueError as error:
         raise RequestError(400, "invalid-json", f"the body is not JSON: {error}") from None
+    refuse_repeated(body, data)
     if isinstance(data, list):
         remedy = 'give {"inspections": […]} for several, or one reading as an object'
         raise invalid([fault("body", f"a list of {len(data)}", "is not a batch", remedy)])

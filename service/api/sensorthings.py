@@ -28,6 +28,7 @@ from service.api.problems import (
     invalid,
     too_many,
 )
+from service.api.repeated import refuse_repeated
 from service.export.sensorthings import SAID
 
 Json = dict[str, Any]
@@ -57,6 +58,7 @@ def sensorthings_rows(body: bytes) -> Rows:
         data = from_json(body, allow_inf_nan=True)
     except ValueError as error:
         raise RequestError(400, "invalid-json", f"the body is not JSON: {error}") from None
+    refuse_repeated(body, data)
     reader = _Reader()
     if isinstance(data, list):
         reader.arrays(data)

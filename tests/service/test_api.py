@@ -206,6 +206,19 @@ def test_a_reading_that_cannot_be_used_is_refused_by_name_and_not_stored(
 
 
 RAW: list[tuple[str, int, str | None]] = [
+    (
+        '{"id":"a","blade":"B1","quantity":"elongation","time_h":1,"value":1,"value":2}',
+        422,
+        "value",
+    ),
+    ('{"id":"a","blade":"B1","quantity" : "elongation","time_h":1,"value":1,"id" :"b"}', 422, "id"),
+    (
+        '{"inspections":[{"id":"a","blade":"B1","quantity":"elongation","time_h":1,"value":0.1,'
+        '"campaign":"c","campaign":"c"}]}',
+        422,
+        "campaign",
+    ),
+    ('{"inspections":[{"id":"a"}],"inspections":[{"id":"b"}]}', 422, "inspections"),
     ('{"id":"a","blade":"B1","quantity":"elongation","time_h":NaN,"value":0.1}', 422, "time_h"),
     ('{"id":"a","blade":"B1","quantity":"elongation","time_h":1,"value":Infinity}', 422, "value"),
     ('{"id":"a","blade":"B1","quantity":"elongation","time_h":1,"value":-Infinity}', 422, "value"),

@@ -250,6 +250,16 @@ def test_other_types_and_broken_bodies_are_told_apart(api: httpx.Client, rotor: 
     assert plain.status_code == 422, "a type of its own: application/json is a reading"
 
 
+def test_a_field_that_is_given_twice_is_refused(api: httpx.Client, rotor: str) -> None:
+    body = '{"@iot.id":"a","result":0.1,"parameters":{"time_h":1,"time_h":2},"Datastream":{}}'
+    sent = api.post(
+        f"/v1/rotors/{rotor}/inspections", content=body, headers={"content-type": MEDIA}
+    )
+    assert sent.status_code == 422
+    (told,) = sent.json()["faults"]
+    assert (told["field"], told["value"]) == ("time_h", "[1, 2]")
+
+
 def test_the_client_moves_readings_between_rotors(posted: httpx.Client, store: SqlStore) -> None:
     create_rotor(store, "r2", "rotor-blade", [BladeRecord(b) for b in ("B1", "B2", "B3")], 64, 7)
     twin = Client(http=posted)
