@@ -48,9 +48,12 @@ class SqlOutbox:
         return {row[0]: row[1] for row in self._connection.execute(query.group_by(o.rotor_id))}
 
     def missing(self, rotor_id: str, number: int) -> bool:
-        dropped = select(t.cursor.c.outbox_dropped).where(t.cursor.c.rotor_id == rotor_id)
-        last = self._connection.execute(select(func.max(o.id))).scalar() or 0
-        return number < (self._connection.execute(dropped).scalar() or 0) or number > last
+        """Whether notes after one are no longer kept, or the rotor never had that one: it is of a
+        database that was restored since, where numbers come again, or of another rotor."""
+        own = exists().where(o.rotor_id == rotor_id, o.id == number)
+        query = select(t.cursor.c.outbox_dropped, own).where(t.cursor.c.rotor_id == rotor_id)
+        dropped, there = self._connection.execute(query).one_or_none() or (0, False)
+        return number < dropped or not (there or number in (0, dropped))
 
 
 def post(connection: Connection, rotor_id: str, kind: str, payload: dict[str, Any]) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import pytest
 import uvicorn
-from sqlalchemy import func, select
+from sqlalchemy import delete, func, select
 
 from core.observation import Inspection
 from service.api.feed import Feed
@@ -33,6 +33,7 @@ from service.settings import Settings
 from service.sse import events
 from service.store import outbox
 from service.store import tables as t
+from service.store.engine import transaction
 from service.store.outbox import SqlOutbox, trim
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
@@ -198,6 +199,24 @@ def test_a_replay_from_before_what_is_kept_begins_with_a_reset(
         assert next(told)["event"] == "reset", "an id of another database"
         live(worker, post, rotor, [reading("new")])
         assert next(told)["version"] == 6, "and it goes on"
+
+
+def test_an_id_that_the_rotor_never_had_begins_with_a_reset(
+    store: SqlStore, worker: Worker, rotor: str, reading: Make, post: Post
+) -> None:
+    """A database that was restored gives numbers again: others may have gone beyond the one that a
+    client knows before it comes back, and what its rotor had meanwhile would not be told."""
+    four_readings(worker, rotor, reading, post)
+    with store.read() as tx:
+        known = tx.outbox.newest([rotor])[rotor]
+    with transaction(store.engine, write=True) as connection:
+        lost = t.outbox.c.id > known - 2
+        connection.execute(delete(t.outbox).where(t.outbox.c.rotor_id == rotor, lost))
+    create_rotor(store, "r2", "rotor-blade", [BladeRecord("B1")], 64, 7)
+    worker.drain()
+    live(worker, post, "r2", [reading(f"i{i}") for i in range(3)])
+    assert use.news(store, rotor, known).reset
+    assert not use.news(store, rotor, known - 2).reset
 
 
 def test_without_the_question_what_is_missing_a_gap_is_noticed(
