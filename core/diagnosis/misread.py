@@ -20,8 +20,9 @@ reading alone, which is not among those that it concerns.
 
 A blade that contradicts by one reading, and is `bounded` in its state, has particles that were
 fitted to that reading: its residuals at the others are as wrong as at this one. Of such a blade
-nothing is scanned (`apart`), and the verdict says so (`set_apart`). One whose readings contradict
-together stays in: an effect of its own may be what they have in common.
+nothing is scanned (`apart`), and the verdict says so (`set_apart`); nor of two blades whose
+readings look exchanged. One whose readings contradict together stays in: an effect of its own may
+be what they have in common.
 """
 
 from __future__ import annotations
@@ -132,17 +133,32 @@ def spared(cells: Sequence[Cell], g: Array, own: Array) -> NDArray[np.bool_]:
 
 
 def apart(state: RotorState) -> frozenset[str]:
-    """Blades that are set apart by one reading."""
-    told = state.meta["health"].get("contradicted", ())
-    return frozenset(one["blade"] for one in told if one.get("bounded") and one.get("suspects"))
+    """Blades that are set apart by one reading, or whose readings look exchanged."""
+    return frozenset(_alone(state) + _exchanged(state))
 
 
 def set_apart(state: RotorState) -> tuple[str, ...]:
     """That they were, in words."""
-    if not (out := sorted(apart(state))):
-        return ()
-    names = ", ".join(out[:TOLD]) + (f" and {len(out) - TOLD} more" if len(out) > TOLD else "")
-    return (f"left out of the scan, for one reading contradicts all others of the blade: {names}",)
+    told = (
+        ("one reading contradicts all others of the blade", _alone(state)),
+        ("readings of a visit look exchanged", _exchanged(state)),
+    )
+    return tuple(
+        f"left out of the scan, for {why}: {', '.join(out[:TOLD])}"
+        + (f" and {len(out) - TOLD} more" if len(out) > TOLD else "")
+        for why, out in told
+        if out
+    )
+
+
+def _alone(state: RotorState) -> list[str]:
+    told = state.meta["health"].get("contradicted", ())
+    return sorted(one["blade"] for one in told if one.get("bounded") and one.get("suspects"))
+
+
+def _exchanged(state: RotorState) -> list[str]:
+    told = state.meta["health"].get("exchanged", ())
+    return sorted({blade for one in told for blade in one["blades"]})
 
 
 def slips(read: LeftOut) -> tuple[str, ...]:

@@ -47,7 +47,7 @@ def test_it_raises_no_alarm_and_without_bounds_it_does(monkeypatch: pytest.Monke
     assert verdict.word == "adequate"
     assert verdict.p > 0.1
     monkeypatch.setattr(bounded, "ROUNDS", 0)
-    assert first_word(given)[1].p < 0.01, "the control"
+    assert first_word(given)[1].p < 0.05, "the control"
 
 
 def test_an_effect_beside_it_is_found_and_the_blade_that_was_left_out_told() -> None:
@@ -75,3 +75,16 @@ def test_blades_without_a_suspect_or_without_a_bound_stay_in() -> None:
     assert set_apart(state_of(others)) == ()
     many = state_of(*(one | {"blade": f"b{k}"} for k in range(7)))
     assert set_apart(many)[0].endswith("b0, b1, b2, b3, b4 and 2 more")
+
+
+def test_blades_that_look_exchanged_are_left_out_too() -> None:
+    given = made(plan("rotor-20"), "clean", 0, 991, 1000)
+    rng = stream(991, "slips", "swapped", 0)
+    wrong, names, _ = slips.slipped("swapped", given.case.readings, rng)
+    other = replace(given, case=replace(given.case, readings=wrong))
+    state, verdict = first_word(other)
+    blades = {r.blade for r in wrong if r.id in names}
+    assert apart(state) == blades
+    (told,) = set_apart(state)
+    assert told.endswith(f"a visit look exchanged: {', '.join(sorted(blades))}")
+    assert verdict.word == "adequate"
