@@ -20,11 +20,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
+from scipy.special import gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
 Array = NDArray[np.float64]
 WIDEN = 1.4  # proposals are wider than what they propose for: tails are longer than a normal's
 POOLED_WIDEN = 1.2  # where the moments are those of many more nodes
+FAR = (
+    6.0  # sds from the middle of a normal to the box from which on its tail is taken by logarithms
+)
 FREEDOM = 4.0  # of the t-distribution of coordinates with long tails
 
 
@@ -58,13 +61,21 @@ class Proposal:
             sd = self.chol[i, i]
             centre = self.mean[i] + z[:, :i] @ self.chol[i, :i]
             shape = _HEAVY if i in self.heavy else _NORMAL
-            f0, f1 = shape.below((0.0 - centre) / sd), shape.below((1.0 - centre) / sd)
+            ends = (0.0 - centre) / sd, (1.0 - centre) / sd
+            f0, f1 = shape.below(ends[0]), shape.below(ends[1])
             mass = np.maximum(f1 - f0, 1e-300)
+            log_mass = np.log(sd * mass)
+            far = (ends[0] > FAR) | (ends[1] < -FAR)
+            if far.any():
+                tail = _Tail.of(shape, ends[0][far], ends[1][far])
+                log_mass[far] = np.log(sd) + tail.log_mass
             if base is not None:
                 step = shape.quantile(f0 + base[:, i] * mass)
+                if far.any():
+                    step[far] = tail.quantile(base[far, i])
                 u[:, i] = np.clip(centre + sd * step, 0.0, 1.0)
             z[:, i] = (u[:, i] - centre) / sd
-            log_q += shape.log_density(z[:, i]) - np.log(sd * mass)
+            log_q += shape.log_density(z[:, i]) - log_mass
         return u, log_q
 
     def spread(self, factor: float) -> Proposal:
@@ -96,23 +107,71 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """A standard distribution of z."""
+    """A standard distribution of z, symmetric about 0.
+
+    below, log_below        P(z' < z) and its logarithm
+    quantile, log_quantile  z of a probability, and of the logarithm of one
+    """
 
     below: Callable[[Array], Array]
     quantile: Callable[[Array], Array]
     log_density: Callable[[Array], Array]
+    log_below: Callable[[Array], Array]
+    log_quantile: Callable[[Array], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class _Tail:
+    """What a box holds of a distribution whose middle lies far aside, as of the tail below.
+
+    A box above the middle is turned about it: seen from 0, 1 − P(z' < a) has no digits left. With
+    P(z' < a) = e^A for the end a that is farther out, and e^B for the nearer one,
+
+        log mass = B + log(1 − e^(A − B)),    z(p) = quantile of e^B (1 − (1 − p)(1 − e^(A − B))).
+    """
+
+    shape: _Shape
+    above: NDArray[np.bool_]
+    far: Array
+    near: Array
+    log_near: Array
+    share: Array
+
+    @staticmethod
+    def of(shape: _Shape, low: Array, high: Array) -> _Tail:
+        """Of boxes [low, high] (n,) in z."""
+        above = low > 0
+        far, near = np.where(above, -high, low), np.where(above, -low, high)
+        log_near = shape.log_below(near)
+        share = -np.expm1(shape.log_below(far) - log_near)
+        return _Tail(shape, above, far, near, log_near, share)
+
+    @property
+    def log_mass(self) -> Array:
+        return np.asarray(self.log_near + np.log(self.share))
+
+    def quantile(self, p: Array) -> Array:
+        """z in the boxes at points p (n,) of the unit interval."""
+        out = np.where(self.above, p, 1.0 - p)
+        z = self.shape.log_quantile(self.log_near + np.log1p(-out * self.share))
+        z = np.clip(z, self.far, self.near)
+        return np.where(self.above, -z, z)
 
 
 _NORMAL = _Shape(
     ndtr,
     lambda p: np.clip(ndtri(p), -9.0, 9.0),
     lambda z: -0.5 * z**2 - np.log(np.sqrt(2 * np.pi)),
+    log_ndtr,
+    ndtri_exp,
 )
 _PEAK = gammaln((FREEDOM + 1) / 2) - gammaln(FREEDOM / 2) - 0.5 * np.log(FREEDOM * np.pi)
 _HEAVY = _Shape(
     lambda z: stdtr(FREEDOM, z),
     lambda p: stdtrit(FREEDOM, p),
     lambda z: _PEAK - 0.5 * (FREEDOM + 1) * np.log1p(z**2 / FREEDOM),
+    lambda z: np.log(stdtr(FREEDOM, z)),
+    lambda log_p: stdtrit(FREEDOM, np.exp(log_p)),
 )
 
 

@@ -56,6 +56,30 @@ def test_the_density_of_a_proposal_is_that_of_its_nodes_and_integrates_to_one() 
     assert log_q == pytest.approx(own + truncnorm.logpdf(beside / 0.08, low, high) - np.log(0.08))
 
 
+@pytest.mark.parametrize("sds", [3.0, 5.9, 6.1, 8.0, 12.0, 50.0])
+@pytest.mark.parametrize("heavy", [(), (0,)])
+def test_a_box_above_the_middle_of_a_proposal_is_known_as_well_as_one_below(
+    sds: float, heavy: tuple[int, ...]
+) -> None:
+    """1 − P(z < 8) has no digits left: nodes stood all at the bound, log q was 650 nats off."""
+    spread, base = np.array([[0.1]]), sobol(64, 1, 0)
+    below = Proposal(np.array([1.0 + 0.1 * sds]), spread, heavy)
+    above = Proposal(np.array([-0.1 * sds]), spread, heavy)
+    (down, log_down), (up, log_up) = below.nodes(1.0 - base), above.nodes(base)
+    assert up == pytest.approx(1.0 - down, rel=1e-5)
+    assert log_up == pytest.approx(log_down, abs=1e-5)
+    assert above.log_density(up) == pytest.approx(log_up, abs=1e-6)
+    if heavy:
+        own = t_distribution(FREEDOM, -0.1 * sds, 0.1)
+        exact = own.logpdf(up[:, 0]) - np.log(own.sf(0.0) - own.sf(1.0))
+    else:
+        exact = truncnorm.logpdf(up[:, 0], sds, sds + 10.0, loc=-0.1 * sds, scale=0.1)
+    assert log_up == pytest.approx(exact, abs=1e-5)
+    grid = ((np.arange(20_000) + 0.5) / 20_000)[:, None]
+    assert np.exp(above.log_density(grid)).mean() == pytest.approx(1.0, abs=1e-3)
+    assert len(np.unique(up)) == len(up)
+
+
 def test_a_coordinate_with_long_tails_has_nodes_there_and_the_same_density() -> None:
     """A t-distribution, cut at the box and conditional on what comes before, by scipy."""
     turn = np.array([[0.01, 0.0], [0.005, 0.008]])
