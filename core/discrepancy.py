@@ -122,14 +122,14 @@ def _modes_of(model: Model, quantity: Quantity) -> Modes:
     declared = quantity.discrepancy
     assert declared.length_h is not None
     assert declared.sd is not None
+    horizon_h = model.part(quantity.name).horizon_h
     # anything shorter needs every mode as well
-    found = modes(max(declared.length_h / model.surrogate.horizon_h, 1.0 / NODES**2))
+    found = modes(max(declared.length_h / horizon_h, 1.0 / NODES**2))
     if len(found.eigenvalue) > MOST_MODES:
         raise InputError(
             f"discrepancy length_h of {quantity.name}",
             declared.length_h,
-            f"needs {len(found.eigenvalue)} modes up to {model.surrogate.horizon_h:g} h, more than "
-            f"{MOST_MODES}",
+            f"needs {len(found.eigenvalue)} modes up to {horizon_h:g} h, more than {MOST_MODES}",
             "give a longer one",
         )
     reach = WIDTH * declared.sd * np.abs(found.at(np.linspace(0, 1, 101))).sum(axis=1).max()
@@ -195,7 +195,7 @@ def _declared(model: Model, quantity: Quantity, time_h: float, component: int | 
         psi = model.network.psi_of(quantity).name
         return Affine(((1.0, names[:1]), (-1.0, (names[1], psi))), sigma=sigma)
     assert declared.sd is not None
-    at = _modes_of(model, quantity).at(np.array([time_h / model.surrogate.horizon_h]))[0]
+    at = _modes_of(model, quantity).at(np.array([time_h / model.part(quantity.name).horizon_h]))[0]
     left = declared.sd * math.sqrt(max(1.0 - float(at @ at), 0.0))
     terms = tuple((declared.sd * float(a), (n,)) for a, n in zip(at, names, strict=True))
     return Affine(terms, sigma=sigma, left=left)

@@ -29,7 +29,7 @@ from core.calibration.step import Step
 from core.calibration.stored import StoredPosterior
 from core.calibration.weighed import node_count
 from core.calibration.workspace import Workspace
-from core.errors import InputError
+from core.errors import InputError, RangeError
 from core.model import Model
 from core.observation import Inspection
 from core.readings import digest_of
@@ -54,7 +54,7 @@ def update(
     start      where the posterior is expected (`start`); its nodes then depend on that as well, so
                that such a state is one to compare with others, and none to keep
     Raises InputError for a reading of a blade that the rotor does not have, or that the prior has
-    seen.
+    seen, and RangeError for one at an hour that the model of its quantity does not cover.
     """
     if previous is not None and previous.meta["algorithm_version"] != ALGORITHM:
         previous = None
@@ -84,6 +84,13 @@ def begun(
         if reading.blade not in rotor.blades:
             raise InputError(
                 "blade", reading.blade, f"is no blade of rotor {rotor.id}", "install it first"
+            )
+        if not 0 <= reading.time_h <= (last := model.part(reading.quantity).horizon_h):
+            raise RangeError(
+                f"time_h of reading {reading.id}",
+                reading.time_h,
+                f"lies outside 0 … {last:g} h, which the model of {reading.quantity} covers",
+                "give the blade's operating hours at the inspection",
             )
         by_blade.setdefault(reading.blade, []).append(reading)
     prepare(model, inspections)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from core.answers import Stacked
 from core.builtin.paper_network import rotor_blade_network
 from core.calibration.state import Posterior
 from core.curves import instrument_of, noise_of
@@ -19,6 +20,7 @@ from core.network import Discrepancy, Network, Parameter, Quantity
 from core.prediction import predict
 from core.prior import Prior
 from core.smc.particles import Particles
+from core.surrogate.formula import FormulaInput, FormulaModel
 from tests.core.calibration.drifting import HORIZON, KINDS, LOCAL_SD, drifting
 
 NOISE = Prior("log_uniform", 1e-3, 0.2)
@@ -103,6 +105,24 @@ def test_a_process_that_the_model_cannot_carry_is_refused(
     model = drifting(Discrepancy("gp", **fields))
     with pytest.raises(InputError, match=named):
         parameters(model, model.network.quantity("y"))
+
+
+def test_a_process_runs_over_the_hours_of_the_model_that_answers_for_its_quantity() -> None:
+    """Coupons that are read for 1,000 h, below blades whose model covers 50,000."""
+    wrong = Discrepancy("gp", sd=0.02, length_h=400.0)
+    short = Quantity("short", "1", "scalar", NOISE, -5.0, 5.0, discrepancy=wrong)
+    long = replace(short, name="long", discrepancy=Discrepancy())
+    local = Parameter("a", "local", Prior("uniform", 0.0, 1.0))
+    inputs = (FormulaInput("a", 0.0, 1.0),)
+    coupon, blade = (
+        FormulaModel(inputs, {name: lambda x, t: x[:, 0]}, name, horizon_h=horizon_h)
+        for name, horizon_h in (("short", 1e3), ("long", 5e4))
+    )
+    both = Stacked(((coupon, ("short",)), (blade, ("long",))))
+    stacked = Model(Network("two", (local,), (short, long)), both)
+    alone = Model(Network("one", (local,), (short,)), coupon)
+    assert parameters(stacked, short) == parameters(alone, short)
+    assert affine(stacked, short, 700.0) == affine(alone, short, 700.0)
 
 
 def test_names_that_would_collide_are_refused() -> None:

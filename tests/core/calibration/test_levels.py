@@ -513,3 +513,18 @@ def test_a_component_without_local_parameters_weighs_exactly() -> None:
     )
     assert state.meta["log_evidence"] == pytest.approx(evidence, abs=0.03)
     assert state.arrays["blade/c0/local"].shape[2] == 0
+
+
+def test_hours_of_a_reading_are_those_of_its_own_model() -> None:
+    """Of two models stacked, the coupons' ends at 1 h and the blades' at 100,000."""
+    long = stacked({"strain": 1, "shift": 2})
+    parts = ((replace(part("strain"), horizon_h=1.0), ("strain",)), (part("shift"), ("shift",)))
+    model = Model(long.network, Stacked(parts))
+    spec = RotorSpec("r", ("c0", "a0"), particles=640, seed=2)
+    late = Inspection("late", "a0", "shift", 5.0, np.array([2.0]), sigma=0.2)
+    early = Inspection("early", "c0", "strain", 1.0, np.array([2.0]), sigma=0.2)
+    assert update(model, spec, [early, late]).sealed
+    beyond = replace(early, id="beyond", time_h=5.0)
+    assert update(long, spec, [beyond, late]).sealed
+    with pytest.raises(RangeError, match=r"reading beyond.*outside 0 … 1 h.*model of strain"):
+        update(model, spec, [beyond, late])
