@@ -35,6 +35,7 @@ from core.response import Response
 from core.surrogate.closed_form import FormulaRows
 
 Array = NDArray[np.float64]
+FORGOTTEN = 100.0  # half-lives after which a reading counts no less: 1e-30 is nothing, 0 no number
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +170,7 @@ def assemble(model: Model, readings: Sequence[Inspection]) -> BladeRows | None:
         y.append(values)
         sigma += [name] * len(response)
         of += [place] * len(response)
-        discount += [2.0 ** age(reading)] * len(response)
+        discount += [2.0 ** min(age(reading), FORGOTTEN)] * len(response)
     populations = []
     for row, parameter, sd in _gaussian_prior_rows(model, parts[0]):
         prior = parameter.prior

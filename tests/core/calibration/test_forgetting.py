@@ -132,6 +132,23 @@ def test_a_single_reading_and_the_latest_outage_are_not_discounted() -> None:
     assert state.meta["log_evidence"] == pytest.approx(plain.meta["log_evidence"], abs=1e-9)
 
 
+def test_what_was_read_a_thousand_half_lives_ago_counts_for_nothing() -> None:
+    """2^3500 is no number; 2^400 is, and the product of a few such variances is none."""
+    data, _ = measured(0.0, 2)
+    latest, spec = [r for r in data if r.time_h == TIMES[-1]], replace(SPEC, blades=BLADES[:2])
+    for half_life in (8.0, 30.0):
+        model = level_model(half_life)
+        all_of_them, alone = update(model, spec, data), update(model, spec, latest)
+        for got, want in zip(estimates(all_of_them, 2), estimates(alone, 2), strict=True):
+            assert got == pytest.approx(want, rel=0.02)
+        # each of the others: N(y | l, sigma² 2^100)
+        forgotten = len(data) - len(latest)
+        nothing = -forgotten * np.log(SIGMA * 2.0**50 * np.sqrt(2 * np.pi))
+        apart = all_of_them.meta["log_evidence"] - alone.meta["log_evidence"]
+        assert apart == pytest.approx(nothing, abs=0.1)
+        assert all_of_them.meta["forgetting"]["effective_readings"]["b0"] == pytest.approx(1.0)
+
+
 def test_half_lives_are_declared_and_checked() -> None:
     network = level_model().network
     assert Network.from_json(network.to_json()) == network
