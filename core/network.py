@@ -88,6 +88,11 @@ class Network:
         for p in self.parameters:
             if p.name.startswith(RESERVED):
                 raise InputError("parameter", p.name, "is a name of ours", "choose another one")
+        own = {name for p in self.parameters for name in p.hyperparameters}
+        if same := sorted(own & {p.name for p in self.parameters}):
+            raise InputError(
+                "parameters", same, "are mean or sd of a population", "choose other names"
+            )
         for q in self.quantities:
             if q.discrepancy.kind == "paper":
                 check_discrepancy(self, q)

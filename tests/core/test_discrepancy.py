@@ -18,7 +18,7 @@ from core.errors import InputError
 from core.model import Model
 from core.network import Discrepancy, Network, Parameter, Quantity
 from core.prediction import predict
-from core.prior import Prior
+from core.prior import Population, Prior
 from core.smc.particles import Particles
 from core.surrogate.formula import FormulaInput, FormulaModel
 from tests.core.calibration.drifting import HORIZON, KINDS, LOCAL_SD, drifting
@@ -130,6 +130,11 @@ def test_names_that_would_collide_are_refused() -> None:
         Network("n", (Parameter("theta.y", "shared", Prior("uniform", 0, 1)),), ())
     with pytest.raises(InputError, match=r"y\.x"):
         Quantity("y.x", "mm", "scalar", NOISE, 0, 1)
+    population = Population(Prior("uniform", 0.2, 0.8), Prior("log_uniform", 0.01, 1.0))
+    many = Parameter("a", "local", Prior("uniform", 0, 1), population=population)
+    Network("n", (many, Parameter("mean.b", "shared", Prior("uniform", 0, 1))), ())
+    with pytest.raises(InputError, match=r"mean\.a.*of a population"):
+        Network("n", (many, Parameter("mean.a", "shared", Prior("uniform", 5, 9))), ())
     bad = rotor_blade_network().to_json()
     bad["quantities"][0]["discrepancy"] = {"kind": "paper", "theta": 1}
     with pytest.raises(InputError, match="does not fit the schema"):
