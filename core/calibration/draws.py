@@ -71,7 +71,8 @@ def rough_inner(seen, s, i):  # type: ignore[no-untyped-def]
     bend, g = seen[BEND, s, i] + 1e-12, seen[MODE, s, i]
     if seen[BOUND, s, i] != 0.0:  # falls off from the bound: an approximate Mills ratio
         steep = abs(seen[STEEP, s, i])
-        return seen[TOP, s, i] + math.log(2.0 / (steep + math.sqrt(steep * steep + 2.5 * bend)))
+        mills = 2.0 / (steep + math.sqrt(steep * steep + 2.5 * bend))
+        return seen[TOP, s, i] + math.log(min(mills, 2.0))  # the box is no wider
     root = math.sqrt(0.5 * bend)
     inside = math.erf((1.0 - g) * root) + math.erf((1.0 + g) * root)
     return seen[TOP, s, i] + math.log(math.sqrt(0.5 * math.pi / bend) * inside)

@@ -190,3 +190,20 @@ def test_no_draw_outweighs_the_others_where_the_profile_is_steep() -> None:
     column = message.column(unit)
     weights = [message.draws(unit, 2000, np.random.default_rng(s), column)[1] for s in range(3)]
     assert 2000 * np.exp(max(w.max() for w in weights)) < 10.0
+
+
+@pytest.mark.parametrize("sigma", [0.1, 3.0, 100.0])
+def test_a_reading_that_tells_little_leaves_the_draws_even(sigma: float) -> None:
+    """Where log L is flat a bell at a bound is as wide as the box, and no wider: taken for a
+    thousand times that, its planes had all draws, and four of 4,480 counted."""
+    model = rotor_blade()
+    reading = Inspection("i", "b", "elongation", 8e3, np.array([0.1]), sigma=sigma)
+    rows = assemble(model, [reading])
+    assert rows is not None
+    message = BladeMessage(model, rows, shared_space(model, [rows]), {})
+    unit = np.linspace(0.05, 0.95, 16)[:, None] * np.ones(message.space.dim)
+    _, log_w = message.draws(unit, 120, np.random.default_rng(3), message.column(unit))
+    w = np.exp(log_w)
+    share = w.sum(axis=1) ** 2 / (w**2).sum(axis=1) / 120
+    assert share.min() > 0.5
+    assert w.max() < 10.0 / 120
