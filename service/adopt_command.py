@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from service.commands.reach import reached
+from service.diagnose_command import amplitude
 
 
 def adopt(
@@ -26,10 +27,12 @@ def adopt(
 ) -> None:
     """Adopt the effect that a diagnosis named, or back it out; the posterior follows by itself."""
     with reached(url, key) as twin:
+        result = None if as_json else twin.diagnosis(rotor, diagnosis)["result"]
+        found: dict[str, Any] = {} if result is None else {**result}
         done = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
         told: dict[str, Any] = {**done}
         if not as_json:  # it is done, whatever becomes of the waiting
-            typer.echo("\n".join(lines_of(rotor, told["adoption"])))
+            typer.echo("\n".join(lines_of(rotor, told["adoption"], found)))
         if wait > 0:
             twin.wait_for(rotor, told["head_seq"], wait)
             told["rotor"] = twin.wait_sealed(rotor, wait)
@@ -40,12 +43,11 @@ def adopt(
         typer.echo(f"  sealed as version {version}: {digest[:16]}…")
 
 
-def lines_of(rotor: str, one: dict[str, Any]) -> Iterator[str]:
-    """What an entry of the log did to the rotor's model."""
+def lines_of(rotor: str, one: dict[str, Any], found: dict[str, Any]) -> Iterator[str]:
+    """What an entry of the log did to the rotor's model; `found`: the diagnosis' result."""
     what = "backed out" if one["what"] == "back-out" else "adopted"
     yield f"rotor {rotor}: {what} with entry {one['seq']}"
     for effect in one["effects"]:
-        size = effect["amplitude"]
-        yield f"  {effect['name']}: {size['mean']:.3g} ± {size['sd']:.2g} {size['of']}"
+        yield f"  {effect['name']}: {amplitude(effect, found)}"
     if one["readings_since"]:
         yield f"  {one['readings_since']} readings came since the diagnosis"

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from core.errors import BladetwinError, InputError
+from service.commands.blade_table import around
 from service.commands.reach import reached
 from service.report.alternatives import names
 from service.report.split import campaign, inspection, percent
@@ -95,6 +96,16 @@ def what_to_read(separating: Told | None) -> Iterator[str]:
             )
 
 
+def amplitude(effect: Told, found: Told) -> str:
+    """How large an effect is, in its unit where the diagnosis tells it, and of what."""
+    units = {
+        one["name"]: one["unit"] for one in (found.get("pictures") or {}).get("amplitudes", ())
+    }
+    unit, size = units.get(effect["name"]), effect["amplitude"]
+    told = around(size["mean"], size["sd"])
+    return f"{told} {'' if unit in (None, '', '1') else f'{unit} '}{size['of']}"
+
+
 def lines_of(told: Told) -> Iterator[str]:
     """A diagnosis that has a result, as a short table."""
     found = told["result"]
@@ -109,8 +120,7 @@ def lines_of(told: Told) -> Iterator[str]:
     if found["effects"]:
         yield "effects" if found["claimed"] else "effects that were calibrated, not claimed"
     for effect in found["effects"]:
-        size = effect["amplitude"]
-        yield f"  {effect['name']}: {size['mean']:.3g} ± {size['sd']:.2g} {size['of']}"
+        yield f"  {effect['name']}: {amplitude(effect, found)}"
     if (compared := found["before_after"]) is not None:
         yield f"{compared['before']['count']} readings that neither model used, before → after"
         for key in ("rmse", "bias", "log_score", "within_95", "width"):

@@ -139,6 +139,9 @@ def audit(
     if as_json:
         typer.echo(json.dumps({"items": rows}))
         return
+    if not rows:
+        of = f" of rotor {rotor!r}" if rotor else ""
+        typer.echo(f"nothing is recorded{of}{f' by key {key!r}' if key else ''}")
     for row in rows:
         who = f"{row['who']} ({row['key']})" if row["key"] else row["who"]
         what = row["path"] if " " in row["path"] else f"{row['what'].split(' ')[0]} {row['path']}"

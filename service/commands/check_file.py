@@ -7,6 +7,7 @@ blades and the readings that are there already. Nothing is posted.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,13 +106,24 @@ def media_type(file: Path, body: bytes) -> str:
     return MEDIA if entity else "application/json"
 
 
+def _line(one: Mapping[str, Any]) -> int:
+    """The line of the file that a fault is in; 0: it is of the whole file."""
+    found = re.match(r"line (\d+)", str(one["field"]))
+    return int(found[1]) if found else 0
+
+
 def lines_of(told: Told) -> Iterator[str]:
     """The check for people."""
-    faults = told["faults"]
-    yield (
-        f"{told['file']}: {told['readings']} readings, {told['new']} of them new to rotor "
-        f"{told['rotor']}, {told['same']} there already"
-    )
+    faults = sorted(told["faults"], key=_line)
+    count = f"{len(faults)} fault{'s' * (len(faults) != 1)}"
+    if faults and not told["readings"]:
+        yield f"{told['file']}: {count}, and its readings cannot be counted before they are mended"
+    else:
+        yield (
+            f"{told['file']}: {told['readings']} reading{'s' * (told['readings'] != 1)}, "
+            f"{told['new']} of them new to rotor {told['rotor']}, {told['same']} there already"
+            + (f"; {count}" if faults else "")
+        )
     for one in faults[:SHOWN]:
         yield f"  {one['field']} = {one['value']!r} {one['problem']}. To mend it: {one['remedy']}."
     if len(faults) > SHOWN:

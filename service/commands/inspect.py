@@ -10,8 +10,7 @@ noise, as on the rotor's page: (limit − mean) / sd.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from itertools import compress
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +18,7 @@ import typer
 
 from core.errors import InputError
 from service.commands import Json
+from service.commands.blade_table import around, blade_lines, columns
 from service.commands.reach import reached
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from service.client import Client
 
 Told = dict[str, Any]
-FEW_SD = 2.0
+USUAL_H = 50_000.0  # as the pages look ahead: a wide model's runs end far beyond any blade
 REFUSED = 3  # exit status where a file could not be posted
 
 
@@ -44,25 +44,35 @@ def gathered(
     if rotor["posterior"] is None:
         return told
     version = rotor["version"]
-    asked: Told = {"quantity": quantity, "time_h": time_h, "node": node, "version": version}
     told["posterior"] = twin.posterior(name, version=version)
     shared = set(told["posterior"]["names"])
     model = twin.model(rotor["model"], rotor["model_version"])
     network = Network.from_json(model["network"])
     quantity = quantity or next(iter(model["outputs"]))
+    time_h = min(USUAL_H, model["horizon_h"]) if time_h is None else time_h
     told["question"] = {
         "quantity": quantity,
         "unit": model["outputs"][quantity]["unit"] if quantity in model["outputs"] else None,
-        "time_h": model["horizon_h"] if time_h is None else time_h,
+        "time_h": time_h,
         "node": node,
     }
+    asked: Told = {"quantity": quantity, "time_h": time_h, "node": node, "version": version}
     for blade in twin.blades(name, **asked):
         own = twin.posterior(name, blade["id"], version=version)["parameters"]
         local = {k: {"mean": v["mean"], "sd": v["sd"]} for k, v in own.items() if k not in shared}
         told["blades"].append(blade | {"parameters": local})
+    if told["blades"] and model["outputs"][quantity]["kind"] != "scalar":
+        first = told["blades"][0]["id"]
+        at = twin.prediction(name, first, quantity, times=[time_h], node=node, version=version)
+        told["question"] |= {"node": at["node"], "place": place(model["nodes"], at["node"])}
     names = {name for blade in told["blades"] for name in blade["parameters"]} | shared
     told["units"] = {name: unit for name in sorted(names) if (unit := own_unit(network, name))}
     return told
+
+
+def place(nodes: dict[str, int], node: int | None) -> str | None:
+    """What the model calls a node; None: it has no name."""
+    return next((name for name, each in nodes.items() if each == node), None)
 
 
 def own_unit(network: Network, name: str) -> str | None:
@@ -89,7 +99,8 @@ def inspect(
         str | None, typer.Option(help="What is predicted; default: the model's first quantity.")
     ] = None,
     time_h: Annotated[
-        float | None, typer.Option(help="At which hour; default: the model's last.")
+        float | None,
+        typer.Option(help="At which hour; default: 50,000, or the model's last if it is earlier."),
     ] = None,
     node: Annotated[str | None, typer.Option(help="Of a field: at which node.")] = None,
     limit: Annotated[
@@ -98,7 +109,7 @@ def inspect(
     file: Annotated[
         Path | None,
         typer.Option(
-            help="Readings (CSV or JSON): what would become of them, if they were posted."
+            help="Readings (CSV, JSON, SensorThings): what would become of them, were they posted."
         ),
     ] = None,
     url: Annotated[str, typer.Option(help="The service.")] = "http://127.0.0.1:8000",
@@ -156,64 +167,6 @@ def lines_of(told: Told) -> Iterator[str]:
         yield f"  effect   {effect['name']}, adopted"
     for name, one in posterior["parameters"].items():
         unit = told["units"].get(name, "")
-        yield f"  {name} = {one['mean']:.4g} ± {one['sd']:.2g} {unit}".rstrip()
+        yield f"  {name} = {around(one['mean'], one['sd'])} {unit}".rstrip()
     yield ""
-    yield from blade_lines(told)
-
-
-def blade_lines(told: Told) -> Iterator[str]:
-    """The blades as a table; a column in which no blade has anything is left out."""
-    asked, blades = told["question"], told["blades"]
-    local = list(blades[0]["parameters"]) if blades else []
-    margin = "limit" in asked
-    what = f"{asked['quantity']} [{asked['unit']}] at {asked['time_h']:g} h"
-    head = ["blade", "slot", "lot", "readings", "last [h]", what]
-    units = told["units"]
-    named = [f"{name} [{units[name]}]" if name in units else name for name in local]
-    rows = [[*head, *(["margin [sd]"] if margin else []), *named, ""]]
-    for blade in blades:
-        readings, last = blade["readings"], blade["readings"]["last"]
-        row = [blade["id"], blade["slot"] or "", blade["lot"] or "", str(readings["counting"])]
-        row += ["" if last is None else f"{last['time_h']:g}", predicted(blade["prediction"])]
-        left = blade.get("margin_sd")
-        row += ["" if left is None else f"{left:.1f}"] if margin else []
-        row += [f"{one['mean']:.4g} ± {one['sd']:.2g}" for one in blade["parameters"].values()]
-        rows.append([*row, noted(blade, left)])
-    used = [any(column) for column in zip(*rows[1:], strict=True)]
-    yield from aligned([[*compress(row, used)] for row in rows])
-
-
-def predicted(told: Told) -> str:
-    """Mean ± sd of the blade itself; of a vector in its three directions.
-
-    >>> predicted({"mean": 0.5, "sd": {"blade": 0.0123}})
-    '0.5 ± 0.012'
-    >>> predicted({"mean": [0.0, 1.0], "sd": {"blade": [0.0, 0.1]}})
-    '0 ± 0, 1 ± 0.1'
-    """
-    mean, sd = told["mean"], told["sd"]["blade"]
-    if not isinstance(mean, list):
-        mean, sd = [mean], [sd]
-    return ", ".join(f"{m:.4g} ± {s:.2g}" for m, s in zip(mean, sd, strict=True))
-
-
-def noted(blade: Told, margin: float | None) -> str:
-    """What to look at."""
-    notes = ["retired"] if blade["retired"] else []
-    if margin is not None and margin < FEW_SD:
-        notes.append("beyond the limit" if margin < 0 else f"limit within {FEW_SD:g} sd")
-    if not blade["readings"]["counting"]:
-        notes.append("no reading")
-    return ", ".join(notes)
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Rows with columns under each other.
-
-    >>> [*aligned([["a", "bcd"], ["ef", "g"]])]
-    ['a   bcd', 'ef  g']
-    """
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        yield "  ".join(cells).rstrip()
+    yield from blade_lines(told, columns())

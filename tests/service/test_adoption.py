@@ -770,6 +770,7 @@ def test_the_commands_adopt_and_back_out_and_say_so(
     assert done.exit_code == 0, done.output
     assert "backed out with entry 14" in done.stdout
     assert f"{NAME}: " in done.stdout
+    assert ": 0.100 ± 0.010 added to elongation\n" in done.stdout
     assert called(store) == before
     done = command(worker, diagnoser, "adopt", "r1", name, "--json", *url)
     assert json.loads(done.stdout)["adoption"]["seq"] == 15

@@ -14,6 +14,7 @@ from core.errors import BladetwinError
 from core.observation import Inspection
 from service.cli import app
 from service.client import ProblemError
+from service.commands.blade_table import around, blade_lines
 from service.handlers.blades import retire_blade
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
@@ -75,7 +76,7 @@ def test_people_get_a_table_with_what_to_look_at(api: httpx.Client, url: str) ->
     assert "elongation [mm] at 50000 h" in head
     assert "offset [mm]" in head
     rate = api.get("/v1/rotors/r1/posterior").json()["parameters"]["rate"]
-    assert f"  rate = {rate['mean']:.4g} ± {rate['sd']:.2g} mm" in lines
+    assert f"  rate = {around(rate['mean'], rate['sd'])} mm" in lines
     rows = {line.split()[0]: line for line in lines[lines.index(head) + 1 :]}
     assert list(rows) == ["B1", "B2", "B3"]
     assert rows["B2"].endswith("limit within 2 sd")
@@ -87,10 +88,38 @@ def test_people_get_a_table_with_what_to_look_at(api: httpx.Client, url: str) ->
 def test_a_vector_is_told_in_three_directions(api: httpx.Client, url: str) -> None:
     asked = ("--quantity", "deformation", "--time-h", "16000", "--node", "17")
     text = run("r1", "--url", url, *asked)
-    assert "deformation [mm] at 16000 h" in text
+    assert "deformation x, y, z [mm] at node 17, 16000 h" in text
     path = "/v1/rotors/r1/blades?quantity=deformation&time_h=16000&node=17"
-    z = api.get(path).json()["items"][1]["prediction"]["mean"][2]
-    assert f"0 ± 0, 0 ± 0, {z:.4g} ± " in text
+    told = api.get(path).json()["items"][1]["prediction"]
+    assert f"0, 0, {around(told['mean'][2], told['sd']['blade'][2])}  " in text
+    assert "margin of z [sd]" in run("r1", "--url", url, *asked, "--limit", "1")
+
+
+def test_a_field_is_told_at_its_node_and_what_nobody_chose_as_on_the_pages(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "ceeq [1] at node 3 (critical), 50000 h" in run("r1", "--url", url, "--quantity", "ceeq")
+    monkeypatch.setattr("service.commands.inspect.USUAL_H", 30_000.0)  # of a model that goes on
+    told = json.loads(run("r1", "--url", url, "--quantity", "ceeq", "--json"))
+    assert told["question"]["time_h"] == 30_000.0
+    assert told["question"]["node"] == 3
+    other = json.loads(run("r1", "--url", url, "--quantity", "ceeq", "--time-h", "50000", "--json"))
+    mean = [one["blades"][0]["prediction"]["mean"] for one in (told, other)]
+    assert mean[0] < mean[1]
+
+
+def test_a_narrow_terminal_gets_whole_lines(url: str) -> None:
+    told = json.loads(run("r1", "--url", url, "--limit", "1.0", "--json"))
+    wide = [*blade_lines(told, None)]
+    most = max(map(len, wide))
+    assert [*blade_lines(told, most)] == wide
+    first, head, *rows, left, out = blade_lines(told, 100)
+    assert max(map(len, [first, head, *rows, left, out])) <= 100 < most
+    assert first == "predicted: elongation [mm] at 50000 h"
+    assert "offset" not in head
+    assert [row.split()[0] for row in rows] == ["B1", "B2", "B3"]
+    assert left.startswith("slots, lots and parameters are left out")
+    assert out == f"100 columns, and the whole table {most}"
 
 
 def test_a_rotor_without_a_posterior_says_what_is_missing(api: httpx.Client, rotor: str) -> None:
@@ -153,6 +182,12 @@ def test_the_check_of_a_file_is_told_in_lines(url: str, tmp_path: Any) -> None:
     assert run("r1", "--file", str(file), "--url", url).splitlines() == [
         f"{file}: 2 readings, 1 of them new to rotor r1, 1 there already", "it can be posted",
     ]  # fmt: skip
+    file.write_text(HEAD + "n1,B7,elongation,8000,x,\nn2,B1,elongation,,0.2,\n")
+    done = CliRunner().invoke(app, ["inspect", "r1", "--file", str(file), "--url", url])
+    first, *faults, last = done.output.splitlines()
+    assert first == f"{file}: 3 faults, and its readings cannot be counted before they are mended"
+    assert [one.split()[1][0] for one in faults] == ["2", "2", "3"], "by line"
+    assert last.startswith("nothing of it can be posted")
     with pytest.raises(BladetwinError, match="cannot be read"):
         run("r1", "--file", str(tmp_path / "none.csv"), "--url", url)
     with pytest.raises(BladetwinError, match="beside a file"):

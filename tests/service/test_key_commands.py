@@ -69,6 +69,8 @@ def test_keys_that_are_made_and_revoked_stand_in_the_trail(environ: dict[str, st
     text = CliRunner().invoke(app, ["audit", "--limit", "1"]).output
     assert text.count("\n") == 1
     assert f"keys revoke {made['id']} 202" in text
+    text = CliRunner().invoke(app, ["audit", "--rotor", "r9", "--key", "k"]).output
+    assert text == "nothing is recorded of rotor 'r9' by key 'k'\n"
     assert run("audit", "--before", str(rows[0]["id"]))["items"] == rows[1:]
 
 

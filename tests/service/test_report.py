@@ -14,6 +14,7 @@ import httpx
 import pytest
 from sqlalchemy import update
 
+from service.adopt_command import lines_of as adoption_lines
 from service.client import Client, ProblemError
 from service.diagnose_command import lines_of
 from service.handlers.diagnoses import request_diagnosis
@@ -118,7 +119,12 @@ def test_what_else_the_readings_allow_is_told_beside_the_forecast() -> None:
         older = {k: v for k, v in found.items() if k != "alternatives"} | nothing
         assert "What else" not in page_of(older), "an older diagnosis has none"
     shown = "\n".join(lines_of({"rotor": "r1", "result": found}))
+    sized = "campaign offset (campaign spring): 0.0199 ± 0.0021 mm added"
+    entry = {"what": "adoption", "seq": 3, "effects": found["effects"], "readings_since": 0}
+    assert sized in "\n".join(adoption_lines("r1", entry, found))
+    assert " mm " not in "\n".join(adoption_lines("r1", entry, {})), "of a result without it"
     for one in (
+        sized,
         "elongation of 2 blades at 50000 h",
         "70% 0.36 ± 0.02  coating wear, linear",
         "together 0.378 ± 0.034",

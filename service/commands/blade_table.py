@@ -1,0 +1,121 @@
+"""The blades of a rotor as a table in the terminal (`bladetwin inspect`)."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from itertools import compress
+from typing import Any
+
+from service.report.words import with_sd
+
+Told = dict[str, Any]
+FEW_SD = 2.0
+ROUNDING = 1e-9  # an sd below this share of the mean: all particles have one value
+
+
+def columns() -> int | None:
+    """How many fit on a line of the terminal; None: it goes to a file or to another program."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def around(mean: float | None, sd: float | None) -> str:
+    """Mean ± sd, to two digits of the sd as on the pages, with a minus that programs read.
+
+    >>> around(-0.80973, 0.2712), around(0.36, 0.0584), around(1234.5, 20.0)
+    ('-0.81 ± 0.27', '0.360 ± 0.058', '1234 ± 20')
+    >>> around(2 / 3, 1e-14)
+    '0.667'
+    """
+    if mean is not None and sd is not None and sd < ROUNDING * abs(mean):
+        sd = 0.0
+    return with_sd(mean, sd).replace("−", "-").replace(",", "")
+
+
+def blade_lines(told: Told, width: int | None) -> Iterator[str]:
+    """The blades as a table; a column in which no blade has anything is left out.
+
+    Where lines would be broken what can be missed is left out, and that is said.
+    """
+    lines = [*_lines(told, short=False)]
+    if width is None or max(map(len, lines)) <= width:
+        yield from lines
+        return
+    yield from _lines(told, short=True)
+    yield "slots, lots and parameters are left out: the terminal has "
+    yield f"{width} columns, and the whole table {max(map(len, lines))}"
+
+
+def heading(asked: Told) -> str:
+    """What is predicted, of a field at which node, and when.
+
+    >>> asked = {"quantity": "deformation", "unit": "mm", "time_h": 16000.0}
+    >>> heading(asked | {"node": 5440, "place": "tip", "vector": True})
+    'deformation x, y, z [mm] at node 5440 (tip), 16000 h'
+    """
+    of = f"{asked['quantity']}{' x, y, z' if asked.get('vector') else ''} [{asked['unit']}]"
+    name = f" ({asked['place']})" if asked.get("place") else ""
+    where = "" if asked["node"] is None else f"node {asked['node']}{name}, "
+    return f"{of} at {where}{asked['time_h']:.10g} h"
+
+
+def _lines(told: Told, *, short: bool) -> Iterator[str]:
+    asked, blades = told["question"], told["blades"]
+    local = list(blades[0]["parameters"]) if blades and not short else []
+    margin = "limit" in asked
+    vector = bool(blades) and isinstance(blades[0]["prediction"]["mean"], list)
+    what = heading(asked | {"vector": vector})
+    if short:
+        yield f"predicted: {what}"
+    head = ["blade", "slot", "lot", "readings", "last entry [h]", "mean ± sd" if short else what]
+    units = told["units"]
+    named = [f"{name} [{units[name]}]" if name in units else name for name in local]
+    rows = [[*head, *([f"margin{' of z' if vector else ''} [sd]"] if margin else []), *named, ""]]
+    for blade in blades:
+        readings, last = blade["readings"], blade["readings"]["last"]
+        place = ["", ""] if short else [blade["slot"] or "", blade["lot"] or ""]
+        row = [blade["id"], *place, str(readings["counting"])]
+        row += ["" if last is None else f"{last['time_h']:.10g}", predicted(blade["prediction"])]
+        left = blade.get("margin_sd")
+        row += ["" if left is None else f"{left:.1f}"] if margin else []
+        row += [around(one["mean"], one["sd"]) for one in map(blade["parameters"].get, local)]
+        rows.append([*row, noted(blade, left)])
+    used = [any(column) for column in zip(*rows[1:], strict=True)]
+    yield from aligned([[*compress(row, used)] for row in rows])
+
+
+def predicted(told: Told) -> str:
+    """Mean ± sd of the blade itself; of a vector in its three directions.
+
+    >>> predicted({"mean": 0.5, "sd": {"blade": 0.0123}})
+    '0.500 ± 0.012'
+    >>> predicted({"mean": [0.0, 1.0], "sd": {"blade": [0.0, 0.1]}})
+    '0, 1.00 ± 0.10'
+    """
+    mean, sd = told["mean"], told["sd"]["blade"]
+    if not isinstance(mean, list):
+        mean, sd = [mean], [sd]
+    return ", ".join(around(m, s) for m, s in zip(mean, sd, strict=True))
+
+
+def noted(blade: Told, margin: float | None) -> str:
+    """What to look at."""
+    notes = ["retired"] if blade["retired"] else []
+    if margin is not None and margin < FEW_SD:
+        notes.append("beyond the limit" if margin < 0 else f"limit within {FEW_SD:g} sd")
+    if not blade["readings"]["counting"]:
+        notes.append("no reading")
+    return ", ".join(notes)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Rows with columns under each other.
+
+    >>> [*aligned([["a", "bcd"], ["ef", "g"]])]
+    ['a   bcd', 'ef  g']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        yield "  ".join(cells).rstrip()
