@@ -160,6 +160,13 @@ def test_what_a_diagnosis_named_is_adopted_and_backed_out_by_its_page(
     assert [one["name"] for one in twin.rotor()["effects"]] == [NAME]
     assert twin.digest() != before
     assert serious(page) == []
+    other = page.context.new_page()
+    other.goto(f"{seen.service.url}/rotors/r1")
+    expect(other.locator("dl", has=other.get_by_text("Adopted"))).to_contain_text(NAME)
+    other.goto(f"{seen.service.url}/rotors/r1/blades/B1")
+    versions = other.get_by_role("region", name="Versions").locator("tbody tr")
+    expect(versions.first).to_contain_text(f"1 entry; adopted: {NAME}")
+    other.close()
 
     press(page, "Back out", sure=True)
     expect(said(page)).to_contain_text("Back out: done.")

@@ -70,6 +70,61 @@ def test_a_page_stands_without_error_or_outside_request_and_everybody_can_use_it
     assert (watched.errors, watched.outside) == ([], [])
 
 
+@pytest.mark.parametrize("path", PATHS)
+def test_a_page_fits_a_telephone(watched: Watched, path: str, diagnosis: str) -> None:
+    """What is wider than 400 points is scrolled where it stands, and the page is not."""
+    watched.page.set_viewport_size({"width": 400, "height": 800})
+    page = watched.open(path.replace("{d}", diagnosis))
+    expect(page.get_by_role("button", name="Key")).to_be_in_viewport(ratio=1)
+    assert page.evaluate("document.documentElement.scrollWidth") == 400
+    spilt = page.evaluate(
+        """() => [...document.querySelectorAll(".panel")]
+          .filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.textContent)"""
+    )
+    assert spilt == []
+
+
+def test_a_field_on_the_page_of_the_rotor_is_told_at_its_node(watched: Watched) -> None:
+    for quantity, where in (
+        ("deformation", "deformation, z (radius), at node 5440 (tip) at 50 000 h"),
+        ("ceeq", "ceeq at node 2840 (critical) at 50 000 h"),
+        ("elongation", "elongation at 50 000 h"),
+    ):
+        page = watched.open(f"/rotors/r1?quantity={quantity}")
+        table = page.get_by_role("region", name="Blades").locator("caption")
+        expect(table).to_contain_text(f"Predicted {where};")
+        expect(page.get_by_role("button", name="Last entry")).to_be_visible()
+
+
+def test_parameters_that_are_one_value_are_told_as_such(watched: Watched) -> None:
+    """Of a blade that contradicts: rounding is no spread, and correlates with nothing."""
+    told = watched.open("/models").evaluate(
+        """async () => {
+          const [{corner, marginals}, {withSd}] =
+            await Promise.all(["corner", "format"].map((one) => import(`/assets/${one}.js`)));
+          const values = Array.from({length: 1000}, (_, i) => [2 / 3, 0.1 + 1e-3, i, 2 * i]);
+          const draws = {names: ["a", "b", "c", "d"], values, of: 1000};
+          const [pairs, table] = [document.createElement("div"), document.createElement("div")];
+          corner(pairs, draws);
+          marginals(table, draws, {parameters: [], quantities: []});
+          const rows = [...pairs.querySelectorAll("tbody tr")].map((one) => one.textContent);
+          return [rows, table.querySelector("tbody tr").textContent, withSd(2 / 3, 0.1)];
+        }"""
+    )
+    assert told[0] == ["a––––", "b––––", "c––1.001.00", "d––1.001.00"]
+    assert "0.667 ± 0" in told[1]
+    assert told[2] == "0.67 ± 0.10"
+    assert watched.errors == []
+
+
+def test_errors_of_a_model_have_their_units(watched: Watched) -> None:
+    rows = watched.open("/models/rotor-blade").get_by_role("region", name="Errors").locator("tr")
+    told = [one.inner_text().replace("\u00a0", " ").split("\t") for one in rows.all()]
+    units = {row[0]: row[4].split()[-1] for row in told if row[1].endswith("rmse")}
+    assert units["elongation"] == units["deformation"] == "mm"
+    assert units["mises"] == "MPa"
+
+
 def test_what_is_wrong_with_a_page_is_seen(watched: Watched) -> None:
     """Negative controls: an error, a request to elsewhere, a picture that says nothing."""
     page = watched.open("/models")

@@ -100,7 +100,7 @@ const notThen = (error) => {
   throw error;
 };
 
-async function drawHistory(found, kept, came, joined) {
+async function drawHistory(found, kept, came, adoptions, joined) {
   const last = found.time_h.at(-1);
   const told = await Promise.all(kept.items.map((v) => v.through_seq < joined ? null :
     get(`${own}/prediction`, { version: v.version, quantity: found.quantity, times: last, node: found.node }).catch(notThen)));
@@ -121,7 +121,9 @@ async function drawHistory(found, kept, came, joined) {
     if (count === 0) return "sealed, no new entries";
     const here = row.readings.filter((r) => r.blade === blade);
     const few = here.slice(0, 3).map((r) => r.id).join(", ");
-    return `${number(count, "entry", "entries")}${here.length ? `; this blade: ${few}${here.length > 3 ? " …" : ""}` : "; other blades"}`;
+    const changed = adoptions.items.filter((one) => one.seq > row.since && one.seq <= row.through_seq && one.what !== "joining")
+      .map((one) => `; ${one.what === "adoption" ? "adopted" : "backed out"}: ${one.effects.map((e) => e.name).join(", ")}`);
+    return `${number(count, "entry", "entries")}${changed.join("")}${here.length ? `; this blade: ${few}${here.length > 3 ? " …" : ""}` : changed.length === count ? "" : "; no reading of this blade"}`;
   };
   const columns = [
     { name: "Version", value: (v) => fixed(v.version, 0), number: true },
@@ -149,7 +151,7 @@ async function draw() {
   model ??= await get(path`/v1/models/${(await get(url)).model}`);
   const rest = Promise.all([
     get(`${own}/prediction`, { quantity: chosen.quantity, times: usualHours(model) }), pages(`${url}/inspections`, { blade, newest: true }, 2000),
-    get(`${own}/draws`, { count: 1000 }), get(`${url}/versions`, { limit: 8 }), get(`${url}/inspections`, { newest: true, limit: 200, blade })]);
+    get(`${own}/draws`, { count: 1000 }), get(`${url}/versions`, { limit: 8 }), get(`${url}/inspections`, { newest: true, limit: 200, blade }), pages(`${url}/adoptions`)]);
   rest.catch(() => {}); // what went wrong is told where it is waited for
   const now = await get(url);
   drawn.version = now.version;
@@ -158,7 +160,7 @@ async function draw() {
   if (me?.retired) states.push(badge("wait", "retired"));
   if (me) states.push(h("span", { class: "soft" }, [me.slot && `slot ${me.slot}`, me.lot && `lot ${me.lot}`, me.coating_lot && `coating ${me.coating_lot}`].filter(Boolean).join(" · ")));
   show($("states"), states);
-  const [nearer, all, draws, kept, came] = await rest;
+  const [nearer, all, draws, kept, came, adoptions] = await rest;
   let found = nearer;
   drawn.version = Math.min(found.rests_on.version, draws.rests_on.version);
   if (drawn.version < now.version) redraw(); // these were answered before it was there
@@ -175,7 +177,7 @@ async function draw() {
     readings.length > ROWS ? h("p", { class: "small" }, `The last ${ROWS} to arrive of ${all.more ? "more than " : ""}${fixed(readings.length, 0)}. `, h("a", { href: `${path`/rotors/${rotor}/readings`}?blade=${encodeURIComponent(blade)}` }, "All of them, page by page")) : null);
   marginals(prior, draws, withEffects(now));
   corner(pairs, draws);
-  await drawHistory(found, kept, came, me?.added_seq ?? 0);
+  await drawHistory(found, kept, came, adoptions, me?.added_seq ?? 0);
 }
 
 /** The model's network with what was adopted: an offset has its quantity's unit, all else is a share. */

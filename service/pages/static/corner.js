@@ -1,7 +1,7 @@
 // Parameters of a blade: prior against posterior, and each pair with its correlation.
 
 import { colour, h, scroll, show, table } from "./dom.js";
-import { axis, fixed, labels, plain, withSd, words } from "./format.js";
+import { axis, fixed, labels, plain, same, withSd, words } from "./format.js";
 import { legend } from "./chart.js";
 import { span, ticks } from "./scale.js";
 import { density, histogram, quantile } from "./stats.js";
@@ -38,12 +38,12 @@ export function declared(network, name) {
 
 const priorOf = (prior) => `${words(prior.kind)}${prior.kind === "normal" ? ` ${plain(prior.mean)} ± ${plain(prior.sd)}` : ""}, ${plain(prior.low)} … ${plain(prior.high)}`;
 
-function marginal(name, values, told) {
+function marginal({ name, values, told, mean, sd }) {
   const sorted = [...values].sort((a, b) => a - b);
   const wide = told ? [told.prior.low, told.prior.high] : span(values);
   // where the posterior is far narrower than the prior, the picture is of the posterior's part
   const inner = [quantile(sorted, 0), quantile(sorted, 1)];
-  const narrow = inner[1] - inner[0] < 0.25 * (wide[1] - wide[0]);
+  const narrow = inner[1] - inner[0] < 0.25 * (wide[1] - wide[0]) && !same(mean, sd);
   const margin = 0.3 * (inner[1] - inner[0]);
   const [low, high] = narrow ? [Math.max(wide[0], inner[0] - margin), Math.min(wide[1], inner[1] + margin)] : wide;
   const [W, H, bottom] = [300, 132, 32];
@@ -96,7 +96,7 @@ export function marginals(place, draws, network) {
     { name: "Posterior mean ± sd", value: (r) => withSd(r.mean, r.sd), number: true },
     { name: "95 %", value: (r) => `${plain(r.low)} … ${plain(r.high)}`, number: true },
   ];
-  show(place, h("div", { class: "columns marginals" }, rows.map((r) => marginal(r.name, r.values, r.told))),
+  show(place, h("div", { class: "columns marginals" }, rows.map(marginal)),
     legend([["strong", "band", "posterior: density of the draws"], ["dash", "prior", "prior density"]]),
     scroll("Parameters", table(columns, rows, { caption: `${draws.values.length} equally weighted draws of ${draws.of} particles` })));
 }
@@ -110,16 +110,17 @@ function correlation(a, b) {
     aa += (a[i] - ma) ** 2;
     bb += (b[i] - mb) ** 2;
   }
-  return aa > 0 && bb > 0 ? ab / Math.sqrt(aa * bb) : 0;
+  const still = [[ma, aa], [mb, bb]].some(([m, square]) => same(m, Math.sqrt(square / a.length)));
+  return still ? null : ab / Math.sqrt(aa * bb);
 }
 
-/** Every pair of parameters: draws below the diagonal, correlations above it. */
+/** Every pair of parameters (no correlation where one of them is the same in all draws): draws below the diagonal, correlations above it. */
 export function corner(place, draws) {
   const n = draws.names.length;
   const of = draws.names.map((_, i) => draws.values.map((row) => row[i]));
   const spans = of.map((values) => span(values));
   const called = draws.names.map((name) => words(name).split(/[ .]/));
-  const [left, bottom, cell] = [12 + widest(called.flat()), 62, Math.min(150, Math.max(90, 600 / n))];
+  const [left, bottom, cell] = [12 + widest(called.flat()), 36 + 13 * Math.max(...called.map((text) => text.length)), Math.min(150, Math.max(90, 600 / n))];
   const size = cell * n;
   const [made, ctx] = canvas(left + size + 8, size + bottom, `Draws of ${n} parameters in pairs; the table below has the correlations`);
   const place1 = (value, [low, high]) => 6 + ((value - low) / (high - low)) * (cell - 12);

@@ -2,7 +2,7 @@
 
 import { Problem, ask, get, offers, pages, path, post, remove } from "./api.js";
 import { $, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
-import { axis, fixed, moment, number, plain, withSd, words } from "./format.js";
+import { axis, fixed, inUnit, moment, number, plain, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { pictures } from "./pictures.js";
 import { progress } from "./progress.js";
@@ -59,20 +59,21 @@ function beforeAfter(told, unitName) {
     ["within_68", "inside the 68 % band", share], ["within_95", "inside the 95 % band", share], ["width", axis("width of the 95 % band", unitName), plain],
   ].map(([name, text, form]) => ({ name: text, before: told.before?.[name], after: told.after?.[name], form })).filter((r) => typeof r.before === "number");
   const rest = Object.fromEntries(Object.entries(told).filter(([k]) => !["before", "after"].includes(k)));
-  return [table([
+  return [scroll("Before and after", table([
     { name: "On readings that neither used", value: (r) => r.name },
     { name: "Before", value: (r) => r.form(r.before), number: true },
     { name: "After", value: (r) => r.form(r.after), number: true },
-  ], rows), aside("Everything that was compared", h("pre", { tabindex: 0 }, JSON.stringify(rest, null, 1)))];
+  ], rows)), aside("Everything that was compared", h("pre", { tabindex: 0 }, JSON.stringify(rest, null, 1)))];
 }
 
 function result(found, unitName) {
-  const effects = found.effects.length ? table([
+  const units = Object.fromEntries((found.pictures?.amplitudes ?? []).map((one) => [one.name, one.unit]));
+  const effects = found.effects.length ? scroll("Effects", table([
     { name: "Effect", value: (e) => e.name ?? words(e.words) },
     { name: "What happens", value: (e) => e.words ?? "–" },
-    { name: "Amplitude", value: (e) => withSd(e.amplitude.mean, e.amplitude.sd), number: true },
+    { name: "Amplitude", value: (e) => inUnit(withSd(e.amplitude.mean, e.amplitude.sd), units[e.name]), number: true },
     { name: "Of", value: (e) => String(e.amplitude.of ?? "–") },
-  ], found.effects) : h("p", { class: "soft" }, "No effect is named.");
+  ], found.effects)) : h("p", { class: "soft" }, "No effect is named.");
   const shared = Object.keys(found.parameters.before).map((name) => ({ name, before: found.parameters.before[name], after: found.parameters.after[name] }));
   const pair = (p) => (p && typeof p === "object" && "mean" in p ? withSd(p.mean, p.sd) : p === undefined ? "–" : JSON.stringify(p));
   const bars = ranking(found.tried);
@@ -86,13 +87,13 @@ function result(found, unitName) {
     ])),
     panel(found.claimed || !found.effects.length ? "Effects" : "Effects that were calibrated, not claimed", effects),
     panel("Before and after", beforeAfter(found.before_after, unitName),
-      shared.length ? table([
+      shared.length ? scroll("Shared parameters", table([
         { name: "Shared parameter", value: (p) => words(p.name) },
         ...(found.names.length ? [
           { name: "Before", value: (p) => pair(p.before), number: true },
           { name: "After", value: (p) => pair(p.after), number: true },
         ] : [{ name: "Mean ± sd", value: (p) => pair(p.before), number: true }]),
-      ], shared) : null),
+      ], shared)) : null),
     panel("What was tried", bars ?? h("p", { class: "soft" }, "Nothing had to be tried."),
       found.tried.length ? aside(`The first ${Math.min(MOST, found.tried.length)} of ${found.tried.length} as a table`, scroll("Tried", table([
         { name: "Effect", value: (t) => t.what },
@@ -131,13 +132,13 @@ function standing(history, now) {
     h("p", {}, h("strong", {}, inForce ? "Adopted." : "Backed out."), " ",
       computed ? `Version ${fixed(state.version, 0)} of the posterior has ${what}${state.sealed ? "" : "; it is provisional, the sealed one follows"}.`
         : `The next version will have ${what}; a worker has yet to compute it.`),
-    table([
+    scroll("Adoptions", table([
       { name: "What happened", value: happened },
       { name: "Entry", value: (one) => fixed(one.seq, 0), number: true },
       { name: "When", value: (one) => moment(one.at) },
       { name: "By key", value: (one) => (one.unasked ? "the rotor itself" : one.posted_by ?? "–") },
       { name: "Readings since the diagnosis", value: (one) => (one.readings_since === null ? "–" : fixed(one.readings_since, 0)), number: true },
-    ], history),
+    ], history)),
   ];
 }
 

@@ -30,8 +30,12 @@ export const plain = (value, digits = 3) => {
   return fixed(value, decimals(value, digits));
 };
 
+/** Whether a spread is that of rounding alone: all particles have one value. */
+export const same = (value, sd) => sd <= 1e-9 * Math.abs(value);
+
 /** mean ± sd: as many decimals as make two digits of the sd. */
 export function withSd(mean, sd) {
+  if (sd > 0 && same(mean, sd)) return `${plain(mean)} ± 0`;
   const places = sd > 0 ? decimals(sd, 2) : decimals(mean, 3);
   if (sd > 0 && sd < 1e-5) return `${mean.toExponential(2)} ± ${sd.toExponential(0)}`.replaceAll("-", MINUS);
   return `${fixed(mean, places)} ± ${fixed(sd, places)}`;

@@ -2,21 +2,22 @@
 
 import { get, path } from "./api.js";
 import { $, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
-import { fixed, hours, number, plain, unit, words } from "./format.js";
+import { fixed, hours, inUnit, number, plain, unit, words } from "./format.js";
 import { keep } from "./live.js";
 import { badge, notices } from "./states.js";
 
+const UNITS = { mises: "MPa" }; // of what a surrogate knows beyond the outputs of the model
 const percent = (value) => (value === undefined ? "–" : `${plain(value)} %`);
 
 /** Errors of each quantity as rows: (quantity, where, median, 95th percentile, rmse, covers). */
-function errorRows(errors) {
+function errorRows(errors, unitOf) {
   const rows = [];
   for (const [quantity, told] of Object.entries(errors ?? {})) {
     if (typeof told !== "object" || told === null) continue;
     const parts = Object.entries(told).filter(([, part]) => part && typeof part === "object");
     for (const [where, part] of parts) rows.push({ quantity, where: words(where), median: part.median_percent, p95: part.p95_percent, covers: told.coverage_95 });
     const rmse = Object.entries(told).filter(([name, v]) => name.includes("rmse") && typeof v === "number");
-    for (const [name, value] of rmse) rows.push({ quantity, where: words(name), rmse: value, covers: told.coverage_95 });
+    for (const [name, value] of rmse) rows.push({ quantity, where: words(name.replace(/_mm$/, "")), rmse: value, unitName: name.endsWith("_mm") ? "mm" : unitOf(quantity), covers: told.coverage_95 });
   }
   return rows;
 }
@@ -66,7 +67,7 @@ keep(async () => {
   notices([]);
   const told = model.summary;
   show($("states"), badge(model.state === "ready" ? "ok" : "wait", model.state));
-  const rows = errorRows(told.errors);
+  const rows = errorRows(told.errors, (quantity) => model.outputs[quantity]?.unit ?? UNITS[quantity]);
   const what = panel("What it is", facts([
     ["Version", h("code", {}, model.version)],
     ["Covers", `0 … ${hours(model.horizon_h)}`],
@@ -85,7 +86,7 @@ keep(async () => {
         { name: "Where", value: (r) => r.where },
         { name: "Median", value: (r) => percent(r.median), sort: (r) => r.median, number: true },
         { name: "95th percentile", value: (r) => percent(r.p95), sort: (r) => r.p95, number: true },
-        { name: "RMSE", value: (r) => (r.rmse === undefined ? "–" : plain(r.rmse, 3)), number: true },
+        { name: "RMSE", value: (r) => (r.rmse === undefined ? "–" : inUnit(plain(r.rmse, 3), r.unitName)), number: true },
         { name: "95 % covers", value: (r) => (r.covers === undefined ? "–" : `${fixed(100 * r.covers, 1)} %`), number: true },
       ], rows))
     : told.quality ? learnt(told) : h("p", { class: "soft" }, "The model tells no errors: it is a closed form, or does not say."));

@@ -24,6 +24,13 @@ const controls = h("div", { class: "controls" });
 /** The component that counts: z, the radius, of a vector. */
 const one = (value) => (Array.isArray(value) ? value[2] : value);
 
+/** Which component at which node the numbers of a field are of; nothing where a quantity has none. */
+function whereOf({ node, items }) {
+  if (node === null) return "";
+  const name = Object.keys(model.nodes).find((each) => model.nodes[each] === node);
+  return `${Array.isArray(items[0]?.prediction.mean) ? ", z (radius)," : ""} at node ${node}${name ? ` (${name})` : ""}`;
+}
+
 function judged(found, health) {
   const limit = chosen.limit === null || chosen.limit === "" ? null : Number(chosen.limit);
   const contradicted = new Set((health?.contradicted ?? []).map((c) => c.blade ?? c));
@@ -97,12 +104,12 @@ function drawBlades(found, blades) {
     { name: "± sd", value: (b) => fixed(b.sd, means), sort: (b) => b.sd, number: true },
     chosen.limit ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
     { name: "Readings", value: (b) => `${b.readings.counting}${b.readings.overruled ? ` (+${b.readings.overruled} void)` : ""}`, sort: (b) => b.readings.counting, number: true },
-    { name: "Last at", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
+    { name: "Last entry", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
     { name: "Received", value: (b) => (b.readings.last ? since(b.readings.last.received_at) : "never"), sort: (b) => b.readings.last?.received_at },
     blades.some((b) => b.lot) ? { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot } : null,
   ].filter(Boolean);
   const made = table(columns, blades, {
-    caption: `Predicted ${words(found.quantity)} at ${hours(found.time_h)}; sd of the blade itself, without a reading's noise`,
+    caption: `Predicted ${words(found.quantity)}${whereOf(found)} at ${hours(found.time_h)}; sd of the blade itself, without a reading's noise`,
     sorted: [Math.max(0, columns.findIndex((c) => c.name === sorted[0])), sorted[1]] });
   made.addEventListener("sorted", (event) => { sorted = [columns[event.detail[0]].name, event.detail[1]]; });
   show(list, scroll("Blades", made));
@@ -115,6 +122,7 @@ function drawState(rotorNow) {
     posterior && ["Computed", since(posterior.created_at)],
     ["Backlog", number(rotorNow.head_seq - rotorNow.applied_seq, "entry", "entries")],
     ["Health", rotorNow.health ? `${rotorNow.health.status}${rotorNow.health.ess ? `, ${fixed(rotorNow.health.ess, 0)} effective nodes` : ""}` : "–"],
+    rotorNow.effects?.length > 0 && ["Adopted", rotorNow.effects.map((e) => e.name).join("; ")],
     ["Model", h("a", { href: path`/models/${rotorNow.model}` }, `${rotorNow.model} ${rotorNow.model_version.slice(0, 8)}`)],
     ["Blades", `${rotorNow.blades.filter((b) => !b.retired).length} in place, ${rotorNow.blades.filter((b) => b.retired).length} retired`],
   ]));

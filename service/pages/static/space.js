@@ -1,5 +1,6 @@
 // A blade in 3-D: a field of it on the model's mesh, at any hour, with the nodes that were scanned.
 
+import { usual } from "./ahead.js";
 import { Problem, get, pages, path } from "./api.js";
 import { $, aside, asked, h, names, panel, remember, s, scroll, select, show, table } from "./dom.js";
 import { axis, hours, inUnit, labels, number, plain, unit, words } from "./format.js";
@@ -171,7 +172,7 @@ async function draw() {
   }
   surface ??= await get(path`/v1/models/${now.model}/surface`);
   const quantity = fields.includes(chosen.quantity) ? chosen.quantity : fields[0];
-  const found = await get(`${own}/field`, { quantity, time_h: chosen.time_h });
+  const found = await get(`${own}/field`, { quantity, time_h: chosen.time_h ?? usual(model) });
   if (playing) return; // begun meanwhile
   const kind = model.outputs[quantity].kind;
   const numbers = shownOf(found);
@@ -193,12 +194,12 @@ async function draw() {
   const extreme = (better) => used.reduce((a, b) => (better(numbers[b], numbers[a]) ? b : a));
   const rows = [...Object.entries(model.nodes).map(([name, n]) => [name, n]), ["greatest", extreme((a, b) => a > b)], ["least", extreme((a, b) => a < b)]];
   const at = (v) => (kind === "vector" ? v[chosen.axis] : v);
-  show(values, table([
+  show(values, scroll("Numbers", table([
     { name: "Where", value: ([name]) => name },
     { name: "Node", value: ([, n]) => n, number: true },
     { name: `Mean${unit(found.unit) ? ` [${found.unit}]` : ""}`, value: ([, n]) => plain(at(found.mean[n])), number: true },
     { name: "± sd", value: ([, n]) => plain(at(found.sd[n]), 2), number: true },
-  ], rows, { caption: `${what}; on ${number(found.particles, "particle")}` }),
+  ], rows, { caption: `${what}; on ${number(found.particles, "particle")}` })),
   aside("Every hundredth node", scroll("Nodes", table([
     { name: "Node", value: (n) => n, sort: (n) => n, number: true },
     ...AXES.map((a, k) => ({ name: `${a} [mm]`, value: (n) => plain(surface.points[n][k], 4), number: true })),
@@ -211,13 +212,13 @@ async function draw() {
   const colours = drawMisfit(looked, found);
   dots = [...new Set(scansOf.flatMap((r) => r.nodes ?? []))];
   if (view) view.mark(colours ? looked.nodes : dots, colours);
-  show(scans, scansOf.length ? table([
+  show(scans, scansOf.length ? scroll("Scans", table([
     { name: "Scan", value: (r) => r.id },
     { name: "Misfit", value: (r) => (r.nodes?.length ? h("button", { type: "button", "aria-pressed": String(Boolean(colours) && r === looked), onclick: () => change(colours && r === looked ? { scan: null } : { scan: r.id, time_h: r.time_h }) }, colours && r === looked ? "Hide" : "Show") : "–") },
     { name: "Hours", value: (r) => hours(r.time_h), number: true },
     { name: "Nodes", value: (r) => (r.nodes ?? []).length, number: true },
     { name: "Mean of readings", value: (r) => inUnit(plain(r.values.reduce((sum, v) => sum + (Array.isArray(v) ? v[chosen.axis] : v), 0) / r.values.length), r.unit ?? found.unit), number: true },
-  ], scansOf, { caption: "Scans of this quantity that count; their nodes are the orange dots; the misfit of one is shown at its own hour" }) : h("p", { class: "soft" }, `No scan of ${words(quantity)} on this blade.`));
+  ], scansOf, { caption: "Scans of this quantity that count; their nodes are the orange dots; the misfit of one is shown at its own hour" })) : h("p", { class: "soft" }, `No scan of ${words(quantity)} on this blade.`));
   stop(); // the film can begin once all is drawn
 }
 
