@@ -34,6 +34,7 @@ from core.calibration.state import RotorState, shared_posterior
 from core.diagnosis.adopt import amplitude
 from core.diagnosis.alternatives import shares
 from core.diagnosis.case import Case
+from core.diagnosis.clock import of_no_day
 from core.diagnosis.concerned import heard
 from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.courses import with_both
@@ -190,9 +191,10 @@ def _leading(taken: Rival, turns: Sequence[Turn], verdict: Verdict) -> Rival:
 
 
 def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:
-    """With the readings that may be misread in its reasons."""
+    """With the readings that may be misread in its reasons, and campaigns of no single day."""
     told = slips(left_out(case.seen(taken.model, taken.state, whole=True)))
-    return replace(verdict, reasons=(*verdict.reasons, *told, *set_apart(taken.state)))
+    told += set_apart(taken.state) + of_no_day(case.readings)
+    return replace(verdict, reasons=(*verdict.reasons, *told))
 
 
 def _end(cell: Cell, before: Model, taken: Rival) -> str | None:

@@ -119,6 +119,16 @@ class Readers:
     ages_h: tuple[float, ...]
 
 
+def few(names: Sequence[str], most: int = 5) -> str:
+    """The first of some names, and how many more there are.
+
+    >>> few(["a", "b"]), few(["a", "b", "c", "d"], 2)
+    ('a, b', 'a, b and 2 more')
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
 def parts(names: Iterable[str | None]) -> tuple[str, ...]:
     """The names, sorted; none where they tell nothing apart. What has no name is a part, too.
 

@@ -36,7 +36,7 @@ from scipy.stats import norm
 
 from core.calibration.state import RotorState
 from core.diagnosis.bayes import one_by_one
-from core.diagnosis.grammar import Cell
+from core.diagnosis.grammar import Cell, few
 from core.diagnosis.left_out import LeftOut
 from core.diagnosis.scatter import LEAST_BLADES
 from core.diagnosis.scores import Scores
@@ -143,12 +143,7 @@ def set_apart(state: RotorState) -> tuple[str, ...]:
         ("one reading contradicts all others of the blade", _alone(state)),
         ("readings of a visit look exchanged", _exchanged(state)),
     )
-    return tuple(
-        f"left out of the scan, for {why}: {', '.join(out[:TOLD])}"
-        + (f" and {len(out) - TOLD} more" if len(out) > TOLD else "")
-        for why, out in told
-        if out
-    )
+    return tuple(f"left out of the scan, for {why}: {few(out, TOLD)}" for why, out in told if out)
 
 
 def _alone(state: RotorState) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from core.diagnosis.adopt import _bounded, amplitude_of, typical_noise
-from core.diagnosis.clock import readers, with_offsets
+from core.diagnosis.clock import of_no_day, readers, undated, with_offsets
 from core.diagnosis.families import FAMILIES
 from core.diagnosis.grammar import UNTIL, Cell, Facts, Readers, cells
 from core.errors import InputError
@@ -203,6 +203,48 @@ def test_a_name_under_which_a_blade_was_read_years_apart_is_no_day() -> None:
     assert found["b"].offset_h == pytest.approx(6040.0), (
         "negative control: nearly one hour is a day"
     )
+
+
+def regular(*more: Inspection) -> list[Inspection]:
+    """Three blades, of which two joined at 7,000 and 14,000 h, in four campaigns; and more."""
+    came = {"old": 0, "mid": 7000, "new": 14_000}
+    days = [(k, 21_000 + 7000 * k) for k in range(4)]
+    return [*(reading(b, h - c, f"c{k}") for k, h in days for b, c in came.items()), *more]
+
+
+CAME = {"old": 0.0, "mid": 7000.0, "new": 14_000.0}
+
+
+def offsets(data: list[Inspection]) -> dict[str, float]:
+    return {b: f.offset_h for b, f in with_offsets({b: Facts() for b in CAME}, data, {}).items()}
+
+
+def test_a_campaign_that_contradicts_the_others_dates_nobody() -> None:
+    """Blades of other ages, read at one hour of their own under one name: each round of asking set
+    the rotor's hours 14,000 h later."""
+    odd = [reading("old", 24_000, "scan"), reading("new", 24_000, "scan")]
+    assert offsets(regular(*odd)) == offsets(regular(*odd[::-1])) == offsets(regular()) == CAME
+    assert undated(regular(*odd)) == ("scan",)
+    assert "when campaign scan was is not known" in of_no_day(regular(*odd))[0]
+    mistyped = ("mid", "c2")
+    wrong = [replace(r, time_h=1e3) if (r.blade, r.campaign) == mistyped else r for r in regular()]
+    assert offsets(wrong) == CAME, "an hour that was mistyped"
+    assert undated(wrong) == ("c2",)
+    near = [reading("old", 24_000, "scan"), reading("new", 10_300, "scan")]
+    assert undated(regular(*near)) == of_no_day(regular(*near)) == ()
+    assert offsets(regular(*near))["new"] == pytest.approx(14_000, abs=300)
+
+
+def test_of_two_campaigns_that_contradict_each_other_neither_is_believed() -> None:
+    data = [
+        reading("old", 20_000, "c1"), reading("new", 2000, "c1"),
+        reading("old", 30_000, "c2"), reading("new", 29_000, "c2"),
+    ]  # fmt: skip
+    assert undated(data) == ("c1", "c2")
+    assert offsets(data)["new"] == 0.0
+    more = [*data, reading("mid", 10_000, "c2")]
+    assert undated(more) == ("c1",), "the other has more blades"
+    assert offsets(more) == {"old": 0.0, "mid": 20_000.0, "new": 1000.0}
 
 
 def test_a_noise_that_readings_state_is_the_one_that_offsets_are_sized_by() -> None:
