@@ -73,9 +73,9 @@ def of_no_day(readings: Sequence[Inspection]) -> tuple[str, ...]:
         return ()
     one = len(names) == 1
     return (
-        f"when campaign{'' if one else 's'} {few(names)} {'was' if one else 'were'} is not known: in "
-        f"{'it' if one else 'them'} blades were read at hours that do not go together, or not with "
-        "other campaigns; look at time_h there",
+        f"when campaign{'' if one else 's'} {few(names)} {'was' if one else 'were'} is not known: "
+        f"in {'it' if one else 'them'} blades were read at hours that do not go together, or not "
+        "with other campaigns; look at time_h there",
     )
 
 
