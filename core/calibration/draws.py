@@ -3,9 +3,9 @@
 The filter's move: particles are not pushed around but drawn anew from the tube that the message
 was integrated over, with exact weights. A particle's outer parameter is drawn from the `chords` of
 the log of a rough integral over the plane there, the middle one from those of a rough inner
-integral along the plane, the inner one from the chords of log L along its line. With q the density
-of that draw the weight is L / q. The average of the weights estimates the message, independently
-of the quadrature: tests hold the two against each other.
+integral along the plane (both: `rough`), the inner one from the chords of log L along its line.
+With q the density of that draw the weight is L / q. The average of the weights estimates the
+message, independently of the quadrature: tests hold the two against each other.
 
 `SHARE` particles have one outer value: their inner parameters are drawn from one plane.
 
@@ -25,20 +25,17 @@ from core.calibration import lines, modes
 from core.calibration.chords import along, chords, pick, uneven_chords
 from core.calibration.lines import LEFT, RIGHT, TV, G, T, X, line_ranges, line_values
 from core.calibration.modes import plane_modes
-from core.calibration.planes import AT, BEND, BOUND, MODE, STEEP, TOP, profile, scan
 from core.calibration.planes import FIELDS as PLANE_FIELDS
 from core.calibration.planes import STATIONS as PLANE_STATIONS
-from core.calibration.survey import IXX, STATIONS
+from core.calibration.planes import profile, scan
+from core.calibration.rough import FLOOR, MOST, PLACES, bent, refined
 from core.calibration.vector import LANES
-from core.calibration.volumes import laplace, near, volume_glances
+from core.calibration.volumes import near, volume_glances
 from core.compiled import compiled
 
 SHARE = 10
 SLICES = 8
 GOLDEN, PLASTIC = 0.6180339887498949, (0.7548776662466927, 0.5698402909980532)
-FALL = 2.0  # nats from place to place, above which another one is put between
-MOST = STATIONS + 6  # places over the outer parameter
-FLOOR = 9.0  # nats below the whole: a thin floor under the rough values, so that no place is missed
 
 
 def even_points(
@@ -63,19 +60,6 @@ def even_points(
     for k in range(1, dim):
         u[:, :, 3 - dim + k] = (shift[k] + count * PLASTIC[k - 1]) % 1.0
     return u
-
-
-@compiled
-def rough_inner(seen, s, i):  # type: ignore[no-untyped-def]
-    """log of a bell's integral inside the box, from its mode, slope and curvature."""
-    bend, g = seen[BEND, s, i] + 1e-12, seen[MODE, s, i]
-    if seen[BOUND, s, i] != 0.0:  # falls off from the bound: an approximate Mills ratio
-        steep = abs(seen[STEEP, s, i])
-        mills = 2.0 / (steep + math.sqrt(steep * steep + 2.5 * bend))
-        return seen[TOP, s, i] + math.log(min(mills, 2.0))  # the box is no wider
-    root = math.sqrt(0.5 * bend)
-    inside = math.erf((1.0 - g) * root) + math.erf((1.0 + g) * root)
-    return seen[TOP, s, i] + math.log(math.sqrt(0.5 * math.pi / bend) * inside)
 
 
 @compiled
@@ -106,81 +90,29 @@ def draw_planes(  # type: ignore[no-untyped-def]
     pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan, work, u, out, log_w, first, last
 ):
     """Draws first … last of the two inner parameters on the planes whose modes wp holds."""
-    rough, mass, edge, share = work[0], work[1], work[2], work[3]
+    edge, share, mass = work[0], work[1], work[2]
+    at, rough, mode, bound = work[3], work[4], work[5], work[6]
+    count, total = np.empty(LANES, np.int64), np.empty(LANES)
     scan(pa, pb, pv, y, s2, ka2, kb2, wp, w, la, lb, lv, seen, plan)
-    cells = PLANE_STATIONS - 1
-    total = np.empty(LANES)
+    bent(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv, seen, at, rough, mode, bound, count)
     for i in range(LANES):
         peak = -math.inf
-        for s in range(PLANE_STATIONS):
-            rough[s, i] = rough_inner(seen, s, i)
+        for s in range(count[i]):
             peak = max(peak, rough[s, i])
-        for s in range(PLANE_STATIONS):
+        for s in range(count[i]):
             rough[s, i] = max(rough[s, i], peak - FLOOR - 7.0)
-        h = (seen[AT, cells, i] - seen[AT, 0, i]) / cells
-        total[i] = chords(rough, cells, i, h, mass)
+        total[i] = uneven_chords(at, rough, count[i] - 1, i, mass)
     for n in range(first, last):
         for i in range(LANES):
-            h = (seen[AT, cells, i] - seen[AT, 0, i]) / cells
-            cell, inside = pick(mass, cells, i, u[i, n, 1])
+            cell, inside = pick(mass, count[i] - 1, i, u[i, n, 1])
             part, value = along(rough, cell, i, inside)
-            w[X + i] = min(max(seen[AT, cell, i] + part * h, -1.0), 1.0)
-            rise = seen[MODE, cell + 1, i] - seen[MODE, cell, i]
-            w[G + i] = seen[MODE, cell, i] + part * rise
+            x = at[cell, i] + part * (at[cell + 1, i] - at[cell, i])
+            w[X + i] = min(max(x, -1.0), 1.0)
+            w[G + i] = mode[cell, i] + part * (mode[cell + 1, i] - mode[cell, i])
             out[i, n, 1] = w[X + i]
             log_w[i, n] -= value - total[i]
         profile(pa, pb, pv, y, s2, ka2, kb2, w, la, lb, lv)
         draw_lines(la, lb, lv, y, s2, ka2, kb2, w, edge, share, u, out, log_w, n)
-
-
-@compiled
-def steepest(at, rough, count, i):  # type: ignore[no-untyped-def]
-    """The cell of lane i where most may lie above a chord that falls by nats; −1 for none."""
-    best, most, peak = -1, -math.inf, -math.inf
-    for q in range(count[i]):
-        peak = max(peak, rough[q, i])
-    for q in range(count[i] - 1):
-        high, low = max(rough[q, i], rough[q + 1, i]), min(rough[q, i], rough[q + 1, i])
-        if high - low > FALL and high > peak - FLOOR:
-            score = high + math.log(at[q + 1, i] - at[q, i])
-            if score > most:
-                best, most = q, score
-    return best
-
-
-@compiled
-def refined(  # type: ignore[no-untyped-def]
-    a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan, total, at, rough, count
-):
-    """The glance's rough log density over the outer parameter, and more places where it falls
-    steeply: at and rough (MOST, LANES), of which each lane has its own count.
-
-    A profile that runs into a bound is a plateau with an edge, far above the chord that hides it.
-    """
-    cell = np.empty(LANES, np.int64)
-    for i in range(LANES):
-        count[i] = STATIONS
-        for s in range(STATIONS):
-            at[s, i], rough[s, i] = seen[AT, s, i], max(seen[IXX, s, i] - total[i], -FLOOR)
-    for _ in range(MOST - STATIONS):
-        some = False
-        for i in range(LANES):
-            cell[i] = steepest(at, rough, count, i)
-            q = max(cell[i], 0)
-            w[modes.X + i] = 0.5 * (at[q, i] + at[q + 1, i])
-            some = some or cell[i] >= 0
-        if not some:
-            break
-        near(a, b, v, y, s2, ka2, kb2, w, pa, pb, pv, seen, plan)
-        for i in range(LANES):
-            if cell[i] < 0:
-                continue
-            for q in range(count[i], cell[i] + 1, -1):
-                at[q, i], rough[q, i] = at[q - 1, i], rough[q - 1, i]
-            at[cell[i] + 1, i] = w[modes.X + i]
-            value = laplace(w[modes.V + i], w[modes.HXX + i], w[modes.HXG + i], w[modes.HGG + i])
-            rough[cell[i] + 1, i] = max(value - total[i], -FLOOR)
-            count[i] += 1
 
 
 @compiled
@@ -192,7 +124,7 @@ def draw_volumes(a, b, v, y, s2, ka2, kb2, seen, plan, led, u, out, log_w):  # t
     pa, pb = np.empty(36 * rows * LANES), np.empty(36 * rows * LANES)
     pv = np.empty(36 * rows * LANES)
     seen2, plan2 = np.empty((PLANE_FIELDS, PLANE_STATIONS, LANES)), np.empty((7, LANES))
-    work, mass, total = np.empty((4, 16, LANES)), np.empty((MOST, LANES)), np.empty(LANES)
+    work, mass, total = np.empty((7, PLACES, LANES)), np.empty((MOST, LANES)), np.empty(LANES)
     volume_glances(a, b, v, y, s2, ka2, kb2, seen, plan, led, total)
     at, rough, count = np.empty((MOST, LANES)), np.empty((MOST, LANES)), np.empty(LANES, np.int64)
     refined(
@@ -224,7 +156,7 @@ def draw_block(a, b, v, y, s2, ka2, kb2, dim, u, out, log_w):  # type: ignore[no
     rows, m = len(ka2), out.shape[1]
     w = np.empty(lines.SCRATCH)
     la, lb, lv = np.empty(6 * rows * LANES), np.empty(6 * rows * LANES), np.empty(6 * rows * LANES)
-    work = np.empty((4, 16, LANES))
+    work = np.empty((7, PLACES, LANES))
     out[:] = 0.0
     log_w[:] = 0.0
     if dim == 2:

@@ -7,9 +7,9 @@ import pytest
 
 from core.calibration.draws import SHARE, even_points
 from core.calibration.message import BladeMessage
-from core.calibration.space import locals_of, shared_space
+from core.calibration.space import locals_of, nominal, shared_space
 from core.calibration.target import assemble
-from core.model import rotor_blade
+from core.model import rotor_blade, rotor_blade_wide
 from core.observation import Inspection
 from core.smc.particles import log_sum_exp
 from tests.core.calibration.bar import LOCAL, bar, creep
@@ -207,3 +207,30 @@ def test_a_reading_that_tells_little_leaves_the_draws_even(sigma: float) -> None
     share = w.sum(axis=1) ** 2 / (w**2).sum(axis=1) / 120
     assert share.min() > 0.5
     assert w.max() < 10.0 / 120
+
+
+@pytest.mark.parametrize(
+    ("value", "times"), [(0.12626, 7e3), (0.26287, 7e3), (0.42807, 7e3), (0.15616, 7e3)]
+)
+def test_a_thin_ridge_that_leaves_the_box_leaves_the_draws_even(value: float, times: float) -> None:
+    """One reading with a noise of a hundredth of it: over the middle parameter the density is a
+    plateau with an edge, and the chord over that edge hid so much that one draw of 40 had 22 times
+    the weight that all should have together."""
+    model = rotor_blade_wide()
+    rows = assemble(model, [Inspection("i", "b", "elongation", times, np.array([value]))])
+    assert rows is not None
+    space = shared_space(model, [rows])
+    fixed = nominal(model, rows.response.names)
+    message = BladeMessage(model, rows, space, fixed)
+    low, high = space.priors[space.names.index("sigma_obs.elongation")].box
+    unit = np.full((16, space.dim), 0.5)
+    unit[:, space.names.index("t1t_rate")] = np.linspace(0.3, 0.7, 16)
+    unit[:, space.names.index("sigma_obs.elongation")] = (np.log(0.0013) - low) / (high - low)
+    sigma = space.to_x(unit)[:, space.names.index("sigma_obs.elongation")]
+    assert sigma == pytest.approx(0.0013)
+    _, log_w = message.draws(unit, 200, np.random.default_rng(3), message.column(unit))
+    w = np.exp(log_w)
+    share = w.sum() ** 2 / (w**2).sum() / w.size
+    assert share > 0.5
+    assert w.max() < 40.0 / 200
+    assert w.sum(axis=1) == pytest.approx(1.0, abs=0.5)
