@@ -45,6 +45,8 @@ def csv_rows(body: bytes) -> list[tuple[str, Row]]:
 def _rows(reader: csv.DictReader[str]) -> list[tuple[int, Row]]:
     """The rows that are not empty in each cell, read one by one: all are not held at once."""
     header = list(reader.fieldnames or [])
+    if (odd := _separated(header)) is not None:
+        raise invalid([odd])
     if len(header) > len(COLUMNS):
         problem = f"are more columns than the {len(COLUMNS)} known ones"
         raise invalid([fault("header", len(header), problem, KNOWN)])
@@ -64,6 +66,16 @@ def _rows(reader: csv.DictReader[str]) -> list[tuple[int, Row]]:
     if faults:
         raise invalid(faults)
     return rows
+
+
+def _separated(header: list[str]) -> Fault | None:
+    """That columns are separated by something else, as spreadsheets do where a comma is decimal."""
+    for sign, called in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+        if len(header) == 1 and len({*header[0].split(sign)} & {*COLUMNS}) > 1:
+            problem = f"is separated by {called}"
+            remedy = "separate columns by commas, and write numbers with a point (0.41)"
+            return fault("header", header[0][:100], problem, remedy)
+    return None
 
 
 def _header_faults(header: list[str]) -> list[Fault]:

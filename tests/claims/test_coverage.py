@@ -81,7 +81,8 @@ def pooled(records: list[Record], key: str) -> tuple[np.ndarray, np.ndarray]:
 def test_truths_fall_evenly_into_their_posteriors(records: list[Record]) -> None:
     result = summary(records, curves(records))
     assert result["failed"] == {}
-    assert result["outside_band"] == []
+    # of seven bands of 95 % three exact runs in ten leave one; 1,000 particles move PITs by 0.03
+    assert len(result["outside_band"]) <= 1
     assert result["least_ess_ratio"] > 0.3
     assert ecdf(*pooled(records, "pit")).inside
     share, error = coverage(*pooled(records, "cdf"), 0.68)

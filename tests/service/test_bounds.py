@@ -85,6 +85,18 @@ def test_more_readings_than_a_body_holds_are_refused_by_their_number(
     assert told.faults[0]["problem"] == "has more than 3 lines"
 
 
+@pytest.mark.parametrize(("sign", "called"), [(";", "semicolons"), ("\t", "tabs"), ("|", "bars")])
+def test_a_spreadsheet_s_other_separators_are_told_in_one_fault(sign: str, called: str) -> None:
+    """Where a comma is decimal; each column was said to be missing, and the cells to be mangled."""
+    rows = [("id", "blade", "quantity", "time_h", "value"), ("i", "b", "elongation", "9", "0,4")]
+    body = "\n".join(sign.join(row) for row in rows).encode()
+    with pytest.raises(RequestError) as told:
+        rows_of(body)
+    (one,) = told.value.faults
+    assert (one["field"], one["problem"]) == ("header", f"is separated by {called}")
+    assert "numbers with a point" in one["remedy"]
+
+
 def test_a_line_longer_than_its_cells_may_be_is_no_csv() -> None:
     with pytest.raises(RequestError, match="20,000 bytes or more") as caught:
         rows_of(b"id" + b"," * 100_000 + b"\n")
