@@ -25,11 +25,18 @@ anew, until nobody else contradicts. (A sound blade seems to contradict where an
 the rotor away, and fits again once that one is bounded.) Where more than `MOST` of the blades that
 were read would be bounded, it is the model that is wrong, or the rotor is not one: then none is,
 as nobody tells which to believe.
+
+In a small rotor a wrong reading may accuse nobody: a wider noise of all readings makes up for it,
+if that costs less than its own misfit. A hundred readings with one of 33 noises, or with two of
+blades that were exchanged, are called five times as noisy, and effects of everything else drown in
+that. So blades with a visit that is far from what all their others foresee (`doubted`) are tried
+with a floor as well; the evidence tells whether the rest at their own noise and a gross error are
+likelier than all of them at a wider one, for both are counted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,6 +48,8 @@ from core.calibration.weighed import Weighed
 DOUBT = 10.0  # nats: −log of the probability that a blade's readings are gross errors
 MOST = 0.2  # of the blades that were read
 ROUNDS = 6
+TRIED = 3  # groups of doubted blades
+SURE = 2.0  # nats by which the evidence has to be for a floor that nobody was accused for
 
 Accused = list[dict[str, Any]]
 
@@ -57,23 +66,46 @@ def settled(
     messages: Mapping[str, BladeMessage],
     weigh: Callable[[Mapping[str, float]], Weighed],
     apart: Collection[str] = (),
+    doubts: Callable[[Weighed, Accused], Sequence[tuple[str, ...]]] | None = None,
 ) -> tuple[Weighed, Accused]:
     """The nodes once nobody without a floor contradicts, and who contradicts there.
 
     weigh   places the nodes with these floors; apart: blades that have one from the beginning
+    doubts  groups of blades for which a wider noise may have made up, the likeliest first
     """
-    first = made = weigh({b: floor_of(messages[b]) for b in sorted(messages.keys() & apart)})
+
+    def floored(blades: Collection[str]) -> Weighed:
+        return weigh({b: floor_of(messages[b]) for b in sorted(blades)})
+
+    made, accused = _alone(messages, floored, floored(messages.keys() & apart))
+    alone = all(one["blade"] in made.floors for one in accused)  # else too many contradict
+    for group in list(doubts(made, accused) if alone and doubts is not None else ())[:TRIED]:
+        blades = made.floors.keys() | group
+        if blades == made.floors.keys() or len(blades) > MOST * len(messages):
+            continue
+        other = floored(blades)
+        if other.log_evidence > made.log_evidence + SURE:
+            made, accused = _alone(messages, floored, other)
+    return made, [one | {"bounded": one["blade"] in made.floors} for one in accused]
+
+
+def _alone(
+    messages: Mapping[str, BladeMessage],
+    floored: Callable[[Collection[str]], Weighed],
+    made: Weighed,
+) -> tuple[Weighed, Accused]:
+    """With floors for those who contradict, the worst first, until nobody else does."""
+    first = made
     accused = at_first = _contradict(messages, made)
     for _ in range(ROUNDS):
         more = _worst([one for one in accused if one["blade"] not in made.floors])
         if not more:
             break
         if len(more) + len(made.floors) > MOST * len(messages):
-            made, accused = first, at_first
-            break
-        made = weigh({b: floor_of(messages[b]) for b in sorted(more | made.floors.keys())})
+            return first, at_first
+        made = floored(more | made.floors.keys())
         accused = _contradict(messages, made)
-    return made, [one | {"bounded": one["blade"] in made.floors} for one in accused]
+    return made, accused
 
 
 def _worst(accused: Accused) -> set[str]:

@@ -58,6 +58,12 @@ class Seen:
     precision: Array
     others: bool
 
+    @property
+    def misfit(self) -> float:
+        """chi² of the value against what is foreseen of it; 0 where nothing is."""
+        off = self.value - self.mean
+        return float(off @ self.precision @ off) if self.others else 0.0
+
     def log_density(self, values: Array) -> Array:
         """Of values (n, q), (n,); the constant of the dimension is left out.
 

@@ -46,6 +46,7 @@ PLACES = 64  # of each shared parameter's range: what a look is at is rounded to
 KEPT = 2000  # looks
 MOST = 24  # pairs of all visits that are weighed
 Pair = tuple[str, str]
+Looks = Mapping[str, Mapping[Visit, Seen]]
 Kept = OrderedDict[tuple[str, bytes], dict[Visit, Seen]]
 Messages = Callable[[Mapping[str, Sequence[Inspection]]], Mapping[str, BladeMessage]]
 
@@ -71,20 +72,13 @@ def least_gain(pairs: int) -> float:
     return math.log(pairs * ODDS / VISIT)
 
 
-def exchanged(
-    messages: Mapping[str, BladeMessage],
-    made: Weighed,
-    accused: Collection[str],
-    messages_of: Messages,
-    kept: Kept,
-) -> list[dict[str, Any]]:
-    """Pairs of blades whose readings of a visit look exchanged, the clearest first.
+def looks(messages: Mapping[str, BladeMessage], made: Weighed, kept: Kept) -> Looks:
+    """What all other readings of each blade foresee of each of its visits (`cavity`).
 
-    messages_of  the messages of blades with these readings
-    kept         looks, which are at places that few nodes move (`PLACES`)
+    kept  looks of before: they are at places that few nodes move (`PLACES`)
     """
     at = np.round(made.unit[[int(np.argmax(made.log_p))]] * PLACES) / PLACES
-    visits: dict[Visit, dict[str, Seen]] = {}
+    found = {}
     for blade in sorted(messages):
         key = (messages[blade].name, at.tobytes())
         if key not in kept:
@@ -92,7 +86,25 @@ def exchanged(
             while len(kept) > KEPT:
                 kept.popitem(last=False)
         kept.move_to_end(key)
-        for visit, seen in kept[key].items():
+        found[blade] = kept[key]
+    return found
+
+
+def exchanged(
+    messages: Mapping[str, BladeMessage],
+    made: Weighed,
+    accused: Collection[str],
+    messages_of: Messages,
+    looked: Looks,
+) -> list[dict[str, Any]]:
+    """Pairs of blades whose readings of a visit look exchanged, the clearest first.
+
+    messages_of  the messages of blades with these readings
+    looked       at each blade's visits (`looks`)
+    """
+    visits: dict[Visit, dict[str, Seen]] = {}
+    for blade, own in looked.items():
+        for visit, seen in own.items():
             visits.setdefault(visit, {})[blade] = seen
     worth: list[Exchange] = []
     counts: dict[Visit, int] = {}

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from core.calibration.alike import family_key
 from core.calibration.basis import Basis
-from core.calibration.bounded import Accused, settled
-from core.calibration.exchanged import exchanged
+from core.calibration.bounded import DOUBT, Accused, settled
+from core.calibration.doubted import doubted
+from core.calibration.exchanged import Looks, exchanged, looks
 from core.calibration.health import blamed, verdict
 from core.calibration.message import BladeMessage
 from core.calibration.rotor import weigh
@@ -43,8 +44,13 @@ class Step(Basis):
     @cached_property
     def settled(self) -> tuple[Weighed, Accused]:
         """The shared nodes with their weights, and the blades that contradict there."""
-        apart = self.start.apart if self.start is not None else frozenset[str]()
-        return settled(self.messages, self.weigh_with, apart)
+        if self.start is not None:
+            return settled(self.messages, self.weigh_with, self.start.apart)
+        return settled(self.messages, self.weigh_with, doubts=self._doubts)
+
+    def _doubts(self, made: Weighed, accused: Accused) -> list[tuple[str, ...]]:
+        turned, looked = self._turned(made, accused)
+        return doubted(self.messages, looked, turned, DOUBT)
 
     @property
     def weighed(self) -> Weighed:
@@ -67,8 +73,7 @@ class Step(Basis):
     @property
     def log_evidence(self) -> float:
         """By the nodes' weights, which a tilt leaves as they are."""
-        log_w = self.weighed.log_w
-        return log_sum_exp(log_w) - float(np.log(len(log_w)))
+        return self.weighed.log_evidence
 
     def sealed(self, previous: RotorState | None = None) -> RotorState:
         """The state as a function of the readings alone; equal draws are taken from the last."""
@@ -116,14 +121,18 @@ class Step(Basis):
 
     def exchanged(self) -> list[dict[str, Any]]:
         """Blades whose readings of a visit look exchanged (`exchanged`)."""
+        return self._turned(*self.settled)[0]
+
+    def _turned(self, made: Weighed, accused: Accused) -> tuple[list[dict[str, Any]], Looks]:
+        """Blades that look exchanged at these nodes, and the looks at all of them."""
 
         def messages_of(readings: Mapping[str, Sequence[Inspection]]) -> dict[str, BladeMessage]:
             rows = {b: self.work.rows_of(self.model, own) for b, own in readings.items()}
             return self.work.messages_of(self.model, rows, self.space, self.rotor.known or {})
 
-        weighed, accused = self.settled
+        looked = looks(self.messages, made, self.work.looks)
         bad = {one["blade"] for one in accused}
-        return exchanged(self.messages, weighed, bad, messages_of, self.work.looks)
+        return exchanged(self.messages, made, bad, messages_of, looked), looked
 
     def otherwise_known(self, previous: RotorState, weighed: Weighed) -> set[str]:
         """Blades whose column was a table's before and no longer is, or the other way round.

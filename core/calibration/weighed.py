@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from core.smc.particles import ess
+from core.smc.particles import ess, log_sum_exp
 from core.smc.proposal import Proposal
 
 Array = NDArray[np.float64]
@@ -68,6 +68,11 @@ class Weighed:
     @property
     def log_w(self) -> Array:
         return self.log_p - self.log_q
+
+    @property
+    def log_evidence(self) -> float:
+        """log of the mean of w_k: log p(D)."""
+        return log_sum_exp(self.log_w) - float(np.log(len(self.unit)))
 
     @property
     def ess_ratio(self) -> float:

@@ -12,7 +12,7 @@ from typing import Any
 from core.calibration.collapsed import CollapsedMessage
 from core.calibration.columns import KeptColumns
 from core.calibration.direct import DirectMessage
-from core.calibration.exchanged import Kept as Looks
+from core.calibration.exchanged import Kept
 from core.calibration.message import BladeMessage
 from core.calibration.sets import ParticleSets
 from core.calibration.space import SharedSpace, locals_of, nominal
@@ -52,7 +52,7 @@ class Workspace:
         self.rows: OrderedDict[tuple[str, str], BladeRows] = OrderedDict()
         self.messages: OrderedDict[tuple[Any, ...], BladeMessage] = OrderedDict()
         self.sets = ParticleSets()
-        self.looks: Looks = OrderedDict()
+        self.looks: Kept = OrderedDict()
 
     def rows_of(self, model: Model, readings: Sequence[Inspection]) -> BladeRows:
         key = (model.digest, digest_of(readings))

@@ -249,5 +249,7 @@ def test_what_a_look_misses_by_chance_is_weighed_where_blades_are_accused(
     monkeypatch.setattr(module, "ROUGH", -1e9)
     assert step.exchanged() == []
     weighed = step.weighed
-    found = module.exchanged(step.messages, weighed, ["b1", "b4"], messages_of(step), OrderedDict())
+    looked = module.looks(step.messages, weighed, OrderedDict())
+    bad = ["b1", "b4"]
+    found = module.exchanged(step.messages, weighed, bad, messages_of(step), looked)
     assert [one["blades"] for one in found] == [["b1", "b4"]]

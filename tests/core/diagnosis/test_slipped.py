@@ -47,6 +47,7 @@ def test_it_raises_no_alarm_and_without_bounds_it_does(monkeypatch: pytest.Monke
     assert verdict.word == "adequate"
     assert verdict.p > 0.1
     monkeypatch.setattr(bounded, "ROUNDS", 0)
+    monkeypatch.setattr(bounded, "TRIED", 0)
     assert first_word(given)[1].p < 0.05, "the control"
 
 
