@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import replace
 
+import jsonschema_rs
 import numpy as np
 import pytest
 
@@ -24,6 +25,7 @@ from core.calibration.state import RotorSpec, RotorState
 from core.calibration.step import Step
 from core.observation import Inspection
 from core.smc.particles import log_sum_exp
+from service.api.answers.beliefs import HEALTH
 from tests.core.calibration.linear import SHARED, exact_column, linear, slopes
 
 MANY, NOISE = 2, 0.15
@@ -123,6 +125,7 @@ def test_an_exchange_is_named_and_a_correction_ends_it() -> None:
     assert one["probability"] > 0.9
     assert "blades b1 and b4 at 2 h look exchanged" in health["reasons"][0]
     assert "look at b1v2, b4v2" in health["reasons"][0]
+    jsonschema_rs.validate(HEALTH, health | {"trusted": False})  # as the API's document says
     assert told(given[::-1]).digest == state.digest, "in any order"
     assert update(MODEL, SPEC, given, told(sound), workspace=Workspace()).digest == state.digest
     mended = update(MODEL, SPEC, turned(given, 2), state)
