@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,7 @@ class Start:
     names (d,), mean (d,), covariance (d, d)
     alone  a posterior that is not found from there is looked for nowhere else
     apart  blades that are `bounded` from the beginning
+    turned  blades that look exchanged: told of such a state as well
     """
 
     names: tuple[str, ...]
@@ -49,6 +51,7 @@ class Start:
     covariance: Array
     alone: bool = False
     apart: frozenset[str] = frozenset()
+    turned: tuple[Mapping[str, Any], ...] = ()
 
     @staticmethod
     def of(model: Model, state: RotorState) -> Start:
@@ -56,9 +59,10 @@ class Start:
         names, x = tuple(state.meta["shared"]), state.arrays["shared/x"]
         u = [shared_prior(model, n).to_u(x[:, j]) for j, n in enumerate(names)]
         found = moments(np.stack(u, axis=1), normalised(state.arrays["shared/log_w"]))
-        told = state.meta["health"].get("contradicted", ())
+        health = state.meta["health"]
+        told = health.get("contradicted", ())
         apart = frozenset(one["blade"] for one in told if one.get("bounded"))
-        return Start(names, *found, apart=apart)
+        return Start(names, *found, apart=apart, turned=tuple(health.get("exchanged", ())))
 
     def joined(self, names: Sequence[str], turn: Array, mean: Array, covariance: Array) -> Start:
         """With amplitudes of these names, of N(mean (k,), covariance (k, k)).
@@ -96,9 +100,10 @@ class Start:
             mean[at], covariance[np.ix_(at, at)] = one.mean, one.covariance
             means.append(mean)
             covariances.append(covariance)
-        apart = means[1] - means[0]
-        spread = np.mean(covariances, axis=0) + np.outer(apart, apart) / 12.0
-        return Start(names, np.mean(means, axis=0), spread, apart=self.apart | other.apart)
+        between = means[1] - means[0]
+        spread = np.mean(covariances, axis=0) + np.outer(between, between) / 12.0
+        apart = self.apart | other.apart
+        return Start(names, np.mean(means, axis=0), spread, apart=apart, turned=self.turned)
 
     def held(self, values: Mapping[str, float]) -> Start:
         """Without these parameters, which have these values.

@@ -105,7 +105,7 @@ class Step(Basis):
         arrays = below.over(own, kept)
         best = weighed.unit[[int(np.argmax(weighed.log_p))]]
         bad = blamed(self.messages, self.settled[1], best)
-        turned = self.exchanged() if self.start is None else []
+        turned = self.exchanged() if self.start is None else self.start.turned
         return self.state(
             own,
             arrays,

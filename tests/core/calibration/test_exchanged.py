@@ -21,6 +21,7 @@ from core.calibration.exchanged import (
     other_way_round,
 )
 from core.calibration.online import Workspace, begun, update
+from core.calibration.start import Start
 from core.calibration.state import RotorSpec, RotorState
 from core.calibration.step import Step
 from core.observation import Inspection
@@ -238,6 +239,16 @@ def test_looks_are_kept_for_blades_that_were_not_read_since(
     again = begun(MODEL, SPEC, [*given, more], workspace=work).exchanged()
     assert looked[len(BLADES) :] == ["b0"]
     assert again[0]["blades"] == first[0]["blades"]
+
+
+def test_a_state_to_compare_with_others_says_it_too() -> None:
+    """Which blades a diagnosis leaves out is the same before and after an effect."""
+    given = turned(rotor(9), 2)
+    state = told(given)
+    start = Start.of(MODEL, state)
+    for one in (start, start.wider(2.0), start.between(start)):
+        other = update(MODEL, SPEC, given, start=one)
+        assert other.meta["health"]["exchanged"] == state.meta["health"]["exchanged"]
 
 
 def test_more_pairs_ask_for_more() -> None:
