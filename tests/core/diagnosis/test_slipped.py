@@ -23,9 +23,9 @@ from core.validation.effect_sets import made
 SEED, NUMBER = 8132651, 1
 
 
-def slipped(condition: str) -> tuple[Any, str]:
+def slipped(condition: str, particles: int = 1000) -> tuple[Any, str]:
     """Twenty finite-element blades, one reading of which has its decimal point moved."""
-    given = made(plan("rotor-20"), condition, NUMBER, SEED, 1000)
+    given = made(plan("rotor-20"), condition, NUMBER, SEED, particles)
     rng = stream(SEED, "slips", "decimal", NUMBER)
     wrong, (name,), off = slips.slipped("decimal", given.case.readings, rng)
     assert off > 50
@@ -40,7 +40,7 @@ def first_word(given: Any) -> tuple[RotorState, Verdict]:
 
 
 def test_it_raises_no_alarm_and_without_bounds_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    given, name = slipped("clean")
+    given, name = slipped("clean", 400)
     state, verdict = first_word(given)
     (one,) = state.meta["health"]["contradicted"]
     assert [s["reading"] for s in one["suspects"]] == [name]
@@ -79,7 +79,7 @@ def test_blades_without_a_suspect_or_without_a_bound_stay_in() -> None:
 
 
 def test_blades_that_look_exchanged_are_left_out_too() -> None:
-    given = made(plan("rotor-20"), "clean", 0, 991, 1000)
+    given = made(plan("rotor-20"), "clean", 0, 991, 400)
     rng = stream(991, "slips", "swapped", 0)
     wrong, names, _ = slips.slipped("swapped", given.case.readings, rng)
     other = replace(given, case=replace(given.case, readings=wrong))
