@@ -208,15 +208,15 @@ def in_words(one: Mapping[str, Any]) -> str:
     ...     "readings": [["r4"], ["r9"]], "gained_nat": 27.8, "rivals": [other]}
     >>> for part in in_words(one).split(": "):
     ...     print(part)
-    readings of blades B07 and B12 in campaign C2 (16,000 h) look exchanged
+    readings of blades B07 and B12 in campaign C2 (16,000 h) look exchanged, or one of them is wrong
     the other way round they are likelier by 27.8 nat (or B07 and B03 at 16,000 and 15,500 h); look at r4, r9
     """  # noqa: E501
     rivals = ", ".join(map(_when, one["rivals"]))
     instead = f" (or {rivals})" if rivals else ""
     ids = ", ".join(name for own in one["readings"] for name in own[:3])
     return (
-        f"readings of blades {_when(one)} look exchanged: the other way round they are likelier by "
-        f"{one['gained_nat']:g} nat{instead}; look at {ids}"
+        f"readings of blades {_when(one)} look exchanged, or one of them is wrong: the other way "
+        f"round they are likelier by {one['gained_nat']:g} nat{instead}; look at {ids}"
     )
 
 

@@ -20,9 +20,10 @@ reading alone, which is not among those that it concerns.
 
 A blade that contradicts by one reading, and is `bounded` in its state, has particles that were
 fitted to that reading: its residuals at the others are as wrong as at this one. Of such a blade
-nothing is scanned (`apart`), and the verdict says so (`set_apart`); nor of two blades whose
-readings look exchanged. One whose readings contradict together stays in: an effect of its own may
-be what they have in common.
+nothing is scanned (`apart`), and the verdict says so (`set_apart`). One whose readings contradict
+together stays in: an effect of its own may be what they have in common. So do two blades whose
+readings look exchanged: the zero of an instrument, six noises off, makes some look so, and without
+them what is left behind the effect was called more than chance.
 """
 
 from __future__ import annotations
@@ -133,27 +134,23 @@ def spared(cells: Sequence[Cell], g: Array, own: Array) -> NDArray[np.bool_]:
 
 
 def apart(state: RotorState) -> frozenset[str]:
-    """Blades that are set apart by one reading, or whose readings look exchanged."""
-    return frozenset(_alone(state) + _exchanged(state))
+    """Blades that are set apart by one reading."""
+    told = state.meta["health"].get("contradicted", ())
+    return frozenset(one["blade"] for one in told if one.get("bounded") and one.get("suspects"))
 
 
 def set_apart(state: RotorState) -> tuple[str, ...]:
-    """That they were, in words."""
+    """That they were, in words; and which blades look exchanged, who stay in."""
     told = (
-        ("one reading contradicts all others of the blade", _alone(state)),
-        ("readings of a visit look exchanged", _exchanged(state)),
+        ("left out of the scan, for one reading contradicts all others of the blade", apart(state)),
+        ("readings of a visit look exchanged, look at these first", _exchanged(state)),
     )
-    return tuple(f"left out of the scan, for {why}: {few(out, TOLD)}" for why, out in told if out)
+    return tuple(f"{why}: {few(sorted(blades), TOLD)}" for why, blades in told if blades)
 
 
-def _alone(state: RotorState) -> list[str]:
-    told = state.meta["health"].get("contradicted", ())
-    return sorted(one["blade"] for one in told if one.get("bounded") and one.get("suspects"))
-
-
-def _exchanged(state: RotorState) -> list[str]:
+def _exchanged(state: RotorState) -> frozenset[str]:
     told = state.meta["health"].get("exchanged", ())
-    return sorted({blade for one in told for blade in one["blades"]})
+    return frozenset(blade for one in told for blade in one["blades"])
 
 
 def slips(read: LeftOut) -> tuple[str, ...]:

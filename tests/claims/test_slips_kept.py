@@ -69,3 +69,22 @@ def test_in_a_fleet_every_large_slip_is_named_and_the_rotor_stays_where_it_was()
     assert all(11 <= x < 13.1 for x in far[1:])
     assert "more than one sd in 9 of 22, in eight of these by 11 to 13" in TEXT
     assert not any(one["accused before"] for one in found["cases"])
+
+
+def test_by_todays_rules_no_large_slip_goes_unnoticed() -> None:
+    found = kept("slips-2")
+    assert found["seed"] == int(found["commit"][:6], 16)
+    numbers = {(one["kind"], one["number"]) for one in found["cases"]}
+    assert numbers == {(kind, n) for kind in slips.KINDS for n in range(16)}
+    assert slips.table(found["cases"]) == found["table"]
+    large = [r for r in found["cases"] if r["off"] >= slips.NOTICED]
+    assert (len(large), sum(r["named"] for r in large)) == (68, 61)
+    assert all(r["exchanges"] == 1 for r in large if not r["named"])
+    assert "in 61 of 68 the wrong reading is named, and the other seven are told as an" in TEXT
+    assert all(r["right"] for r in found["cases"] if r["contradicted"]), "never a sound blade"
+    assert not any(r["accused before"] or r["exchanges before"] for r in found["cases"])
+    assert sum(r["exchanges"] - r["exchange told"] for r in found["cases"]) == 8
+    (far,) = (r for r in large if abs(r["moved"]) > 1)
+    assert [round(abs(far[when]), 1) for when in ("moved", "unbounded")] == [2.7, 0.7]
+    every = found["table"]["all"]
+    assert (every["unbounded, above 1 sd"], round(every["unbounded, most"], 1)) == (0.25, 5.8)

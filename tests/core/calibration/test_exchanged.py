@@ -242,7 +242,7 @@ def test_looks_are_kept_for_blades_that_were_not_read_since(
 
 
 def test_a_state_to_compare_with_others_says_it_too() -> None:
-    """Which blades a diagnosis leaves out is the same before and after an effect."""
+    """A diagnosis tells of it whatever effect its model has."""
     given = turned(rotor(9), 2)
     state = told(given)
     start = Start.of(MODEL, state)

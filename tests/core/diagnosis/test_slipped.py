@@ -78,14 +78,9 @@ def test_blades_without_a_suspect_or_without_a_bound_stay_in() -> None:
     assert set_apart(many)[0].endswith("b0, b1, b2, b3, b4 and 2 more")
 
 
-def test_blades_that_look_exchanged_are_left_out_too() -> None:
-    given = made(plan("rotor-20"), "clean", 0, 991, 400)
-    rng = stream(991, "slips", "swapped", 0)
-    wrong, names, _ = slips.slipped("swapped", given.case.readings, rng)
-    other = replace(given, case=replace(given.case, readings=wrong))
-    state, verdict = first_word(other)
-    blades = {r.blade for r in wrong if r.id in names}
-    assert apart(state) == blades
-    (told,) = set_apart(state)
-    assert told.endswith(f"a visit look exchanged: {', '.join(sorted(blades))}")
-    assert verdict.word == "adequate"
+def test_blades_that_look_exchanged_are_told_and_stay_in() -> None:
+    """What an effect does to two blades can look like an exchange: they are no less heard."""
+    told = {"blades": ["b7", "b3"]}
+    state = cast(RotorState, SimpleNamespace(meta={"health": {"exchanged": [told]}}))
+    assert apart(state) == frozenset()
+    assert set_apart(state) == ("readings of a visit look exchanged, look at these first: b3, b7",)
