@@ -22,8 +22,8 @@ A blade that contradicts by one reading, and is `bounded` in its state, has part
 fitted to that reading: its residuals at the others are as wrong as at this one. Of such a blade
 nothing is scanned (`apart`), and the verdict says so (`set_apart`). One whose readings contradict
 together stays in: an effect of its own may be what they have in common. So do two blades whose
-readings look exchanged: the zero of an instrument, six noises off, makes some look so, and without
-them what is left behind the effect was called more than chance.
+readings look exchanged: an instrument three noises off makes some look so, and without
+them what was left behind its offset was called more than chance.
 """
 
 from __future__ import annotations

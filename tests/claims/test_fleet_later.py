@@ -248,3 +248,21 @@ def test_by_todays_rules_sensors_are_named_in_fleets_and_physics_is_not() -> Non
     assert f"nearer by {100 * (1 - better['wear']['forecast']):.0f} % with wear" in TEXT
     assert f"{100 * (1 - better['tertiary']['forecast']):.0f} % with accelerating creep" in TEXT
     assert f"{100 * (better['step']['forecast'] - 1):.0f} % farther with a step" in TEXT
+
+
+def test_two_courses_in_the_model_cost_forecasts_of_scanned_fleets_nothing() -> None:
+    found, before = kept("effects-courses"), kept("effects-scans-all")
+    assert found["seed"] == before["seed"], "the very sets"
+    numbers = {(one["condition"], one["number"]) for one in found["sets"]}
+    assert numbers == {(kind, n) for kind in PHYSICS for n in range(2)}
+    assert {one["outcome"] for one in found["sets"]} == {"right"}
+    same = [one for one in before["sets"] if (one["condition"], one["number"]) in numbers]
+    nearer = [
+        {kind: round(100 * (1 - of[kind]["forecast"])) for kind in PHYSICS}
+        for of in (found["improvement"], improvement(same))
+    ]
+    assert [
+        tuple(of[kind] for kind in ("wear", "worn lot", "fouling", "step", "tertiary"))
+        for of in nearer
+    ] == [(93, 90, 71, 95, 71), (92, 93, 66, 95, 72)]
+    assert "nearer by 93 % with wear (before 92), 90 with a worn lot (93)" in TEXT
