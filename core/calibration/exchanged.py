@@ -12,6 +12,8 @@ mean of BF over data is one, whichever pair; so of N pairs of a visit one of
 log BF ≥ log(N ODDS / VISIT) is met with a probability of VISIT / ODDS at most (Markov), whatever
 the rotor; 1 / (1 + 1/ODDS) is the least probability of an exchange that is told, where one visit in
 1/VISIT has one.
+That holds where the model does: an effect that it lacks, as the zero of an instrument some noises
+off, can look like an exchange, and so can one misread value.
 
 Which of the thousands of pairs are weighed is told by a look at all of them (`cavity`): a reading
 foreseen by the others of blade a, held against that of b, both near the rotor's best node. Blades
