@@ -56,14 +56,17 @@ def main_job(client: Client) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def deadly(client: Client, pid: int, kills: int) -> list[list[int]]:
-    """Let the client's posts kill every worker `kills` times; the victims of each."""
+    """Let the client's posts kill every worker `kills` times; the victims of each.
+
+    One that was killed is listed until its end is seen, and is no victim twice.
+    """
     post, killed = client.post_inspections, list[list[int]]()
 
     def posting(rotor: str, inspections: Any) -> int:
         seq = post(rotor, inspections)
         if len(killed) < kills and seq > 2 * (len(killed) + 1):
-            end = time.monotonic() + 60
-            while not (victims := workers_of(pid)):
+            end, dying = time.monotonic() + 60, {one for victims in killed for one in victims}
+            while not (victims := [one for one in workers_of(pid) if one not in dying]):
                 assert time.monotonic() < end, "no worker came back"
                 time.sleep(0.05)
             for victim in victims:
