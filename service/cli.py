@@ -77,9 +77,12 @@ def serve(
 
     settings = Settings.load(host=host, port=port, workers=workers)
     facts = {"url": f"http://{settings.host}:{settings.port}", "workers": settings.workers}
-    say(facts, f"bladetwin at {facts['url']}, {settings.workers} worker(s)", as_json=as_json)
-    sys.stdout.flush()
-    run(settings)
+
+    def opened() -> None:
+        say(facts, f"bladetwin at {facts['url']}, {settings.workers} worker(s)", as_json=as_json)
+        sys.stdout.flush()
+
+    run(settings, opened)
 
 
 @app.command()

@@ -13,7 +13,7 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from types import FrameType
@@ -80,8 +80,11 @@ def api_command(place: int, counts: Sequence[int], owner: str, role: Literal["ap
     return [*PYTHON, role, "--place", str(place), "--counts", told, "--owner", owner]
 
 
-def serve(settings: Settings) -> None:
-    """API and workers until SIGTERM or SIGINT; returns when all have ended."""
+def serve(settings: Settings, opened: Callable[[], None] | None = None) -> None:
+    """API and workers until SIGTERM or SIGINT; returns when all have ended.
+
+    opened   called as soon as requests are answered
+    """
     _begin(settings, "api", owner_name())
     with ExitStack() as ends:
         ends.callback(tracing.end)
@@ -99,7 +102,7 @@ def serve(settings: Settings) -> None:
             for peer in peers:
                 peer.begin_stop()
 
-        server.closing = begin_stop
+        server.opened, server.closing = opened, begin_stop
         roles = worker_roles(settings)
         workers = Supervisor(store.engine, roles, worker_command, settings.environ())
         everybody: list[Supervisor[Any]] = [workers, *peers]

@@ -127,6 +127,13 @@ class Properties:
                     f"does not have the {len(m.temperature_k)} values of temperature_k",
                     "give one value per temperature",
                 )
+        if m.poisson_ratio >= 0.5:
+            raise RangeError(
+                "properties.material.poisson_ratio",
+                m.poisson_ratio,
+                "leaves nothing to compress: the elements divide by 1 - 2 nu",
+                "give a ratio below 0.5; metals have 0.25 … 0.4",
+            )
         if any(a >= b for a, b in pairwise(m.temperature_k)):
             raise RangeError(
                 "properties.material.temperature_k",

@@ -2,7 +2,7 @@
 
     ok            the nodes carry the posterior, and every blade fits the rotor
     degenerate    they do not: too few effective nodes, messages that are too rough, or tempered
-                  until the state is sealed
+                  until the state is sealed; or too few draws carry a blade's own (`few`)
     contradicted  a blade's readings cannot be what the rotor's best parameters give, or those of
                   two blades look exchanged (`exchanged`)
 
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from core.calibration import few
 from core.calibration.exchanged import in_words
 from core.calibration.message import BladeMessage
 from core.calibration.misfit import best_fit, suspects
@@ -124,11 +125,12 @@ def verdict(
     health: Mapping[str, Any],
     contradicted: Sequence[Mapping[str, Any]],
     exchanged: Sequence[Mapping[str, Any]] = (),
+    thinned: Sequence[Mapping[str, Any]] = (),
     *,
     sealed: bool,
 ) -> dict[str, Any]:
     """`health` with its outcome: status, reasons, met_floor, the blades that contradict and, where
-    there are any, those that look exchanged."""
+    there are any, those that look exchanged and those of whose draws too few count (`few`)."""
     floor = FLOOR if sealed else QUICK_FLOOR
     reasons = []
     if not health["ess_ratio"] >= floor:
@@ -148,6 +150,7 @@ def verdict(
             f"the stored posterior that is the prior is known to {health['prior_error_nat']:g} "
             f"nat, {TRUSTED:g} is allowed"
         )
+    reasons += [few.in_words(one) for one in thinned]
     met = not reasons
     for one in contradicted:
         explained = not improbable(one["own_nat"], one["rows"])
@@ -167,7 +170,8 @@ def verdict(
         "met_floor": met,
         "contradicted": [dict(one) for one in contradicted],
     }
-    return out | ({"exchanged": [dict(one) for one in exchanged]} if exchanged else {})
+    told = {"exchanged": exchanged, "few_draws": thinned}
+    return out | {name: [dict(one) for one in which] for name, which in told.items() if which}
 
 
 def _to_look_at(one: Mapping[str, Any]) -> str:

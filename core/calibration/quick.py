@@ -105,6 +105,7 @@ def provisional(
         error,
         bad,
         turned,
+        step.few_draws(own, previous, unread),
         sealed=False,
         thin=thin,
         tempered=beta,

@@ -20,6 +20,7 @@ from core.calibration.basis import Basis
 from core.calibration.bounded import DOUBT, Accused, settled
 from core.calibration.doubted import doubted
 from core.calibration.exchanged import Looks, exchanged, looks
+from core.calibration.few import few_draws
 from core.calibration.health import blamed, verdict
 from core.calibration.message import BladeMessage
 from core.calibration.rotor import weigh
@@ -114,6 +115,7 @@ class Step(Basis):
             self.message_error(weighed.unit),
             bad,
             turned,
+            self.few_draws(own, previous, stays),
             sealed=True,
             thin=set(),
             surface=surface_error,
@@ -153,6 +155,13 @@ class Step(Basis):
             self.model, self.rotor, self.space, self.messages, blades, nodes, columns
         )
 
+    def few_draws(
+        self, own: Mapping[str, Array], previous: RotorState | None, kept: set[str]
+    ) -> list[dict[str, Any]]:
+        """Blades of whose draws too few count (`few`), where those kept are the state's before."""
+        before = [] if previous is None else previous.meta["health"].get("few_draws", [])
+        return few_draws(self.rotor.blades, own, before, kept)
+
     def message_error(self, unit: Array, previous: RotorState | None = None) -> tuple[float, float]:
         """Root mean square errors [nat] over all blades' messages: of log p at the nodes, and of
         its differences between nodes.
@@ -180,6 +189,7 @@ class Step(Basis):
         message_error: tuple[float, float],
         contradicted: Sequence[Mapping[str, Any]],
         turned: Sequence[Mapping[str, Any]],
+        few: Sequence[Mapping[str, Any]],
         *,
         sealed: bool,
         thin: set[str],
@@ -214,7 +224,7 @@ class Step(Basis):
             "local": [p.name for p in locals_of(self.model)],
             "blades": list(self.rotor.blades),
             "log_evidence": log_sum_exp(whole) - float(np.log(nodes)),
-            "health": verdict(carried, contradicted, turned, sealed=sealed),
+            "health": verdict(carried, contradicted, turned, few, sealed=sealed),
             "arrays": sorted(arrays),
         }
         if self.prior is not None:

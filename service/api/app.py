@@ -16,6 +16,7 @@ from service.api.layers import add_layers
 from service.api.loopback import keys_required
 from service.api.metrics import Requests
 from service.api.query import known_query
+from service.api.repeated import given_once
 from service.api.routers import (
     adoptions,
     audit,
@@ -123,7 +124,8 @@ def create_app(
         audit,
         webhooks,
     ):
-        app.include_router(module.router, dependencies=[Depends(known_query)])
+        once = [] if module is inspections else [Depends(given_once)]
+        app.include_router(module.router, dependencies=[Depends(known_query), *once])
     app.include_router(pages)
     refusals.install(app)
     add_layers(app, services, app.state.requests)

@@ -7,6 +7,9 @@ The parser keeps no trace of it. But outside of a text a quote before a colon en
 and inside of one every quote stands behind a backslash: so names are counted in the body, and where
 there are more than fields in what was read, the body is read again to find which. (A name that
 itself ends with a backslash is not counted, and may be missed.)
+
+Readings are held against it where they are read, each under its own media type; every other route
+by `given_once`, on which it depends.
 """
 
 from __future__ import annotations
@@ -15,10 +18,28 @@ import json
 import re
 from typing import Any
 
+from fastapi import Request
+
 from service.api.problems import MOST_FAULTS, Fault, fault, invalid
 
+JSON = ("", "application/json")
 NAMES, INSIDE = re.compile(rb'"\s*:'), re.compile(rb'\\"\s*:')
 REMEDY = "give it once"
+
+
+async def given_once(request: Request) -> None:
+    """Raises a problem 422 for fields that an object of a JSON body has more than once.
+
+    What is no JSON is the route's to refuse.
+    """
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if request.method != "POST" or kind not in JSON or not (body := await request.body()):
+        return
+    try:
+        data = json.loads(body)
+    except (ValueError, RecursionError):
+        return
+    refuse_repeated(body, data)
 
 
 def refuse_repeated(body: bytes, data: object) -> None:

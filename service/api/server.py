@@ -103,14 +103,20 @@ class Protocol(HttpToolsProtocol):
 
 
 class Server(uvicorn.Server):
-    """Lets long polls and streams go as soon as a signal asked to stop.
+    """Says when it listens, and lets long polls and streams go as soon as a signal asked to stop.
 
     Not in the signal's handler: that may run while the same thread holds the very lock that it
     would need, and wait for ever.
     """
 
     changes: Changes | None = None
+    opened: Callable[[], None] | None = None  # called when it listens
     closing: Callable[[], None] | None = None  # called when it begins to end
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.opened is not None and self.started:
+            self.opened()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         if self.closing is not None:

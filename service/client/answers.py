@@ -41,12 +41,18 @@ class HealthExchanged(TypedDict):
     rivals: list[HealthExchangedRival]
 
 
+class HealthFewDraw(TypedDict):
+    blade: str
+    share: float
+
+
 class Health(TypedDict):
     status: Literal["ok", "degenerate", "contradicted", "unknown"]
     reasons: list[str]
     met_floor: bool | None
     contradicted: list[HealthContradicted]
     exchanged: NotRequired[list[HealthExchanged]]
+    few_draws: NotRequired[list[HealthFewDraw]]
     trusted: bool
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from core.errors import InputError
+from service.progress import bar
 from service.settings import Settings
 
 if TYPE_CHECKING:
@@ -178,14 +179,15 @@ def _field(store: SqlStore, science: Science, rotor: str, wanted: Wanted) -> Ite
         asked = series.of_rotor(store, found, wanted.quantity, times, None)
     else:
         asked = series.asked(found, wanted.quantity, times)
-    if wanted.form is Form.NPZ:
-        yield from series.npz(store, science, found, asked)
-        return
-    if wanted.form is Form.ARROW:
-        yield from series.arrow(store, science, found, asked)
-        return
-    mesh = series.mesh_of(science, found)
-    yield from series.pvd(store, science, found, asked, mesh, ring=found.blade is None)
+    with bar("fields", asked.count) as done:
+        asked = replace(asked, done=done)
+        if wanted.form is Form.NPZ:
+            yield from series.npz(store, science, found, asked)
+        elif wanted.form is Form.ARROW:
+            yield from series.arrow(store, science, found, asked)
+        else:
+            mesh = series.mesh_of(science, found)
+            yield from series.pvd(store, science, found, asked, mesh, ring=found.blade is None)
 
 
 def hours(text: str | None) -> list[float] | None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -33,12 +33,18 @@ class Series:
     """Fields that were asked for: a quantity of some blades at rising hours [h].
 
     everyone   all blades of the rotor, where the series is of a rotor
+    done       called with how many of its `count` fields there are, each a second or more
     """
 
     quantity: str
     hours: tuple[float, ...]
     blades: tuple[BladeRecord, ...]
     everyone: tuple[BladeRecord, ...] = ()
+    done: Callable[[int], None] = lambda number: None
+
+    @property
+    def count(self) -> int:
+        return len(self.hours) * len(self.blades)
 
 
 def asked(found: Basis, quantity: str | None, times: Sequence[float] | None) -> Series:
@@ -94,13 +100,14 @@ def _checked(
         faults.append(
             InputError("times", list(hours), "do not rise", "give each hour once, sorted")
         )
-    if not 1 <= len(hours) * len(blades) <= MOST_FILES:
+    wanted = Series(name, hours, tuple(blades))
+    if not 1 <= wanted.count <= MOST_FILES:
         problem = f"are {len(hours)} hours of {len(blades)} blades"
         remedy = f"ask for 1 … {MOST_FILES} fields at once: fewer `times`, or some `blades`"
-        faults.append(RangeError("times", len(hours) * len(blades), problem, remedy))
+        faults.append(RangeError("times", wanted.count, problem, remedy))
     if faults:
         raise FaultsError(faults)
-    return Series(name, hours, tuple(blades))
+    return wanted
 
 
 def mesh_of(science: Science, found: Basis) -> Mesh:
@@ -124,17 +131,25 @@ def pvd(
 
     def written() -> Iterable[tuple[str, bytes]]:
         yield "field.pvd", files.pvd(names, wanted.hours)
+        fields = _fields(store, science, found, wanted)
         for part, (blade, angle) in enumerate(zip(wanted.blades, places, strict=True)):
             of_blade = replace(found, blade=blade)
             placed = (
                 mesh if angle is None else replace(mesh, points=files.turned(mesh.points, angle))
             )
-            for step, hour in enumerate(wanted.hours):
-                told = field(store, science, of_blade, wanted.quantity, hour)
-                body = _vtu(placed, told, of_blade, angle)
-                yield files.vtu_name(part, blade.id, step), body
+            for step, told in enumerate(islice(fields, len(wanted.hours))):
+                yield files.vtu_name(part, blade.id, step), _vtu(placed, told, of_blade, angle)
 
     return files.zipped(written())
+
+
+def _fields(store: Store, science: Science, found: Basis, wanted: Series) -> Iterator[Json]:
+    """The answers of ``GET …/field``, blade after blade and hour after hour."""
+    every = ((blade, hour) for blade in wanted.blades for hour in wanted.hours)
+    for number, (blade, hour) in enumerate(every, 1):
+        told = field(store, science, replace(found, blade=blade), wanted.quantity, hour)
+        wanted.done(number)
+        yield told
 
 
 def _vtu(mesh: Mesh, told: Json, found: Basis, angle: float | None) -> bytes:
@@ -165,8 +180,8 @@ def arrow(store: Store, science: Science, found: Basis, wanted: Series) -> Itera
     stream = ArrowStream(vector=output.kind == "vector", unit=output.unit, facts=facts)
 
     def told() -> Iterator[tuple[float, Array, Array]]:
-        for hour in wanted.hours:
-            one = field(store, science, found, wanted.quantity, hour)
+        fields = _fields(store, science, found, wanted)
+        for hour, one in zip(wanted.hours, fields, strict=True):
             yield hour, np.array(one["mean"]), np.array(one["sd"])
 
     return stream.batches(told())
@@ -180,7 +195,7 @@ def npz(store: Store, science: Science, found: Basis, wanted: Series) -> Iterato
         problem = f"hours of {each} values each are more than {MOST_VALUES} values"
         remedy = f"ask for {max(MOST_VALUES // each, 1)} hours at once"
         raise RangeError("times", len(wanted.hours), problem, remedy)
-    told = [field(store, science, found, wanted.quantity, hour) for hour in wanted.hours]
+    told = list(_fields(store, science, found, wanted))
     arrays = {"time_h": np.array(wanted.hours)}
     arrays |= {what: np.array([one[what] for one in told]) for what in ("mean", "sd")}
     facts = _facts(store, science, found, wanted)

@@ -46,11 +46,9 @@ def fleet(
     for r in shown:
         where = f"{r['id']}: {r['blade']}, {r['time_h']:,.0f} h, {r['value']:.4g} {unit}"
         parts.append(dot(x(r["time_h"]), frame.y(r["value"]), "reading", 2.0, where))
-    entries = [
-        (f"{w} area", f"{named(w, changed=changed)}: mean of the blades ± 1 sd of a blade")
-        for w in told
-    ]
-    parts.append(legend(66, 20, [*entries, ("reading", "readings")]))
+    entries = [(f"{w} area", named(w, changed=changed)) for w in told]
+    what = ("", "line and band: mean of the blades ± 1 sd of a blade")
+    parts.append(legend(66, 20, [*entries, ("reading", "readings"), what]))
     return picture(330, *parts, label=f"Fleet mean of {quantity} over hours with readings")
 
 

@@ -114,7 +114,8 @@ class Frame:
             at = self.x(value)
             if self.grid_x:
                 parts.append(line(at, top, at, top + height, "grid"))
-            parts.append(words(at, top + height + 15, label, "tick", "middle"))
+            inside = min(at, WIDE - 0.5 * len(label) * LETTER)
+            parts.append(words(inside, top + height + 15, label, "tick", "middle"))
         for value, label in self.y.ticks(max(2, int(height // 34))) if y_ticks else []:
             at = self.y(value)
             if self.grid_y:
@@ -171,11 +172,15 @@ def band(x: Sequence[float], low: Sequence[float], high: Sequence[float], kind: 
 
 
 def legend(x: float, y: float, entries: Sequence[tuple[str, str]]) -> Markup:
-    """Entries (class of the mark, words) in a row; a mark is a small block."""
-    parts, at = [], x
+    """Entries (class of the mark, words) in a row; a mark is a small block, none where no class."""
+    parts: list[Markup] = []
+    at = x
     for kind, said in entries:
-        parts += [block(at, y - 9, 14, 10, kind), words(at + 19, y, said, "tick")]
-        at += 19 + len(said) * LETTER + 20
+        if kind:
+            parts.append(block(at, y - 9, 14, 10, kind))
+            at += 19
+        parts.append(words(at, y, said, "tick"))
+        at += len(said) * LETTER + 20
     return join(parts)
 
 

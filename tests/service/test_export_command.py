@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -117,3 +118,28 @@ def test_what_fails_on_the_way_leaves_no_file(
     assert run("pvd", "--blade B1 --times 4,5", file).exit_code == 1, "not without --force"
     assert run("pvd", "--blade B1 --times 4,5", file, "--force").exit_code == 0
     assert file.read_bytes()[:2] == b"PK"
+
+
+@pytest.mark.parametrize(
+    ("form", "options", "fields"),
+    [
+        ("npz", "--blade B1 --quantity ceeq --times 1,2", 2),
+        ("arrow", "--blade B1 --quantity ceeq --times 1,2,3", 3),
+        ("pvd", "--quantity ceeq --times 1,2", 6),
+    ],
+)
+def test_fields_are_counted_while_they_are_computed(
+    told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, options: str, fields: int
+) -> None:
+    """All instants of a wide model take minutes, and nothing was shown."""
+    shown: list[tuple[str, int, list[int]]] = []
+
+    @contextmanager
+    def bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
+        counts: list[int] = []
+        shown.append((name, total, counts))
+        yield counts.append
+
+    monkeypatch.setattr("service.commands.files.bar", bar)
+    assert run(form, options, tmp_path / "a").exit_code == 0
+    assert shown == [("fields", fields, list(range(1, fields + 1)))]

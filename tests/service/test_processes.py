@@ -460,6 +460,27 @@ def test_a_server_that_is_told_to_stop_lets_those_who_wait_go(tmp_path: Path) ->
         assert process.wait(PATIENCE_S) == 0
 
 
+def test_the_address_is_told_when_requests_are_answered(tmp_path: Path) -> None:
+    """Whoever waits for the line need not try again. (It was told before anything was loaded.)"""
+    port = free_port()
+    url = f"sqlite:///{tmp_path / 'a.db'}"
+    asked = Settings(database_url=url, science="fake", workers=0, port=port, migrate="always")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service.cli", "serve", "--json"],
+        env={**os.environ, **asked.environ(), "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+    )
+    try:
+        assert process.stdout is not None
+        told = json.loads(process.stdout.readline())
+        assert told == {"url": f"http://127.0.0.1:{port}", "workers": 0}
+        assert httpx.get(f"{told['url']}/healthz").status_code == 200
+    finally:
+        process.terminate()
+        process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+
+
 def test_serve_refuses_a_database_that_is_not_migrated(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'empty.db'}"
     environ = Settings(database_url=url, migrate="never", science="fake").environ()

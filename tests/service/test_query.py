@@ -66,3 +66,23 @@ def test_nothing_is_done_of_a_request_with_one(api: httpx.Client, rotor: str) ->
 
 def test_probes_may_have_what_they_like(api: httpx.Client) -> None:
     assert api.get("/healthz?t=1").status_code == 200
+
+
+def test_no_route_takes_the_second_of_a_field_that_is_given_twice(
+    api: httpx.Client, rotor: str
+) -> None:
+    """JSON's readers take the last without a word: of each route that takes a body."""
+    told = api.get("/openapi.json").json()["paths"]
+    sent, asked = {"Content-Type": "application/json"}, 0
+    for path, operations in told.items():
+        if "requestBody" not in operations.get("post", {}):
+            continue
+        body = b'{"id": "x", "deep": [{"a": 1, "b": 2, "a": 3}], "id": "y"}'
+        answer = api.post(path.format(**NAMES), content=body, headers=sent)
+        assert answer.status_code == 422, path
+        faults = [(one["field"], one["value"], one["remedy"]) for one in answer.json()["faults"]]
+        twice = [("a", "[1, 3]", "give it once"), ("id", "['x', 'y']", "give it once")]
+        assert faults == twice, path
+        asked += 1
+    assert asked > 8
+    assert [one["id"] for one in api.get("/v1/rotors").json()["items"]] == [rotor], "none was made"

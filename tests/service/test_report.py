@@ -6,6 +6,7 @@ import copy
 import json
 import re
 from collections.abc import Callable
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from service.adopt_command import lines_of as adoption_lines
 from service.client import Client, ProblemError
 from service.diagnose_command import lines_of
 from service.handlers.diagnoses import request_diagnosis
-from service.report import markup
+from service.report import markup, svg
 from service.report.heat import heat
 from service.report.life import lives
 from service.report.page import policy, report, style
@@ -536,6 +537,28 @@ def test_a_hundred_blades_and_many_groups_are_all_drawn() -> None:
     assert len(cells) == 2 * 130 * 30
     assert "The 24 that stand out most." in page
     assert len(page) < 4_000_000
+
+
+TEXT = re.compile(r'<text x="([-\d.]+)" y="[-\d.]+" class="\S+" text-anchor="(\w+)">([^<]*)<')
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_no_word_of_a_picture_runs_over_its_edge(verdict: str) -> None:
+    """By the letters' mean width: a legend was 180 units too long, and an hour lost its end."""
+    found = told(verdict)
+    courses = found["pictures"]["courses"]
+    courses["time_h"] = [2.0 * hour for hour in courses["time_h"]]  # six digits at the end
+    readings = found["pictures"]["readings"]
+    last = max(one["rotor_h"] for one in readings)
+    for one in readings:
+        one["rotor_h"] *= 97_100 / last  # and 3 % of room
+    shown = TEXT.findall(page_of(found))
+    assert len(shown) > 40
+    for at, anchor, said in shown:
+        wide = len(unescape(said)) * svg.LETTER
+        left = float(at) - {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor] * wide
+        assert left >= -1.0, said
+        assert left + wide <= svg.WIDE + 1.0, said
 
 
 def test_groups_that_stand_out_come_first() -> None:

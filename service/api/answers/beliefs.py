@@ -17,7 +17,7 @@ from service.api.answers.words import (
 
 WHICH = {"blades": each(TEXT), "campaign": maybe(TEXT), "time_h": each(NUMBER)}
 HEALTH = having(
-    ("exchanged",),
+    ("exchanged", "few_draws"),
     status={"enum": ["ok", "degenerate", "contradicted", "unknown"]},
     reasons=each(TEXT),
     met_floor=maybe(YES),
@@ -41,6 +41,7 @@ HEALTH = having(
             rivals=each(having(**WHICH)),
         )
     ),
+    few_draws=each(having(blade=TEXT, share=NUMBER)),
     trusted=YES,
 ) | {"additionalProperties": True}
 BLADE = having(

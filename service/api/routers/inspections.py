@@ -12,6 +12,7 @@ from service.api.csv_rows import CSV_EXAMPLE
 from service.api.files import CSV, PARQUET, SENSORTHINGS, file
 from service.api.problems import fault, invalid
 from service.api.reading_bodies import READINGS, InspectionIn, read_inspections
+from service.api.repeated import given_once
 from service.api.schemas import Nothing
 from service.api.sensorthings import ARRAY_EXAMPLE, EXAMPLE
 from service.api.services import (
@@ -163,6 +164,11 @@ def get_inspection(r: Name, i: Name, services: Wired) -> dict[str, Any]:
     return listed_out(listing.find_inspection(services.store, r, i))
 
 
-@router.post("/{i}/retraction", status_code=202, summary="As if the reading had never come")
+@router.post(
+    "/{i}/retraction",
+    status_code=202,
+    summary="As if the reading had never come",
+    dependencies=[Depends(given_once)],
+)
 def post_retraction(r: Name, i: Name, services: Wired, body: Nothing | None = None) -> JSONResponse:
     return accepted([use.retract(services.store, r, i)])

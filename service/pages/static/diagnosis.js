@@ -2,7 +2,7 @@
 
 import { Problem, ask, get, offers, pages, path, post, remove } from "./api.js";
 import { $, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
-import { axis, fixed, inUnit, moment, number, plain, withSd, words } from "./format.js";
+import { axis, fixed, hours, inUnit, moment, number, plain, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { pictures } from "./pictures.js";
 import { progress } from "./progress.js";
@@ -58,12 +58,31 @@ function beforeAfter(told, unitName) {
     ["bias", axis("bias: predicted less measured", unitName), plain], ["log_score", "log score [nat per reading]", plain],
     ["within_68", "inside the 68 % band", share], ["within_95", "inside the 95 % band", share], ["width", axis("width of the 95 % band", unitName), plain],
   ].map(([name, text, form]) => ({ name: text, before: told.before?.[name], after: told.after?.[name], form })).filter((r) => typeof r.before === "number");
-  const rest = Object.fromEntries(Object.entries(told).filter(([k]) => !["before", "after"].includes(k)));
+  const { forecast } = told;
+  if (forecast) {
+    const ahead = (one) => (one.mean === null ? "–" : withSd(one.mean, one.sd));
+    rows.push({ name: axis(`forecast: blades' mean at ${hours(forecast.time_h)}, ± sd of a single blade`, unitName), before: forecast.before, after: forecast.after, form: ahead });
+  }
   return [scroll("Before and after", table([
     { name: "On readings that neither used", value: (r) => r.name },
     { name: "Before", value: (r) => r.form(r.before), number: true },
     { name: "After", value: (r) => r.form(r.after), number: true },
-  ], rows)), aside("Everything that was compared", h("pre", { tabindex: 0 }, JSON.stringify(rest, null, 1)))];
+  ], rows)), aside(`The ${told.held_out.length} readings of ${words(told.quantity)} that neither used`, h("p", { class: "small" }, `The latest third of every second blade's: ${told.held_out.join(", ")}`))];
+}
+
+/** Whether each effect's amplitude holds, between halves of the blades and early and late. */
+function halves(holds) {
+  if (!holds.length) return null;
+  const gains = (one) => (one.gained_nat ? one.gained_nat.map((nat) => fixed(nat, 1)).join(" and ") : "–");
+  return aside("Does it hold between halves", scroll("Does it hold between halves", table([
+    { name: "Effect", value: (one) => one.effect },
+    { name: "Between", value: (one) => one.by },
+    { name: "One half [expected sizes]", value: (one) => plain(one.amplitudes[0]), number: true },
+    { name: "The other", value: (one) => plain(one.amplitudes[1]), number: true },
+    { name: "sd of the difference", value: (one) => plain(one.sd), number: true },
+    { name: "Each half alone gains [nat]", value: gains, number: true },
+    { name: "One amplitude", value: (one) => (one.agrees ? "yes" : "no") },
+  ], holds)));
 }
 
 function result(found, unitName) {
@@ -100,7 +119,7 @@ function result(found, unitName) {
         { name: "Log Bayes factor [nat]", value: (t) => fixed(t.log_bf, 2), sort: (t) => t.log_bf, number: true },
       ], found.tried.slice(0, MOST)))) : null,
       found.no_room.length ? h("p", { class: "small" }, `No room for: ${found.no_room.map((n) => `${n.names.join(" + ")} (${n.why})`).join("; ")}`) : null,
-      found.holds.length ? aside("Does it hold between halves", h("pre", { tabindex: 0 }, JSON.stringify(found.holds, null, 1))) : null,
+      halves(found.holds),
       found.concerns?.length ? aside("Do all blades have it", scroll("Do all blades have it", table([
         { name: "Effect", value: (c) => c.effect },
         { name: "Blades", value: (c) => String(c.blades), sort: (c) => c.blades, number: true },

@@ -43,3 +43,12 @@ def test_a_damaged_table_is_refused() -> None:
         replace(p, material=replace(p.material, conductivity=(0.0115, 0.0175, 0.0228)))
     with pytest.raises(RangeError, match="does not increase"):
         replace(p, material=replace(p.material, temperature_k=(293.0, 700.0, 700.0, 1300.0)))
+
+
+@pytest.mark.parametrize("bad", [0.5, 0.7])
+def test_a_blade_that_cannot_be_compressed_is_refused(bad: float) -> None:
+    """At 0.5 the elements divide by nothing, above it they are softer the harder they are."""
+    p = Properties()
+    with pytest.raises(RangeError, match=r"poisson_ratio.*0\.25 … 0\.4"):
+        replace(p, material=replace(p.material, poisson_ratio=bad))
+    assert replace(p, material=replace(p.material, poisson_ratio=0.49)).material.poisson_ratio
