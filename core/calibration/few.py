@@ -34,7 +34,7 @@ def share(log_w: Array) -> float:
     peak = log_w.max()
     if not np.isfinite(peak):
         return 0.0
-    w = np.exp(log_w - peak)
+    w: Array = np.exp(log_w - peak)
     return round(float(w.sum() ** 2 / np.sum(w * w)) / w.size, 6)
 
 
