@@ -168,7 +168,11 @@ def adopted_line(told: Told) -> str:
     if "not_adopted" in told:
         return "not adopted"
     if "head_seq" not in told:
-        return f"nothing to adopt: the verdict is {told['result']['verdict']}"
+        found = told["result"]
+        if found["verdict"] == "unattributed" and (found.get("widened") or {}).get("borne_out"):
+            yours = f"bladetwin adopt {told['rotor']} {told['id']}"
+            return f"no effect to adopt; a discrepancy without a cause is borne out: {yours} has it"
+        return f"nothing to adopt: the verdict is {found['verdict']}"
     return f"adopted, with entry {told['head_seq']}; the new version follows"
 
 

@@ -26,6 +26,7 @@ from service.bundle import BundleError
 from service.cli import app as commands
 from service.client import Client, ProblemError
 from service.concerned import concerns
+from service.diagnose_command import adopted_line
 from service.handlers import adoptions
 from service.handlers.adoptions import adopt
 from service.handlers.blades import add_blade
@@ -780,3 +781,14 @@ def test_the_commands_adopt_and_back_out_and_say_so(
     with pytest.raises(ProblemError, match="404"):
         twin.back_out("r1", "zz")
     assert twin.adopt("r1", name)["head_seq"] == 15
+
+
+@pytest.mark.parametrize("borne_out", [True, False])
+def test_a_discrepancy_that_is_borne_out_is_not_adopted_unasked_and_told(borne_out: bool) -> None:
+    """`--adopt` adopts what is named; what has no name but widens bands is somebody's decision."""
+    result = {"verdict": "unattributed", "widened": {"borne_out": borne_out}}
+    said = adopted_line({"rotor": "r1", "id": "d7", "result": result})
+    if borne_out:
+        assert "a discrepancy without a cause is borne out: bladetwin adopt r1 d7" in said
+    else:
+        assert said == "nothing to adopt: the verdict is unattributed"
