@@ -70,6 +70,21 @@ def test_a_page_stands_without_error_or_outside_request_and_everybody_can_use_it
     assert (watched.errors, watched.outside) == ([], [])
 
 
+def test_what_a_diagnosis_compared_is_told_in_tables(watched: Watched, diagnosis: str) -> None:
+    """The forecast, the readings held out and the halves stood there as JSON."""
+    page = watched.open(f"/rotors/r1/diagnoses/{diagnosis}")
+    compared = page.get_by_role("region", name="Before and after")
+    row = compared.get_by_role("row", name="forecast")
+    expect(row).to_contain_text("± sd of a single blade [mm]")
+    expect(row).to_contain_text("0.410 ± 0.020")
+    expect(row).to_contain_text("0.360 ± 0.015")
+    expect(page.locator("details", has_text="readings of elongation")).to_contain_text("1-3, 2-3")
+    halves = page.get_by_role("region", name="Does it hold between halves")
+    page.get_by_text("Does it hold between halves").first.click()
+    expect(halves.get_by_role("row", name="early and late")).to_contain_text("1.00 and 1.20")
+    expect(page.locator("main pre")).to_have_count(0)
+
+
 @pytest.mark.parametrize("path", PATHS)
 def test_a_page_fits_a_telephone(watched: Watched, path: str, diagnosis: str) -> None:
     """What is wider than 400 points is scrolled where it stands, and the page is not."""

@@ -77,11 +77,10 @@ function halves(holds) {
   return aside("Does it hold between halves", scroll("Does it hold between halves", table([
     { name: "Effect", value: (one) => one.effect },
     { name: "Between", value: (one) => one.by },
-    { name: "One half [expected sizes]", value: (one) => plain(one.amplitudes[0]), number: true },
-    { name: "The other", value: (one) => plain(one.amplitudes[1]), number: true },
-    { name: "sd of the difference", value: (one) => plain(one.sd), number: true },
-    { name: "Each half alone gains [nat]", value: gains, number: true },
-    { name: "One amplitude", value: (one) => (one.agrees ? "yes" : "no") },
+    { name: "Expected sizes", value: (one) => one.amplitudes.map((a) => plain(a)).join(" and "), number: true },
+    { name: "± sd apart", value: (one) => plain(one.sd), number: true },
+    { name: "Alone [nat]", value: gains, number: true },
+    { name: "Agree", value: (one) => (one.agrees ? "yes" : "no") },
   ], holds)));
 }
 
