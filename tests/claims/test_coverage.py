@@ -50,7 +50,7 @@ FEW_NU = ["sigma_obs.elongation", "tbc_thickness, posterior at a bound", "held-o
 # kept halving (mended since, `panels-13`: 0.5 and 0.6); their states say that they are degenerate
 NOT_PLACED = {("mixed", 400, 12): 0.05}
 SHORT = plan("rotor-20", blades=4)
-ROTORS, SEED, PARTICLES = 32, 20, 1000
+ROTORS, SEED, PARTICLES = 20, 20, 1000
 
 
 def study(folder: Path, rotors: int = ROTORS, processes: int = 1) -> list[Record]:
@@ -66,7 +66,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def records(folder: Path) -> list[Record]:
-    """Thirty-two rotors of four blades, none dropped."""
+    """Twenty rotors of four blades, none dropped."""
     return study(folder)
 
 
