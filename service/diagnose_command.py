@@ -19,9 +19,9 @@ import typer
 from core.errors import BladetwinError, InputError
 from service.commands.blade_table import around
 from service.commands.reach import reached
+from service.report import noticed
 from service.report.alternatives import names
-from service.report.split import campaign, inspection, percent
-from service.report.verdict import IDLE
+from service.report.split import what_to_read
 
 if TYPE_CHECKING:
     from service.client import Client
@@ -81,21 +81,6 @@ def awaited(twin: Client, told: Told, show: Callable[[Told], None], look_s: floa
     return told
 
 
-def what_to_read(separating: Told | None) -> Iterator[str]:
-    """The inspections that tell most of what shares the evidence; of one blade, of all of them."""
-    if not separating:
-        return
-    ways = [("one reading", separating["single"], inspection)]
-    ways += [("all blades", separating.get("campaigns"), campaign)]
-    for what, found, said in ways:
-        if found and found[0]["gain_nat"] >= IDLE:
-            best = found[0]
-            yield (
-                f"  {what}, to tell more: {said(best)} (expected share of the true one "
-                f"{percent(best['share'])}, settled in {percent(best['settled'])} of cases)"
-            )
-
-
 def amplitude(effect: Told, found: Told) -> str:
     """How large an effect is, in its unit where the diagnosis tells it, and of what."""
     units = {
@@ -117,6 +102,7 @@ def lines_of(told: Told) -> Iterator[str]:
     if found["verdict"] == "not separable":
         yield "  one of: " + ", ".join(found["names"])
     yield from what_to_read(found.get("separating"))
+    yield from noticed.lines(found)
     if found["effects"]:
         yield "effects" if found["claimed"] else "effects that were calibrated, not claimed"
     for effect in found["effects"]:

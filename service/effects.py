@@ -34,6 +34,7 @@ from core.diagnosis import (
 from core.diagnosis.alternatives import alternatives
 from core.diagnosis.clock import with_offsets
 from core.diagnosis.families import families_for
+from core.diagnosis.noticed import noticed
 from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
 from core.diagnosis.rivals import splitting
@@ -172,7 +173,11 @@ def diagnosed(
     others = None
     if found.foretold and compare_h is not None and quantity:
         others = alternatives(found.before, found.rivals, case, quantity, compare_h)
-    told = to_json(found, case, both, pictures(found, case), apart, wide, others)
+    unseen = None
+    if found.scan is not None:
+        then("what would have been noticed")
+        unseen = noticed(found.scan, case.noise(model, state), case.seed, case.dealt)
+    told = to_json(found, case, both, pictures(found, case), apart, wide, others, unseen)
     if claimed and compare_h is not None:
         held = transferred(
             (found.before[0], found.after[0]),

@@ -22,6 +22,7 @@ amplitudes  what readings say of effects in the model; halves: whether they hold
             blades and readings; concerned: whether all blades have the effect
 alternatives  what else the readings allow: forecasts by other courses
 transfer    whether an effect holds in another condition
+noticed     where nothing was found: from which size on it would have been
 report      before and after, on readings that neither model used
 residuals   every reading predicted from the visits before it; omnibus: tests of what they should be
 left_out    each reading as predicted without itself

@@ -44,6 +44,7 @@ from core.diagnosis.held import leaving_runs
 from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.left_out import left_out
 from core.diagnosis.misread import set_apart, slips
+from core.diagnosis.scan import Scan
 from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.together import shared
 from core.diagnosis.verdict import Verdict, judge
@@ -71,6 +72,7 @@ class Diagnosis:
     refused   hypotheses that the runs have no room for, with the reason: the scan's word alone
     turns     what each turn weighed and took
     rivals    what else the readings allow in place of the effects, with shares (`alternatives`)
+    scan      the first one, where nothing was found: what it would have found is asked (`noticed`)
     """
 
     verdict: Verdict
@@ -83,6 +85,7 @@ class Diagnosis:
     refused: tuple[tuple[tuple[str, ...], str], ...] = ()
     turns: tuple[Turn, ...] = ()
     rivals: tuple[tuple[Rival, float], ...] = ()
+    scan: Scan | None = None
 
     @property
     def foretold(self) -> bool:
@@ -127,7 +130,8 @@ def diagnose(
     nothing = taken = Rival((), model, lambda: state, 0.0)
     if first.word == "adequate":
         first = _with_slips(first, case, nothing)
-        return Diagnosis(first, first, (model, state), (model, state), (), 0.0, ())
+        same = (model, state)
+        return Diagnosis(first, first, same, same, (), 0.0, (), scan=scan)
     turns: list[Turn] = []
     seen = [frozenset[Cell]()]
     while found.word != "adequate" and len(turns) < MOST:

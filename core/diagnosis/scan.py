@@ -54,8 +54,7 @@ class Scan:
     free    sets of columns that have no name, by what they are: their places among the columns
     g (B, n, C) signatures, those of `free` behind the cells', and h, their covariances with the
     residual (`scores`); u, phi (C,); information (C, C), within: without what shared parameters
-    imitate;
-    c, own (B, C): the blades' shares of score and information
+    imitate; c, own (B, C): the blades' shares of score and information
     """
 
     cells: tuple[Cell, ...]
@@ -101,8 +100,7 @@ class Scan:
         c, own = seen.shares(g, shared)
         c += pull
         information = np.asarray(within - shared.T @ shared)
-        concerned = np.any(g != 0, axis=1)  # (B, C)
-        alone = alone_of(cells, g.shape[2])
+        concerned, alone = np.any(g != 0, axis=1), alone_of(cells, g.shape[2])
         u = np.einsum("bic,bi->c", g, seen.q) + pull.sum(axis=0)
         phi = Scatter.of(own, concerned, alone).phi(c, u, np.diag(information))
         phi = phi * discount(seen, g, alone)
@@ -200,19 +198,21 @@ class Scan:
 
     def null(self, count: int, seed: int) -> Array:
         """`by_family` of `count` dealt sets, (count, families and free sets)."""
-        q = dealt_sets(self.seen, count, seed)
+        return np.array(list(POOL.map(self.of_set, dealt_sets(self.seen, count, seed))))
+
+    def of_set(self, q: Array) -> Array:
+        """`by_family` of a dealt set q (B, n)."""
+        whole, (shared, blocks) = np.zeros(self.own.shape), self._blocks
+        for b, (at, own) in enumerate(blocks):
+            whole[b, at] = q[b] @ own
+        turned = np.einsum("bis,bi->bs", self.seen.imitated, q)
+        return self._tried(whole - turned @ shared, whole.sum(axis=0), q)
+
+    @cached_property
+    def _blocks(self) -> tuple[Array, list[tuple[NDArray[np.intp], Array]]]:
         shared = np.tensordot(self.seen.deviation, self.g, axes=((0, 1), (0, 1)))
-        turned = np.einsum("bis,kbi->kbs", self.seen.imitated, q)
         there = [np.flatnonzero(np.any(one != 0, axis=0)) for one in self.g]
-        blocks = [(at, one[:, at]) for at, one in zip(there, self.g, strict=True)]
-
-        def tried(k: int) -> Array:
-            whole = np.zeros(self.own.shape)
-            for b, (at, own) in enumerate(blocks):
-                whole[b, at] = q[k, b] @ own
-            return self._tried(whole - turned[k] @ shared, whole.sum(axis=0), q[k])
-
-        return np.array(list(POOL.map(tried, range(count))))
+        return shared, [(at, one[:, at]) for at, one in zip(there, self.g, strict=True)]
 
     @cached_property
     def _scatter(self) -> Scatter:

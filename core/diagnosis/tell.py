@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from core.calibration.state import RotorState, shared_posterior
+from core.diagnosis import noticed
 from core.diagnosis.adopt import amplitude_of, frees
 from core.diagnosis.alternatives import Alternatives
 from core.diagnosis.case import Case
 from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.grammar import Cell
+from core.diagnosis.noticed import Noticed
 from core.diagnosis.report import BeforeAfter, Scored
 from core.diagnosis.verdict import Verdict, describe
 from core.diagnosis.widen import EARNED, Widened
@@ -30,6 +32,7 @@ def to_json(
     separating: Json | None = None,
     wide: Widened | None = None,
     others: Alternatives | None = None,
+    unseen: Sequence[Noticed] | None = None,
 ) -> Json:
     """Verdict, effects with amplitudes, evidence, everything tried, before and after.
 
@@ -38,6 +41,7 @@ def to_json(
                 (`core.diagnosis.separate`)
     wide        what a lack without a name makes of the bands (`core.diagnosis.widen`)
     others      forecasts by the rivals of what is in the model (`core.diagnosis.alternatives`)
+    unseen      where nothing was found, from which size on it would have been
     """
     verdict = found.verdict
     after = found.after
@@ -48,7 +52,11 @@ def to_json(
         "names": list(verdict.names),
         "beside": list(verdict.beside),
         "several": list(verdict.several),
-        "reasons": [*verdict.reasons, *([] if wide is None else [in_words(wide)])],
+        "reasons": [
+            *verdict.reasons,
+            *([] if wide is None else [in_words(wide)]),
+            *([] if unseen is None else noticed.in_words(unseen)),
+        ],
         "p": verdict.p,
         "p_after": verdict.after,
         "effects": [
@@ -84,6 +92,7 @@ def to_json(
         "separating": separating,
         "alternatives": None if others is None else others.to_json(),
         "widened": None if wide is None else widened_json(wide),
+        "noticed": None if unseen is None else noticed.noticed_json(unseen, found.before[0]),
     }
 
 

@@ -627,6 +627,27 @@ class FoundWidened(TypedDict):
     sd: FoundWidenedSd
 
 
+class FoundNoticedFamilie(TypedDict):
+    family: str
+    whom: str
+    kind: str
+    on: str
+    target: str
+    how: str
+    of: str
+    unit: str
+    least: float | None
+    easiest: str
+    most: float | None
+    hardest: str
+
+
+class FoundNoticed(TypedDict):
+    probability: float
+    alarm: float
+    families: list[FoundNoticedFamilie]
+
+
 class FoundCondition(TypedDict):
     fault: NotRequired[str | None]
     input: str
@@ -693,6 +714,7 @@ class Found(TypedDict):
     before_after: dict[str, Any] | None
     adds: NotRequired[FoundAdds | None]
     widened: NotRequired[FoundWidened | None]
+    noticed: NotRequired[FoundNoticed | None]
     conditions: NotRequired[list[FoundCondition]]
     not_adopted: NotRequired[str]
     pictures: NotRequired[Pictures | None]

@@ -13,7 +13,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from service.report import alternatives, evidence, residuals, sections, split
+from service.report import alternatives, evidence, noticed, residuals, sections, split
 from service.report.conditions import conditions
 from service.report.markup import Markup, el, join
 from service.report.tables import facts, pairs, section
@@ -61,6 +61,7 @@ def report(
     parts = [
         head,
         residuals.known(found),
+        noticed.noticed(found),
         split.split(found),
         sections.effects(found),
         sections.before_after(found),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from service.report.figures import label_of
@@ -170,3 +170,18 @@ def curves(names: Sequence[str], one: Json) -> Markup:
         ]
         parts.append(path(points, f"rival r{k}"))
     return picture(head + 172, *parts, label="What each rival expects of the best reading")
+
+
+def what_to_read(separating: Json | None) -> Iterator[str]:
+    """The inspections that tell most of what shares the evidence; of one blade, of all of them."""
+    if not separating:
+        return
+    ways = [("one reading", separating["single"], inspection)]
+    ways += [("all blades", separating.get("campaigns"), campaign)]
+    for what, found, said in ways:
+        if found and found[0]["gain_nat"] >= IDLE:
+            best = found[0]
+            yield (
+                f"  {what}, to tell more: {said(best)} (expected share of the true one "
+                f"{percent(best['share'])}, settled in {percent(best['settled'])} of cases)"
+            )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from service.report.noticed import blind
 from service.report.words import counted, joined, number, sentence
 
 Json = Mapping[str, Any]
@@ -83,12 +84,22 @@ def claims(found: Json) -> tuple[list[Json], list[Json]]:
 def do_next(found: Json) -> str:
     """What an engineer may do with the verdict."""
     return {
-        "adequate": "Nothing has to be done: forecasts and bands of the model can be used.",
+        "adequate": _enough(found),
         "effect": f"Check the cause on the machine or the instrument. {_better(found)}",
         "not separable": f"Do not act on one of the names alone.{_apart(found)}",
         "unattributed": "Look at the residuals below: they show where the misfit is. Bands of the "
         "model are too narrow there, and forecasts may be biased." + _many(found) + _wider(found),
     }[found["verdict"]]
+
+
+def _enough(found: Json) -> str:
+    """What an absence is worth."""
+    if blind(found):
+        return (
+            "Do not rest anything on this: readings as few as these could not have contradicted "
+            "the model. Read more of the blades, or read them again, then ask anew."
+        )
+    return "Nothing has to be done: forecasts and bands of the model can be used."
 
 
 def _better(found: Json) -> str:

@@ -54,6 +54,7 @@ def told(verdict: str, blade: str = "B1", campaign: str = "spring", **changes: A
         "pictures": pictures(blade, campaign, named=named),
         "separating": separating(campaign) if verdict == "not separable" else None,
         "alternatives": alternatives(name) if named else None,
+        "noticed": noticed() if verdict == "adequate" else None,
         "rests_on": rested(),
     } | changes  # fmt: skip
 
@@ -74,6 +75,53 @@ def effect(name: str, campaign: str) -> Json:
         "step_h": None,
         "amplitude": {"mean": 0.0199, "sd": 0.0021, "of": "added to elongation"},
     }
+
+
+def noticed() -> Json:
+    """Of wear by its courses, of a campaign, and of a step that no size would have shown."""
+    wear = {
+        "family": "coating wear",
+        "whom": "coating_lot",
+        "kind": "physics",
+        "on": "input",
+        "target": "tbc_thickness",
+        "how": "times",
+        "of": "lost of tbc_thickness by 50,000 h",
+        "unit": "1",
+        "least": 0.061,
+        "easiest": "C2, early",
+        "most": 0.12,
+        "hardest": "C1, late",
+    }
+    step = {
+        "family": "firing temperature step",
+        "whom": "all",
+        "kind": "operation",
+        "on": "input",
+        "target": "t1t_rate",
+        "how": "plus",
+        "of": "added to t1t_rate",
+        "unit": "1",
+        "least": 0.0125,
+        "easiest": "at 8,000 h",
+        "most": None,
+        "hardest": "at 30,000 h",
+    }
+    offset = {
+        "family": "campaign offset",
+        "whom": "campaign",
+        "kind": "sensor",
+        "on": "reading",
+        "target": "elongation",
+        "how": "plus",
+        "of": "added to elongation",
+        "unit": "mm",
+        "least": 0.0123,
+        "easiest": "",
+        "most": 0.0123,
+        "hardest": "",
+    }
+    return {"probability": 0.9, "alarm": 0.05, "families": [wear, step, offset]}  # fmt: skip
 
 
 def compared() -> Json:

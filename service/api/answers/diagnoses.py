@@ -154,6 +154,7 @@ FOUND = having(
         "concerns",
         "conditions",
         "not_adopted",
+        "noticed",
         "pictures",
         "separating",
         "several",
@@ -207,6 +208,28 @@ FOUND = having(
             time_h=NUMBER,
             share=NUMBER,
             sd=having(before=NUMBER, after=NUMBER),
+        )
+    ),
+    noticed=maybe(
+        having(
+            probability=NUMBER,
+            alarm=NUMBER,
+            families=each(
+                having(
+                    family=TEXT,
+                    whom=TEXT,
+                    kind=TEXT,
+                    on=TEXT,
+                    target=TEXT,
+                    how=TEXT,
+                    of=TEXT,
+                    unit=TEXT,
+                    least=maybe(NUMBER),
+                    easiest=TEXT,
+                    most=maybe(NUMBER),
+                    hardest=TEXT,
+                )
+            ),
         )
     ),
     conditions=each(

@@ -84,6 +84,19 @@ function halves(holds) {
   ], holds)));
 }
 
+/** Where nothing was found: from which size on an effect would have been. */
+function unseen(told) {
+  if (!told?.families.length) return null;
+  const size = (value, which, one) => (value === null ? "–" : inUnit(plain(value, 2), one.unit) + (which && one.easiest !== one.hardest ? ` (${which})` : ""));
+  return panel("What would have been noticed", scroll("What would have been noticed", table([
+    { name: "Effect", value: (one) => one.family },
+    { name: "Of", value: (one) => (one.whom === "all" ? "all blades" : `one ${words(one.whom)}`) },
+    { name: "From", value: (one) => size(one.least, one.easiest, one), number: true },
+    { name: "At worst from", value: (one) => size(one.most, one.hardest, one), number: true },
+    { name: "Amplitude", value: (one) => one.of },
+  ], told.families)), h("p", { class: "small" }, `Sizes that would have raised the alarm with a probability of ${fixed(100 * told.probability, 0)} %, each by itself; –: it would have to be larger than is looked for. Effects of single blades are not told.`));
+}
+
 function result(found, unitName) {
   const units = Object.fromEntries((found.pictures?.amplitudes ?? []).map((one) => [one.name, one.unit]));
   const effects = found.effects.length ? scroll("Effects", table([
@@ -112,6 +125,7 @@ function result(found, unitName) {
           { name: "After", value: (p) => pair(p.after), number: true },
         ] : [{ name: "Mean ± sd", value: (p) => pair(p.before), number: true }]),
       ], shared)) : null),
+    unseen(found.noticed),
     panel("What was tried", bars ?? h("p", { class: "soft" }, "Nothing had to be tried."),
       found.tried.length ? aside(`The first ${Math.min(MOST, found.tried.length)} of ${found.tried.length} as a table`, scroll("Tried", table([
         { name: "Effect", value: (t) => t.what },

@@ -1,0 +1,180 @@
+"""From which size on an effect would have been noticed: what `adequate` is worth.
+
+That nothing was found says much where it would have been, and nothing where it could not. So each
+family that concerns several blades is planted into dealt sets (`dealing`), which have what blades
+scatter by and nothing in common. An effect of amplitude a with signature g moves a blade's score by
+
+    q → q + a Q g⊥
+
+(`scores`: g⊥ is what the shared parameters do not imitate), and the same test is asked whether it
+alarms: the mean Bayes factor of all families against its level in sets dealt from residuals which
+have the effect as well, for that is what the test would have had to deal. The least amplitude for
+which `ENOUGH` of the sets alarm is found by halving, up to `MOST` times the expected size:
+what would have to be larger is not looked for by the grammar either, and such readings cannot
+contradict the model. What a rotor tells of its own scatter is uncertain, and with it the level:
+sizes of like rotors differ by a seventh, so that `ENOUGH` of its sets are `PROBABILITY` of rotors.
+
+Where a family runs in several ways (courses, hours of a step, campaigns) the cell with the most
+information and the one with the least are planted, so that two sizes are told. To second order, as
+the scan is. Families of one blade are left out: in clean fleets theirs hardly ever alarm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.calibration.message import POOL
+from core.diagnosis.adopt import WIDTH, amplitude_of, expected
+from core.diagnosis.dealing import dealt_sets
+from core.diagnosis.densities import amplitude_unit
+from core.diagnosis.grammar import Cell
+from core.diagnosis.scan import Scan
+from core.diagnosis.signature import Signatures
+from core.diagnosis.verdict import ALARM, DEALT
+from core.model import Model
+
+Array = NDArray[np.float64]
+PROBABILITY, ENOUGH = 0.9, 0.95
+PLANTED, DEALS = 60, 60  # sets that an effect is planted in; that tell how it lifts the level
+LEAST, MOST, HALVINGS = 0.05, WIDTH, 6  # in expected sizes: to 7 %
+NOTHING = (
+    "no effect of the sizes that are expected would have been noticed: these readings are too few "
+    "to contradict the model"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Noticed:
+    """Sizes of a family's effects that would have been noticed.
+
+    easiest, hardest  the cells that readings tell most and least of, the same where there is one
+    least, most       their amplitudes, in the unit of the family's; none: larger than is looked for
+    """
+
+    easiest: Cell
+    hardest: Cell
+    least: float | None
+    most: float | None
+
+    def to_json(self, model: Model) -> dict[str, Any]:
+        """Plain JSON; units are the model's."""
+        cell, family = self.easiest, self.easiest.family
+        told = {"family": family.name, "whom": cell.whom, "kind": family.kind}
+        told |= {"on": family.target, "target": family.of, "how": family.how}
+        told |= {"of": amplitude_of(cell), "unit": amplitude_unit(cell, model)}
+        ends = {"least": self.least, "easiest": _which(cell)}
+        return told | ends | {"most": self.most, "hardest": _which(self.hardest)}
+
+
+def noticed(
+    scan: Scan, noise: Mapping[str, float], seed: int, dealt: int = DEALT
+) -> tuple[Noticed, ...]:
+    """What a scan without an alarm would have noticed, in the order of its families.
+
+    noise  from which offsets without a size have theirs, by quantity
+    seed   that of the test; it deals the same sets
+    """
+    several = _of_several(scan)
+    if not several.families:
+        return ()
+    test, own = _Test.of(several, float(np.mean(~scan.of_one_blade)), seed, dealt), {}
+
+    def size(i: int) -> float | None:
+        if i not in own:
+            own[i] = test.size(i)
+        found = own[i]
+        return None if found is None else found * expected(several.cells[i], noise)
+
+    told, out = np.diag(several.information), []
+    for places in several.families.values():
+        order = sorted(places, key=lambda i: (-told[i], i))
+        first, last = order[0], order[-1]
+        cells = several.cells[first], several.cells[last]
+        out.append(Noticed(*cells, size(first), size(last)))
+    return tuple(out)
+
+
+@dataclass(frozen=True)
+class _Test:
+    """The test of a scan without cells of one blade, on sets with an effect.
+
+    share  of its families among all, and so of the false alarms
+    sets   dealt ones, to be planted in; level: of the readings as they are; few: of `DEALS` of them
+    """
+
+    scan: Scan
+    share: float
+    seed: int
+    sets: Array
+    level: float
+    few: float
+
+    @staticmethod
+    def of(scan: Scan, share: float, seed: int, dealt: int) -> _Test:
+        sets, deals = (dealt_sets(scan.seen, count, seed) for count in (dealt, DEALS))
+        level, few = (_level(scan, of, share) for of in (sets, deals))
+        return _Test(scan, share, seed, sets[:PLANTED], level, few)
+
+    def size(self, i: int) -> float | None:
+        """The amplitude of a cell, in expected sizes, that is noticed in `ENOUGH` of sets."""
+        seen = self.scan.seen
+        along = seen.efficient(self.scan.g[:, :, [i]])[:, :, 0]
+        moved = np.einsum("bij,bj->bi", seen.information, along)
+        if self.alarms(MOST * moved) < ENOUGH:
+            return None
+        low, high = np.log(LEAST), np.log(MOST)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            there = self.alarms(np.exp(middle) * moved) >= ENOUGH
+            low, high = (low, middle) if there else (middle, high)
+        return float(np.exp(high))
+
+    def alarms(self, moved: Array) -> float:
+        """The share of sets that alarm with an effect that moves scores (B, n)."""
+        seen = replace(self.scan.seen, q=self.scan.seen.q + moved)
+        higher = _level(self.scan, dealt_sets(seen, DEALS, self.seed), self.share) - self.few
+        return float(np.mean(_together(self.scan, self.sets + moved) >= self.level + higher))
+
+
+def _level(scan: Scan, sets: Array, share: float) -> float:
+    """What a share `ALARM` of sets reaches, that of these families."""
+    return float(np.quantile(_together(scan, sets), 1.0 - ALARM * share, method="higher"))
+
+
+def _together(scan: Scan, sets: Array) -> Array:
+    """log of the families' mean Bayes factor of sets (K, B, n), times the families' number."""
+    return np.array([np.logaddexp.reduce(one) for one in POOL.map(scan.of_set, sets)])
+
+
+def _of_several(scan: Scan) -> Scan:
+    """Without what concerns one blade."""
+
+    def part(places: list[int]) -> Signatures:
+        return Signatures(scan.g[:, :, places], scan.h[:, :, places])
+
+    kept = [i for i, cell in enumerate(scan.cells) if cell.whom != "blade"]
+    free = {n: part(list(at)) for n, at in scan.free.items() if not n.endswith(", blade")}
+    return Scan.of([scan.cells[i] for i in kept], scan.seen, part(kept), free)
+
+
+def noticed_json(found: Sequence[Noticed], model: Model) -> dict[str, Any]:
+    """All of them, with the probabilities they go by."""
+    each = [one.to_json(model) for one in found]
+    return {"probability": PROBABILITY, "alarm": ALARM, "families": each}
+
+
+def in_words(found: Sequence[Noticed]) -> tuple[str, ...]:
+    """That nothing would have been noticed, where that is so."""
+    return (NOTHING,) if found and all(one.least is None for one in found) else ()
+
+
+def _which(cell: Cell) -> str:
+    """A cell among those of its family: whom of them, its course, its hour."""
+    step = None if cell.step_h is None else f"at {cell.step_h:,.0f} h"
+    told = [cell.value, step or (None if cell.shape == "constant" else cell.shape)]
+    return ", ".join(one for one in told if one)
