@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.commands.reach import reached
 from service.diagnose_command import amplitude
+
+if TYPE_CHECKING:
+    from service.client import Client
+
+NOT_FOUND = 404
 
 
 def adopt(
@@ -27,8 +32,7 @@ def adopt(
 ) -> None:
     """Adopt the effect that a diagnosis named, or back it out; the posterior follows by itself."""
     with reached(url, key) as twin:
-        result = None if as_json else twin.diagnosis(rotor, diagnosis)["result"]
-        found: dict[str, Any] = {} if result is None else {**result}
+        found = {} if as_json else result_of(twin, rotor, diagnosis)
         done = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
         told: dict[str, Any] = {**done}
         if not as_json:  # it is done, whatever becomes of the waiting
@@ -43,11 +47,25 @@ def adopt(
         typer.echo(f"  sealed as version {version}: {digest[:16]}…")
 
 
+def result_of(twin: Client, rotor: str, diagnosis: str) -> dict[str, Any]:
+    """What a diagnosis found; nothing where it has not ended, or did not travel with its rotor."""
+    from service.client import ProblemError
+
+    try:
+        found = twin.diagnosis(rotor, diagnosis)["result"]
+    except ProblemError as error:
+        if error.status != NOT_FOUND:
+            raise
+        found = None
+    return {} if found is None else {**found}
+
+
 def lines_of(rotor: str, one: dict[str, Any], found: dict[str, Any]) -> Iterator[str]:
     """What an entry of the log did to the rotor's model; `found`: the diagnosis' result."""
     what = "backed out" if one["what"] == "back-out" else "adopted"
     yield f"rotor {rotor}: {what} with entry {one['seq']}"
     for effect in one["effects"]:
-        yield f"  {effect['name']}: {amplitude(effect, found)}"
+        sized = "amplitude" in effect  # a discrepancy without a cause has none
+        yield f"  {effect['name']}: {amplitude(effect, found)}" if sized else f"  {effect['words']}"
     if one["readings_since"]:
         yield f"  {one['readings_since']} readings came since the diagnosis"

@@ -20,6 +20,7 @@ from core.diagnosis.verdict import Held
 from core.log import Entry
 from core.observation import Inspection
 from service import bundle
+from service.adopt_command import lines_of
 from service.adopted import adopted_at
 from service.bootstrap import make_worker
 from service.bundle import BundleError
@@ -28,6 +29,7 @@ from service.client import Client, ProblemError
 from service.concerned import concerns
 from service.diagnose_command import adopted_line
 from service.handlers import adoptions
+from service.handlers.adoptable import told_effects
 from service.handlers.adoptions import adopt
 from service.handlers.blades import add_blade
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
@@ -781,6 +783,40 @@ def test_the_commands_adopt_and_back_out_and_say_so(
     with pytest.raises(ProblemError, match="404"):
         twin.back_out("r1", "zz")
     assert twin.adopt("r1", name)["head_seq"] == 15
+
+
+def test_the_command_backs_out_what_came_with_an_imported_rotor(
+    api: httpx.Client,
+    store: SqlStore,
+    science: Offsets,
+    named: str,
+    worker: Worker,
+    diagnoser: Worker,
+    tmp_path: Path,
+) -> None:
+    """The diagnosis itself did not travel; the command asked for its result, and ended there."""
+    api.post(f"/v1/rotors/r1/diagnoses/{named}/adoption")
+    worker.drain()
+    export_rotor(store, "r1", tmp_path / "r1.zip", "test")
+    import_rotor(store, science, tmp_path / "r1.zip", "copy")
+    url = ("--url", str(api.base_url))
+    done = command(worker, diagnoser, "adopt", "copy", named, "--back-out", *url)
+    assert done.exit_code == 0, done.output
+    assert "rotor copy: backed out with entry 14" in done.stdout
+    assert f"{NAME}: 0.100 ± 0.010 added to elongation" in done.stdout
+    done = command(worker, diagnoser, "adopt", "copy", "zz", "--back-out", *url)
+    assert done.exit_code == 1, "never adopted"
+
+
+def test_the_command_tells_of_a_discrepancy_that_was_adopted() -> None:
+    """It has no amplitude: the command adopted it, and ended with a KeyError."""
+    wide = {"quantity": "elongation", "share": 0.4, "time_h": 5e4, "borne_out": True}
+    effects = told_effects({"verdict": "unattributed", "widened": wide, "effects": []})
+    entry = {"what": "adoption", "seq": 13, "effects": effects, "readings_since": 0}
+    assert [*lines_of("r1", entry, {"verdict": "unattributed"})] == [
+        "rotor r1: adopted with entry 13",
+        "  discrepancy (elongation): 40% of the variance at 50,000 h, without a cause",
+    ]
 
 
 @pytest.mark.parametrize("borne_out", [True, False])
