@@ -170,7 +170,7 @@ def diagnose(
         if (both := with_both(search, taken, rivals, verdict.names, no_room)) is not None:
             taken, told = both
             verdict = replace(verdict, reasons=(*verdict.reasons, told))
-        later = leaving_runs(taken.model, taken.state, case.present)
+        later = leaving_runs(taken.model, taken.state, case.present, case.spec.known)
         verdict = replace(verdict, reasons=(*verdict.reasons, *later))
     return Diagnosis(
         _with_slips(verdict, case, taken),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from core.calibration.state import RotorState, blade_posterior
 from core.model import Model
@@ -10,15 +10,23 @@ from core.runs_end import held_from
 from core.surrogate.driven import Driven
 
 
-def leaving_runs(model: Model, state: RotorState, blades: Sequence[str]) -> list[str]:
-    """One sentence for each input that leaves its runs in some of the blades; hours are theirs."""
+def leaving_runs(
+    model: Model,
+    state: RotorState,
+    blades: Sequence[str],
+    known: Mapping[str, Mapping[str, float]] | None = None,
+) -> list[str]:
+    """One sentence for each input that leaves its runs in some of the blades; hours are theirs.
+
+    known  inputs that are given, by blade
+    """
     held, answers = [d for d in model.network.drifts if d.held], model.surrogate
     if not held or not isinstance(answers, Driven):
         return []
     ends: dict[str, list[float]] = {}
     for blade in blades:
         posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
-        for name, hour in held_from(model, posterior, blade).items():
+        for name, hour in held_from(model, posterior, blade, (known or {}).get(blade)).items():
             ends.setdefault(name, []).append(hour)
     box = {i.name: i for i in answers.base.inputs}
     return [

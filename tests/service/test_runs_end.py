@@ -20,6 +20,7 @@ from core.diagnosis.held import leaving_runs
 from core.model import Model, rotor_blade_wide
 from core.observation import Inspection
 from core.prior import Prior
+from core.runs_end import held_from
 from service import fields
 from service.ports import ModelCard
 from service.science import CoreScience
@@ -89,6 +90,17 @@ def test_a_verdict_says_it_of_all_blades_together(worn: tuple[Model, RotorState]
     assert f"{WEAR.name} would take tbc_thickness of 1 of 2 blades out of the runs, 0.4 … " in said
     assert "later hours have too little of the effect" in said
     assert leaving_runs(*worn, ("B1",)) == []
+
+
+def test_a_verdict_knows_the_inputs_that_are_given(worn: tuple[Model, RotorState]) -> None:
+    """They are in no posterior: of one without a nominal value the hour was that of an input 0."""
+    hour = lambda thick: held_from(  # noqa: E731
+        worn[0], blade_posterior(worn[1].meta, worn[1].arrays.__getitem__, "B2"), "B2", thick
+    )["tbc_thickness"]
+    given = {"tbc_thickness": 1.3}
+    (said,) = leaving_runs(*worn, NAMES, {"B2": given})
+    assert hour(given) > hour(None)
+    assert said.startswith(f"from {hour(given):,.0f} h on ")
 
 
 def test_prediction_and_life_say_it(
