@@ -30,6 +30,7 @@ from core.surrogate import Surrogate
 from core.surrogate.driven import Driven
 
 WIDTH = 4.0  # amplitudes reach so many times the expected size
+MOST_LOST, MOST_GAINED = 0.8, 4.0  # of a reading
 LEAST_ROOM = 0.2  # of the expected size, or the runs cannot hold the effect
 
 
@@ -125,10 +126,11 @@ def _with(
             name, family.of, course, family.how,
             instrument=cell.value if cell.whom == "instrument" else None,
             campaign=cell.value if cell.whom == "campaign" else None,
-            blades=blades, since=since, lasting=family.kind != "sensor",
+            blades=blades, since=since,
+            lasting=family.kind != "sensor" and cell.whom not in ("instrument", "campaign"),
         )  # fmt: skip
         if family.how == "times":
-            low, high = max(low, -0.8), min(high, 4.0)
+            low, high = _gains(course, low, high)
         changes: dict[str, Any] = {"biases": (*network.biases, bias)}
     else:
         drift = Drift(name, family.of, course, family.how, blades, since, held=True)
@@ -138,6 +140,13 @@ def _with(
         name, "shared", Prior("normal", low, high, 0.0, size), nominal=0.0, symbol="a"
     )
     return replace(network, parameters=(*network.parameters, amplitude), **changes)
+
+
+def _gains(course: Course, low: float, high: float) -> tuple[float, float]:
+    """The amplitudes that take `MOST_LOST` of a reading at most, or add `MOST_GAINED`."""
+    least, most = float(course.values.min()), float(course.values.max())
+    low = max(low, -MOST_LOST / most) if most > 0 else low
+    return low, min(high, MOST_GAINED, -MOST_LOST / least if least < 0 else high)
 
 
 def _bounded(cell: Cell, sign: int) -> Course:

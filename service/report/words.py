@@ -144,7 +144,8 @@ def sentence(effect: Json, unit: str | None, model: str) -> str:
         direction = "higher" if value >= 0 else "lower"
         return f"{name} {whom(effect)} is {how_much} {direction}, {when(effect)}"
     what = effect["target"].replace("_", " ")
-    if effect["kind"] != "sensor":  # the blade itself: what reads it is right
+    if effect["kind"] != "sensor" and effect["whom"] not in ("instrument", "campaign"):
+        # the blade itself: what reads it is right
         more = "more" if value >= 0 else "less"
         return f"{what} {whom(effect)} is {how_much} {more} than the model had it, {when(effect)}"
     direction = "too much" if value >= 0 else "too little"

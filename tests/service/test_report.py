@@ -394,6 +394,15 @@ def test_what_happens_to_a_blade_is_no_fault_of_its_readings() -> None:
     assert sentence(settled, "mm", "rotor-blade").endswith("from the first hour on")
 
 
+def test_what_an_instrument_reads_is_a_fault_of_its_readings_whatever_its_kind() -> None:
+    sag = effect("clamped gauge (instrument LE-2)", "LE-2") | {
+        "kind": "operation", "whom": "instrument",
+    }  # fmt: skip
+    assert sentence(sag, "mm", "rotor-blade").startswith(
+        "readings of elongation taken by instrument LE-2 say "
+    )
+
+
 @pytest.mark.parametrize(
     ("target", "unit", "band"),
     [

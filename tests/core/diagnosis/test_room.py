@@ -176,6 +176,40 @@ def test_an_effect_with_less_room_than_a_fifth_of_its_size_is_refused() -> None:
         _room(model, one, -9.0, -0.0, 0.06)
 
 
+@pytest.mark.parametrize(
+    ("sign", "size", "shape", "bounds"),
+    [
+        (0, 0.1, "constant", (-0.4, 0.4)),
+        (0, 0.3, "constant", (-0.8, 1.2)),
+        (0, 0.2, "linear", (-0.8 / 1.2, 0.8)),
+        (-1, 0.3, "constant", (0.0, 0.8)),
+        (-1, 0.3, "late", (0.0, 0.8 / 1.4)),
+        (1, 2.0, "step", (0.0, 4.0)),
+    ],
+)
+def test_a_gain_takes_four_fifths_of_a_reading_at_most_whatever_its_sign_and_course(
+    sign: int, size: float, shape: Any, bounds: tuple[float, float]
+) -> None:
+    """One that was lost, or grew, was bounded as if it were added and constant: the network refused
+    what was left of a reading, and the effect was said to have no room."""
+    family = replace(FAMILY["instrument gain"], sign=sign, size=size, shapes=(shape,))
+    cell = Cell(family, shape, "instrument", "LE-1", 9e3 if shape == "step" else None)
+    model = with_effects(rotor_blade_wide(), [cell], {"B1": Facts()}, {"elongation": 0.02})
+    prior = model.network.parameter("instrument gain (instrument LE-1)").prior
+    assert (prior.low, prior.high) == pytest.approx(bounds)
+
+
+@pytest.mark.parametrize(("whom", "lasting"), [("instrument", False), ("blade", True)])
+def test_what_an_instrument_reads_wrong_is_no_blade_s_whatever_its_kind(
+    whom: Any, lasting: bool
+) -> None:
+    """It could not enter a model, and shared the evidence with what could."""
+    family = replace(FAMILY["instrument offset"], kind="operation", whom=(whom,))
+    cell = Cell(family, "constant", whom, "B1")
+    model = with_effects(rotor_blade_wide(), [cell], {"B1": Facts()}, {"elongation": 0.02})
+    assert [one.lasting for one in model.network.biases] == [lasting]
+
+
 def test_an_input_that_no_run_varied_has_no_room() -> None:
     with pytest.raises(InputError, match="is no input of the runs"):
         _room(rotor_blade_wide(), drift([(1e4, 1.0)], "slot"), -1.0, 1.0, 0.1)
