@@ -224,10 +224,10 @@ def amplitude_of(cell: Cell, *, woken: bool = False) -> str:
     woken  of a dormant input that is free itself (`frees`): what is lost of it is below zero
     """
     family = cell.family
-    what = {"plus": "added to", "times": "of"}[family.how]
-    direction = "lost " if family.sign < 0 and not woken else ""
+    lost = family.sign < 0 and not woken
+    what = {"plus": "lost from" if lost else "added to", "times": "lost of" if lost else "of"}
     when = f" by {cell.reference_h:,.0f} h" if cell.shape in ("early", "linear", "late") else ""
-    return f"{direction}{what} {family.of}{when}"
+    return f"{what[family.how]} {family.of}{when}"
 
 
 def typical_noise(

@@ -382,7 +382,7 @@ def test_what_happens_to_a_blade_is_no_fault_of_its_readings() -> None:
     """A rub makes a blade shorter: what reads it is right."""
     rub = effect("tip rub", "spring") | {
         "kind": "physics", "shape": "step", "step_h": 12_000.0, "clock": "event", "whom": "blade",
-        "value": "B7", "amplitude": {"mean": 0.1, "sd": 0.02, "of": "lost added to elongation"},
+        "value": "B7", "amplitude": {"mean": 0.1, "sd": 0.02, "of": "lost from elongation"},
     }  # fmt: skip
     assert sentence(rub, "mm", "rotor-blade") == (
         "elongation of blade B7 is 0.100 ± 0.020 mm less than the model had it, from about "
@@ -435,7 +435,7 @@ def test_an_amplitude_below_zero_is_lower_unless_it_is_what_is_lost() -> None:
     """A dormant coolant flow that woke, and one that declines."""
     told_ = {"mean": -0.04, "sd": 0.01, "of": "added to cooling_flow"}
     woken = wears(target="cooling_flow", how="plus", shape="constant", amplitude=told_)
-    lost = woken | {"amplitude": {"mean": 0.04, "sd": 0.01, "of": "lost added to cooling_flow"}}
+    lost = woken | {"amplitude": {"mean": 0.04, "sd": 0.01, "of": "lost from cooling_flow"}}
     for one in (woken, lost):
         assert "is 0.040 ± 0.010 lower, from the first hour on" in sentence(one, "1", "rotor-blade")
 

@@ -84,6 +84,20 @@ def test_what_grows_has_its_size_inside_the_models_hours_and_runs_alike_when_it_
     assert amplitude_of(few[0]).endswith("by 5,000 h")
 
 
+@pytest.mark.parametrize(
+    ("family", "said"),
+    [
+        ("tip rub", "lost from elongation"),
+        ("cooling blockage", "lost from cooling_flow"),
+        ("coating spallation", "lost of tbc_thickness"),
+        ("root settling", "added to elongation"),
+    ],
+)
+def test_what_is_lost_is_not_said_to_be_added(family: str, said: str) -> None:
+    own = next(f for f in FAMILIES if f.name == family)
+    assert amplitude_of(Cell(own, "step", "blade", "B1", 9e3)) == said
+
+
 def test_a_step_is_tried_between_all_inspections() -> None:
     who = replace(NOBODY, between_h=(4000.0, 12000.0))
     found = cells(FAMILIES, INPUTS, ["elongation"], {"B1": Facts()}, who)
