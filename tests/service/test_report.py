@@ -268,6 +268,24 @@ def test_a_posterior_at_its_bound_is_marked() -> None:
     assert "lower for" not in Read(page_of(free)).said
 
 
+def test_a_limit_is_passed_from_above_by_what_falls() -> None:
+    """A heat transfer that fouls away; every blade had no hours left of it. As of `core.life`."""
+    hours = [0.0, 10_000.0, 20_000.0]
+    mean = [1500.0, 1000.0, 500.0]
+    course = {
+        "mean": [mean], "median": [mean],
+        "low": [[y - 100.0 for y in mean]], "high": [[y + 100.0 for y in mean]],
+    }  # fmt: skip
+    courses = {"time_h": hours, "blades": ["E1"], "before": course, "after": course}
+    (one,) = lives(courses, [], 800.0)
+    assert (one.before.early, one.before.median, one.before.late) == (12_000.0, 14_000.0, 16_000.0)
+    (above,) = lives(courses, [], 1550.0)
+    assert above.before.median is None, "it is below from the first hour on, and never rises to it"
+    course["mean"] = course["median"] = [[1500.0, 1600.0, 1700.0]]
+    (rises,) = lives(courses, [], 800.0)
+    assert rises.before.median == 0.0, "above it, and does not fall"
+
+
 @pytest.mark.parametrize("name", HOSTILE)
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_names_that_users_chose_never_become_markup(verdict: str, name: str) -> None:
