@@ -99,6 +99,8 @@ def lines_of(told: Told) -> Iterator[str]:
     yield f"rotor {told['rotor']}: {found['verdict']}{p}"
     for reason in found["reasons"]:
         yield f"  {reason}"
+    if why := found.get("not_adopted"):
+        yield f"  the rotor did not adopt it by itself: {why}"
     if found["verdict"] == "not separable":
         yield "  one of: " + ", ".join(found["names"])
     yield from what_to_read(found.get("separating"))

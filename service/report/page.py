@@ -21,7 +21,7 @@ from service.report.verdict import do_next, verdict
 from service.report.words import number
 
 Json = Mapping[str, Any]
-LAYOUT = 3  # raised when the page changes, so that its tag does
+LAYOUT = 4  # raised when the page changes, so that its tag does
 
 
 @cache
@@ -55,6 +55,7 @@ def report(
         el("span", word, class_=f"word {word.replace(' ', '-')}"),
         el("p", verdict(found, rotor, units), class_="said"),
         el("p", do_next(found)),
+        *_not_adopted(found),
         el("p", f"Why: {'; '.join(r.removesuffix('.') for r in found['reasons'])}.", class_="note"),
         _key_figures(found),
     )
@@ -89,6 +90,12 @@ def report(
         lang="en",
     )
     return f"<!doctype html>\n{page}\n"
+
+
+def _not_adopted(found: Json) -> list[Markup]:
+    """Why a rotor that adopts what is named did not."""
+    why = found.get("not_adopted")
+    return [el("p", f"The rotor did not adopt it by itself: {why}")] if why else []
 
 
 def _key_figures(found: Json) -> Markup:
@@ -127,6 +134,7 @@ def rests_on(found: Json) -> Markup:
     ]
     said = (
         "A function of these alone: the same readings, model, particles and seed give the same "
-        "diagnosis. Rotor and model were not changed by it."
+        "diagnosis. What of it was adopted, by somebody or by the rotor itself, stands in the "
+        "rotor's log, not here."
     )
     return section("What it rests on", pairs(told), el("p", said, class_="note"))

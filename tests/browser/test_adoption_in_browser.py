@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import httpx
 import numpy as np
@@ -19,7 +19,7 @@ from service.fake import FakeScience
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
-from service.ports import BladeRecord, Diagnose
+from service.ports import BladeRecord, Diagnose, Json, ModelCard
 from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.migrate import migrate
@@ -83,6 +83,28 @@ def running(
 def twin(tmp_path: Path) -> Iterator[Twin]:
     blades = [BladeRecord(f"B{i}") for i in (1, 2, 3)]
     with running(tmp_path, Offsets(), blades, visits(reading, OFF)) as twin:
+        yield twin
+
+
+class Nameless(Offsets):
+    """What it finds has no name; a discrepancy is borne out."""
+
+    ADDS: ClassVar[Json] = {
+        "quantities": {"elongation": {"discrepancy": {"kind": "gp", "sd": 0.1, "length_h": 2e4}}}
+    }
+
+    def named(self, card: ModelCard, campaign: str, size: float) -> Json:
+        wide = {"quantity": "elongation", "discrepancy": {}, "gained_nat": 9.0, "borne_out": True}
+        wide |= {"time_h": 5e4, "share": 0.4, "sd": {"before": 0.1, "after": 0.2}}
+        after = self.vary(card, self.ADDS).digest
+        models = {"before": card.digest, "after": after}
+        return {"verdict": "unattributed", "widened": wide, "adds": self.ADDS, "models": models}
+
+
+@pytest.fixture
+def nameless(tmp_path: Path) -> Iterator[Twin]:
+    blades = [BladeRecord(f"B{i}") for i in (1, 2, 3)]
+    with running(tmp_path, Nameless(), blades, visits(reading, OFF)) as twin:
         yield twin
 
 
@@ -181,6 +203,27 @@ def test_what_a_diagnosis_named_is_adopted_and_backed_out_by_its_page(
     expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible()
     assert page.evaluate("window.same") is True, "never reloaded"
     assert (seen.errors, seen.outside) == ([], [])
+
+
+def test_a_discrepancy_that_is_borne_out_is_adopted_and_backed_out_by_its_page(
+    browser: Browser, nameless: Twin
+) -> None:
+    """The report says that it can be; the page had no button for it, not even to back it out."""
+    made = nameless.client.post("/v1/rotors/r1/diagnoses").json()["diagnosis"]["id"]
+    nameless.diagnoser.drain()
+    for seen in watched(browser, nameless):
+        page = seen.open(f"/rotors/r1/diagnoses/{made}")
+        standing = page.locator("section", has=page.get_by_role("heading", name="In the model"))
+        expect(standing).to_contain_text("Not in the model.")
+        press(page, "Adopt into the model", sure=True)
+        expect(standing).to_contain_text("Adopted. The next version will have the discrepancy")
+        nameless.worker.drain()
+        assert [e["kind"] for e in nameless.rotor()["effects"]] == ["unnamed"]
+        press(page, "Back out", sure=True)
+        expect(standing).to_contain_text("Backed out.")
+        assert nameless.rotor()["head_seq"] == 14
+        assert serious(page) == []
+        assert (seen.errors, seen.outside) == ([], [])
 
 
 def test_the_report_is_saved_and_a_refusal_is_told_where_the_button_is(

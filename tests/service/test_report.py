@@ -268,6 +268,17 @@ def test_a_posterior_at_its_bound_is_marked() -> None:
     assert "lower for" not in Read(page_of(free)).said
 
 
+def test_why_a_rotor_did_not_adopt_what_was_named_is_told() -> None:
+    """Of one that adopts by itself: the result said so, and nothing showed it."""
+    why = "diagnosis d1 cannot be adopted unasked: it does not hold at stress = 230"
+    found = told("effect", not_adopted=why)
+    said = f"he rotor did not adopt it by itself: {why}"
+    assert said in Read(page_of(found)).said
+    assert any(said in line for line in lines_of({"rotor": "r1", "result": found}))
+    assert "did not adopt" not in Read(page_of(told("effect"))).said
+    assert "model were not changed" not in Read(page_of(told("effect"))).said, "it may be adopted"
+
+
 def test_a_limit_is_passed_from_above_by_what_falls() -> None:
     """A heat transfer that fouls away; every blade had no hours left of it. As of `core.life`."""
     hours = [0.0, 10_000.0, 20_000.0]

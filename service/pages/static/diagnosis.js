@@ -120,7 +120,7 @@ function result(found, unitName) {
     panel("Before and after", beforeAfter(found.before_after, unitName),
       shared.length ? scroll("Shared parameters", table([
         { name: "Shared parameter", value: (p) => words(p.name) },
-        ...(found.names.length ? [
+        ...(found.names.length || isWider(found) ? [
           { name: "Before", value: (p) => pair(p.before), number: true },
           { name: "After", value: (p) => pair(p.after), number: true },
         ] : [{ name: "Mean ± sd", value: (p) => pair(p.before), number: true }]),
@@ -152,14 +152,17 @@ function happened(one) {
 /** Whether what a diagnosis found is in the model: blades that joined since do not change that. */
 const isInForce = (history) => history.findLast((one) => one.what !== "joining")?.what === "adoption";
 
+/** Whether a lack without a name widens the bands by a discrepancy, which can be adopted. */
+const isWider = (found) => found.verdict === "unattributed" && found.widened?.borne_out === true;
+
 /** What of this diagnosis is in the rotor's model: when it was adopted, and since which version. */
-function standing(history, now) {
+function standing(history, now, found) {
   const last = history.at(-1);
-  if (!last) return h("p", {}, "Not in the model.");
+  if (!last) return [h("p", {}, "Not in the model."), found.not_adopted ? h("p", {}, `The rotor did not adopt it by itself: ${found.not_adopted}`) : null];
   const inForce = isInForce(history);
   const state = now.posterior;
   const computed = state !== null && state.through_seq >= last.seq;
-  const what = inForce ? "the effect" : "the network before it";
+  const what = !inForce ? "the network before it" : isWider(found) ? "the discrepancy" : "the effect";
   return [
     h("p", {}, h("strong", {}, inForce ? "Adopted." : "Backed out."), " ",
       computed ? `Version ${fixed(state.version, 0)} of the posterior has ${what}${state.sealed ? "" : "; it is provisional, the sealed one follows"}.`
@@ -200,7 +203,9 @@ async function draw() {
     d.status === "cancelled" && ["warn", "It was cancelled: there is no result."]]);
   const button = (text, how, quiet) => h("button", { type: "button", class: quiet ? null : "main", onclick: how }, text);
   const done = d.status === "done";
-  const claimed = done && d.result.claimed;
+  const wider = done && isWider(d.result);
+  const adoptable = wider || (done && d.result.claimed);
+  const what = wider ? "discrepancy, which names no cause," : "effect";
   const model = done ? await get(path`/v1/models/${d.result.rests_on.model}`) : null;
   const unitName = model?.outputs[d.result.before_after?.quantity]?.unit ?? "";
   show($("page"),
@@ -209,9 +214,9 @@ async function draw() {
     h("div", { class: "controls actions" },
       going && canCancel ? button("Cancel", () => act("Cancel", () => remove(url)), true) : null,
       done && canReport ? button("Save the report", () => act("Report", report), true) : null,
-      claimed && canAdopt && !inForce ? button("Adopt into the model", () => confirm("Put the effect into this rotor's model?") && act("Adopt", () => post(`${url}/adoption`))) : null,
-      claimed && canBackOut && inForce ? button("Back out", () => confirm("Take the effect out of this rotor's model again?") && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
-    claimed || history.length ? panel("In the model", standing(history, now)) : null,
+      adoptable && canAdopt && !inForce ? button("Adopt into the model", () => confirm(`Put the ${what} into this rotor's model?`) && act("Adopt", () => post(`${url}/adoption`))) : null,
+      adoptable && canBackOut && inForce ? button("Back out", () => confirm(`Take the ${what} out of this rotor's model again?`) && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
+    adoptable || history.length ? panel("In the model", standing(history, now, d.result)) : null,
     done ? h("div", { class: "columns halves" }, result(d.result, unitName), await drawings(canReport)) : null);
   clearTimeout(next);
   if (going) next = setTimeout(redraw, 1000);
