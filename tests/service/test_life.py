@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import h5netcdf
@@ -139,6 +140,11 @@ def test_the_real_science_says_when(settings: Settings, reading: Reading) -> Non
     found = basis(store, science, "r1", Which(), "B1")
     asked, part = along_question(found.card, None, None, None, None)
     told = told_life(store, science, found, asked, part, 0.3)
+    one, two = asked.times[-9], asked.times[-2]
+    late = [
+        told_life(store, science, found, replace(asked, times=hours), part, 0.3)
+        for hours in ((one, two), (two, one, two), (two,))
+    ]
     with store.read() as tx:
         own = blade_posterior(found.state.meta, tx.states.reader(found.state), "B1")
     store.close()
@@ -146,6 +152,11 @@ def test_the_real_science_says_when(settings: Settings, reading: Reading) -> Non
     assert told["passed"] == alone.passed.tolist()
     assert told["quantiles"] == {str(p): hour for p, hour in alone.quantiles.items()}
     assert 0.0 < alone.passed[-1] < 1.0
+    for some, hours in zip(late, ([one, two], [one, two], [two]), strict=True):
+        assert some["time_h"] == hours
+        at = [list(alone.time_h).index(hour) for hour in hours]
+        assert some["passed"] == pytest.approx(alone.passed[at], abs=1e-12)
+        assert some["quantiles"] == told["quantiles"], "in all hours, whichever are asked for"
 
 
 # --- rows -----------------------------------------------------------------------------------------
