@@ -139,10 +139,26 @@ def history(store: Store, rotor_id: str, after: int, limit: int) -> list[Change]
         return [_change(event) for event in tx.log.changes(rotor_id, after, limit)]
 
 
-def backed_out_last(tx: Transaction, rotor_id: str) -> int | None:
-    """The entry that backed out, where that was the last thing done to the rotor's model."""
-    own = [event for event in entries(tx, rotor_id) if event.kind != JOINING]
-    return own[-1].seq if own and own[-1].kind == BACK_OUT else None
+def backed_out(tx: Transaction, rotor_id: str, effects: Sequence[Json]) -> str | None:
+    """Which back-out keeps these effects from being adopted unasked, in words; None: none does.
+
+    One that is the last thing done to the rotor's model, or one of an effect of the same cause that
+    nobody has adopted since.
+    """
+    own = [_change(e) for e in entries(tx, rotor_id) if e.kind != JOINING]
+    if own and own[-1].event.kind == BACK_OUT:
+        seq = own[-1].event.seq
+        return f"somebody backed out what was adopted last, with entry {seq}"
+    last = {_cause(e): (change.event, e) for change in own for e in change.body["effects"]}
+    for event, effect in (last[_cause(e)] for e in effects if _cause(e) in last):
+        if event.kind == BACK_OUT:
+            return f"somebody backed out {effect['name']}, with entry {event.seq}"
+    return None
+
+
+def _cause(effect: Json) -> str:
+    """Older entries tell none."""
+    return str(effect.get("cause") or effect["name"])
 
 
 def standing(store: Store, rotor_id: str, diagnosis: str) -> Change | None:

@@ -21,7 +21,7 @@ from core.log import Entry
 from service import tracing
 from service.errors import AdoptionError, LostLeaseError, NotFoundError, StoreAwayError
 from service.handlers.adoptable import read_ahead
-from service.handlers.adoptions import adopt_in, backed_out_last
+from service.handlers.adoptions import adopt_in, backed_out
 from service.handlers.diagnoses import BECAUSE
 from service.handlers.diagnoses import KIND as DIAGNOSE
 from service.handlers.models import TRAIN
@@ -173,8 +173,9 @@ class Jobs:
             return found
         try:
             job = tx.records.job(lease.id)
-            if BECAUSE in job.request and (seq := backed_out_last(tx, lease.rotor_id)) is not None:
-                problem = f"somebody backed out what was adopted last, with entry {seq}"
+            asked = BECAUSE not in job.request
+            problem = None if asked else backed_out(tx, lease.rotor_id, found["effects"])
+            if problem is not None:
                 there = f"/v1/rotors/{lease.rotor_id}/diagnoses/{lease.id}"
                 remedy = f"where it is to be had all the same, POST {there}/adoption"
                 raise AdoptionError(lease.id, "adopted unasked", problem, remedy)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -290,6 +291,48 @@ def test_what_somebody_backed_out_is_not_adopted_again_unasked(
     assert result["verdict"] == "effect"
     assert "backed out what was adopted last, with entry 34" in result["not_adopted"]
     assert effects == ["adoption", "back-out"]
+
+
+def test_what_somebody_backed_out_stays_out_whatever_was_adopted_since(
+    store: SqlStore,
+    science: Offsets,
+    post: Post,
+    reading: Make,
+    follow: Callable[[], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Both offsets go out, and one comes back by hand: the other one came back by itself."""
+    made(store, "alarm", "effect")
+    rest = [one for k in (1, 3, 5, 6) for one in visit(reading, k)]
+    post("r1", *visit(reading, 2, 0.3), *visit(reading, 4, -0.2), *rest)
+    for _ in range(2):
+        follow()
+    first, second = (job.id for job in diagnoses(store))
+    for one in (second, first):
+        back_out(store, science, "r1", one)
+    follow()
+    whole = Offsets._off
+
+    def first_c4(readings: Sequence[Inspection]) -> dict[str, float]:
+        off = whole(readings)
+        return {"c4": off["c4"]} if abs(off["c4"]) > 0.1 else off
+
+    monkeypatch.setattr(Offsets, "_off", staticmethod(first_c4))
+    own, _ = request_diagnosis(store, science, "r1", (), compare=False, horizon_h=None)
+    for _ in range(2):
+        follow()
+    with store.read() as tx:
+        entries = [(e.kind, json.loads(e.body)["diagnosis"]) for e in tx.log.changes("r1", 0, 10)]
+        found = [tx.records.job(job.id) for job in diagnoses(store)]
+    assert entries == [
+        ("adoption", first), ("adoption", second), ("back-out", second), ("back-out", first),
+        ("adoption", own.id),
+    ]  # fmt: skip
+    (last,) = [job for job in found if job.request["through_seq"] == 53]
+    assert "because" in last.request
+    told = last.result or {}
+    assert told["names"] == [NAME]
+    assert f"somebody backed out {NAME}, with entry 52" in told["not_adopted"]
 
 
 def both_at_once(store: SqlStore, monkeypatch: pytest.MonkeyPatch) -> int:
