@@ -85,15 +85,20 @@ def read_families(
 def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
     """Families that a model may be asked for; see `read_families`.
 
-    Raises InputError as well for one that is expected to be larger than all there is of its input
-    or quantity: `MOST_TIMES` of it where it is in proportion, else the range.
+    Raises InputError as well for readings at many nodes, which no bias can be of
+    (`core.network`), and for one that is expected to be larger than all there is of its input or
+    quantity: `MOST_TIMES` of it where it is in proportion, else the range.
     """
     surrogate = model.surrogate
     base = surrogate.base if isinstance(surrogate, Driven) else surrogate
     inputs = {i.name: i.high - i.low for i in getattr(base, "inputs", ())}
     quantities = {q.name: q.high - q.low for q in model.network.quantities}
     found = read_families(told, [*inputs], [*quantities], families_for(model.network))
+    scalar = [q.name for q in model.network.quantities if q.kind != "vector"]
     for i, one in enumerate(found):
+        if one.target == "reading" and one.of not in scalar:
+            what = "is read at many nodes: what is off there cannot enter the model"
+            raise InputError(f"families[{i}].of", one.of, what, f"use {', '.join(scalar)}")
         whole = (inputs if one.target == "input" else quantities)[one.of]
         most = MOST_TIMES if one.how == "times" else whole
         if one.size is not None and one.size > most:

@@ -417,6 +417,15 @@ def test_a_family_that_is_larger_than_all_there_is_is_refused(
     assert request_diagnosis(fleet, science, "r1", [fits], compare=True, horizon_h=None)[1]
 
 
+def test_a_family_of_readings_at_many_nodes_is_refused() -> None:
+    """No bias can be of them: it shared the evidence with names that can enter the model."""
+    scans = FAMILY | {"of": "deformation", "size": 0.01}
+    with pytest.raises(InputError, match=r"families\[0\].of = 'deformation' is read at many nodes"):
+        effects.families_of(rotor_blade(), [scans])
+    (found,) = effects.families_of(rotor_blade(), [scans | {"of": "ceeq", "size": 1e-4}])
+    assert found.of == "ceeq"
+
+
 def test_a_dormant_input_that_woke_is_told_and_woken_again_in_its_place() -> None:
     before = creep_specimens.network()
     after = creep_specimens.freed(before, {"tertiary": "shared"})
