@@ -97,8 +97,7 @@ def lines_of(told: Told) -> Iterator[str]:
     readings, rests = found["readings"], found["rests_on"]
     p = "" if found["p"] is None else f" (p = {found['p']:.2g})"
     yield f"rotor {told['rotor']}: {found['verdict']}{p}"
-    for reason in found["reasons"]:
-        yield f"  {reason}"
+    yield from (f"  {reason}" for reason in found["reasons"])
     if why := found.get("not_adopted"):
         yield f"  the rotor did not adopt it by itself: {why}"
     if found["verdict"] == "not separable":
@@ -107,8 +106,7 @@ def lines_of(told: Told) -> Iterator[str]:
     yield from noticed.lines(found)
     if found["effects"]:
         yield "effects" if found["claimed"] else "effects that were calibrated, not claimed"
-    for effect in found["effects"]:
-        yield f"  {effect['name']}: {amplitude(effect, found)}"
+    yield from (f"  {e['name']}: {amplitude(e, found)}" for e in found["effects"])
     if (compared := found["before_after"]) is not None:
         yield f"{compared['before']['count']} readings that neither model used, before → after"
         for key in ("rmse", "bias", "log_score", "within_95", "width"):
