@@ -79,16 +79,15 @@ def noticed(
     noise  from which offsets without a size have theirs, by quantity
     seed   that of the test; it deals the same sets
     """
-    several = _of_several(scan)
-    if not several.families:
+    if all(cell.whom == "blade" for cell in scan.cells):
         return ()
-    test, own = _Test.of(several, float(np.mean(~scan.of_one_blade)), seed, dealt), {}
+    trial = Trial.of(scan, seed, dealt)
+    several, own = trial.scan, dict[int, float | None]()
 
     def size(i: int) -> float | None:
         if i not in own:
-            own[i] = test.size(i)
-        found = own[i]
-        return None if found is None else found * expected(several.cells[i], noise)
+            own[i] = trial.size(i, noise)
+        return own[i]
 
     told, out = np.diag(several.information), []
     for places in several.families.values():
@@ -100,7 +99,7 @@ def noticed(
 
 
 @dataclass(frozen=True)
-class _Test:
+class Trial:
     """The test of a scan without cells of one blade, on sets with an effect.
 
     share  of its families among all, and so of the false alarms
@@ -115,13 +114,15 @@ class _Test:
     few: float
 
     @staticmethod
-    def of(scan: Scan, share: float, seed: int, dealt: int) -> _Test:
+    def of(scan: Scan, seed: int, dealt: int = DEALT) -> Trial:
+        """Of the scan of a rotor with several blades' families, or of any."""
+        scan, share = _of_several(scan), float(np.mean(~scan.of_one_blade))
         sets, deals = (dealt_sets(scan.seen, count, seed) for count in (dealt, DEALS))
         level, few = (_level(scan, of, share) for of in (sets, deals))
-        return _Test(scan, share, seed, sets[:PLANTED], level, few)
+        return Trial(scan, share, seed, sets[:PLANTED], level, few)
 
-    def size(self, i: int) -> float | None:
-        """The amplitude of a cell, in expected sizes, that is noticed in `ENOUGH` of sets."""
+    def size(self, i: int, noise: Mapping[str, float]) -> float | None:
+        """The amplitude of a cell, by its place, that is noticed in `ENOUGH` of the sets."""
         seen = self.scan.seen
         along = seen.efficient(self.scan.g[:, :, [i]])[:, :, 0]
         moved = np.einsum("bij,bj->bi", seen.information, along)
@@ -132,7 +133,7 @@ class _Test:
             middle = 0.5 * (low + high)
             there = self.alarms(np.exp(middle) * moved) >= ENOUGH
             low, high = (low, middle) if there else (middle, high)
-        return float(np.exp(high))
+        return float(np.exp(high)) * expected(self.scan.cells[i], noise)
 
     def alarms(self, moved: Array) -> float:
         """The share of sets that alarm with an effect that moves scores (B, n)."""
