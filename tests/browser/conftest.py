@@ -158,10 +158,14 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 @pytest.fixture(scope="module")
 def diagnosis(service: Running) -> str:
     """A diagnosis that ended with an effect; its result is written as a worker would."""
+    tried = [{"what": HOSTILE, "log_bf": 6.4}, {"what": "fouling, all", "log_bf": -0.4}]
+    return ended(service, told("effect", campaign="outage", tried=tried))
+
+
+def ended(service: Running, result: dict[str, Any]) -> str:
+    """A diagnosis that has this result."""
     path = "/v1/rotors/r1/diagnoses"
     made = service.client.post(path, json={"compare": True}).json()["diagnosis"]["id"]
-    tried = [{"what": HOSTILE, "log_bf": 6.4}, {"what": "fouling, all", "log_bf": -0.4}]
-    result = told("effect", campaign="outage", tried=tried)
     engine = open_engine(service.database)
     with transaction(engine, write=True) as connection:
         done = "UPDATE job SET status='done', result=:result, finished_at=created_at WHERE id=:id"

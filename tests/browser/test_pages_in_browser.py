@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.browser.conftest import HOSTILE, Running, Watched, reading, scan, sealed
+from tests.browser.conftest import HOSTILE, Running, Watched, ended, reading, scan, sealed
+from tests.service.told import told
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text()
 PATHS = (
@@ -83,6 +84,20 @@ def test_what_a_diagnosis_compared_is_told_in_tables(watched: Watched, diagnosis
     page.get_by_text("Does it hold between halves").first.click()
     expect(halves.get_by_role("row", name="early and late")).to_contain_text("1.00 and 1.20")
     expect(page.locator("main pre")).to_have_count(0)
+
+
+def test_a_diagnosis_that_found_nothing_tells_what_it_would_have_found(watched: Watched) -> None:
+    page = watched.open(f"/rotors/r1/diagnoses/{ended(watched.service, told('adequate'))}")
+    table = page.get_by_role("region", name="What would have been noticed")
+    wear, step, offset = (
+        table.get_by_role("row", name=name) for name in ("wear", "firing", "camp")
+    )
+    expect(wear).to_contain_text("one coating lot")
+    expect(wear).to_contain_text("0.061 (C2, early)")
+    expect(step).to_contain_text("–")
+    expect(offset).to_contain_text("0.012\u00a0mm")
+    assert serious(page) == []
+    assert (watched.errors, watched.outside) == ([], [])
 
 
 @pytest.mark.parametrize("path", PATHS)
