@@ -38,6 +38,7 @@ from core.surrogate.tucker import Factors
 SCHEMA = 1
 ARRAYS, MANIFEST = "arrays.npz", "manifest.json"
 WHOLE = "whole"
+EARLY_H = 1.0  # of a part that tells none
 Arrays = dict[str, NDArray[Any]]
 _PROCESS = ("z", "weights", "beta", "whiten", "trend", "h_solve")
 
@@ -59,6 +60,8 @@ def _unpack(model: Surrogate) -> tuple[dict[str, Any], Arrays]:
         }
         columns = [part.columns.start, part.columns.stop]
         parts[name] = {"form": part.form, "columns": columns, "inflation": part.inflation}
+        if factors.early_h != EARLY_H:
+            parts[name]["early_h"] = factors.early_h
     structure = {
         "inputs": [asdict(item) for item in model.inputs],
         "quantities": [asdict(quantity) for quantity in model.quantities.values()],
@@ -166,7 +169,7 @@ def _pack(manifest: dict[str, Any], arrays: Arrays) -> Surrogate:
         own = {key: arrays[f"{name}/{key}"] for key in ("space", "time", "time_h", "core")}
         parts[name] = Part(
             one["form"],
-            Factors(**own),
+            Factors(**own, early_h=one.get("early_h", EARLY_H)),
             slice(*one["columns"]),
             arrays[f"{name}/left_out"],
             arrays[f"{name}/cut_time"],

@@ -10,7 +10,10 @@ R. Vandebril, K. Meerbergen, SIAM J. Sci. Comput. 34 (2012) A1027-A1052). Ranks 
 that leave a root-mean-square residual below a tolerance, up to a cap.
 
 Between the instants the tau are cubic splines in log t; before the first instant t1 > 0 they
-keep their value at t1. A part that has a value at t = 0 as well uses log(1 + t).
+keep their value at t1. A part that has a value at t = 0 as well uses log(1 + t / t*): in
+log(1 + t) the hours from 0 to a first instant at 500 are most of the axis, and a cubic is free to
+swing there. t* is at most the first instant that none follows by more than a decade, and that of
+some smaller ones which best foretells instants from the others; 1 where that instant is.
 """
 
 from __future__ import annotations
@@ -39,14 +42,22 @@ class Ranks:
     tolerance: float
 
 
+DECADE = 10.0 * (1 + 1e-9)
+TURNS = 8
+
+
 @dataclass(frozen=True, slots=True)
 class Factors:
-    """space (R, B) float32, time (T, A) at `time_h` (T,), core (1 + J, A, B), row 0 = G0."""
+    """space (R, B) float32, time (T, A) at `time_h` (T,), core (1 + J, A, B), row 0 = G0.
+
+    early_h  t* of the module's text
+    """
 
     space: NDArray[np.float32]
     time: Array
     time_h: Array
     core: Array
+    early_h: float = 1.0
 
     @property
     def coefficients(self) -> int:
@@ -60,7 +71,7 @@ class Factors:
         if self.time_h[0] > 0:
             clock, asked = np.log(self.time_h), np.log(np.maximum(time_h, self.time_h[0]))
         else:
-            clock, asked = np.log1p(self.time_h), np.log1p(time_h)
+            clock, asked = np.log1p(self.time_h / self.early_h), np.log1p(time_h / self.early_h)
         return np.asarray(CubicSpline(clock, self.time, axis=0)(asked))
 
     def modes(self, time_h: Array) -> Array:
@@ -105,9 +116,40 @@ def factorise(values: Floats, time_h: Array, ranks: Ranks, seed: int) -> tuple[F
     rank = min(ranks.coefficients, n - 1)
     runs = _enough(Basis.of(both - mean, rank, seed), values.size, ranks.tolerance / 2)
     core = np.vstack([mean, runs.modes.T]).reshape(-1, time.modes.shape[1], width)
-    return Factors(modes, np.asarray(time.modes, dtype=float), time_h, core), np.asarray(
-        (both - mean) @ runs.modes
-    )
+    along_time = np.asarray(time.modes, dtype=float)
+    weights = both.reshape(n, time.modes.shape[1], width)
+    square = np.einsum("nab,ncb->ac", weights, weights)
+    early_h = early_of(time_h, along_time, square)
+    return Factors(modes, along_time, time_h, core, early_h), np.asarray((both - mean) @ runs.modes)
+
+
+def early_of(time_h: Array, modes: Array, square: Array) -> float:
+    """t* of the module's text, for time modes (T, A) whose weights have the sum of products (A, A).
+
+    >>> hours = np.array([0.0, 500.0, 1000.0, 2000.0, 4000.0])
+    >>> early_of(hours, hours[:, None], np.ones((1, 1)))
+    500.0
+    """
+    if len(time_h) < 4 or time_h[0] > 0:
+        return 1.0
+    later = time_h[1:]
+    leaps = np.flatnonzero(later[1:] > DECADE * later[:-1])
+    latest = float(later[leaps[-1] + 1 if len(leaps) else 0])
+    tried = [float(early) for early in latest * 10.0 ** -np.arange(0.0, 10.0, 0.5) if early > 1.0]
+    if not tried:
+        return 1.0
+    missed = [_missed(np.log1p(time_h / early), modes, square) for early in (*tried, 1.0)]
+    return (*tried, 1.0)[int(np.argmin(missed))]
+
+
+def _missed(clock: Array, modes: Array, square: Array) -> float:
+    """How far instants are off that are left out in turn, `TURNS` times."""
+    place, total = np.arange(len(clock)), 0.0
+    for turn in range(min(TURNS, len(clock) - 2)):
+        out = ((place - 1) % TURNS == turn) & (place > 0) & (place < len(clock) - 1)
+        found = CubicSpline(clock[~out], modes[~out], axis=0)(clock[out]) - modes[out]
+        total += float(np.einsum("ka,ab,kb->", found, square, found))
+    return total
 
 
 def _enough(basis: Basis, size: int, tolerance: float) -> Basis:

@@ -146,3 +146,18 @@ def test_a_second_save_writes_the_same_bytes(model: Surrogate, saved: Path, tmp_
     for name in ("arrays.npz", "manifest.json"):
         assert (saved / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert zipfile.is_zipfile(saved / "arrays.npz")
+
+
+def test_the_scale_of_a_parts_clock_is_kept_and_one_hour_is_not_told(
+    model: Surrogate, saved: Path, tmp_path: Path
+) -> None:
+    manifest = json.loads((saved / "manifest.json").read_text())
+    assert not any("early_h" in part for part in manifest["structure"]["parts"].values())
+    parts = {
+        name: replace(part, factors=replace(part.factors, early_h=500.0))
+        for name, part in model.parts.items()
+    }
+    other = save(replace(model, parts=parts), tmp_path / "late")
+    assert other.digest != load(saved).digest
+    back = load(tmp_path / "late")
+    assert {part.factors.early_h for part in back.parts.values()} == {500.0}

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from core.surrogate.tucker import Ranks, factorise
@@ -86,6 +87,16 @@ def test_a_part_with_a_value_at_zero_is_exact_there() -> None:
     found = factors.decode(c, np.array([0.0, 0.5]), np.zeros(1, int))[:, :, 0]
     np.testing.assert_allclose(found[:, 0], y[:, 0, 0], rtol=1e-10)
     np.testing.assert_allclose(found[-1, 1], 2 * (100 - 4 * np.log(1.5)), rtol=1e-9)
+
+
+@pytest.mark.parametrize("hours", [[0, 500, 1000, 4000], [0, 1, 500, 1000, 2000, 4000]])
+def test_a_straight_course_does_not_swing_before_a_late_instant(hours: list[float]) -> None:
+    time = np.array(hours, dtype=float)
+    y = (np.linspace(1, 2, 8)[:, None] * (100 - 0.01 * time))[:, :, None]
+    factors, c = factorise(y, time, Ranks(1, 3, 3, 1e-10), seed=1)
+    between = np.array([0.2, 5.0, 20.0, 100.0, 400.0])
+    found = factors.decode(c, between, np.zeros(1, int))[-1, :, 0]
+    np.testing.assert_allclose(found, 2 * (100 - 0.01 * between), atol=1.0)
 
 
 def test_a_part_without_time_is_the_same_at_all_times() -> None:
