@@ -85,3 +85,12 @@ class Source:
     read: Callable[[int, str], Array]
     command: str
     faults: tuple[InputError, ...] = ()
+
+    def empty(self, skip: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Runs that hold no number at all, no input either, and are not skipped (n,)."""
+        found = ~skip
+        for column in self.inputs.values():
+            found &= ~np.isfinite(column.values)
+        for k in map(int, np.flatnonzero(found)):
+            found[k] = not any(np.isfinite(self.read(k, q)).any() for q in self.quantities)
+        return found

@@ -61,8 +61,9 @@ def take(
     """
     found = Findings([*source.faults])
     skip = _skipped(source, leave_out, found)
-    axis = common(source.time_h, source.labels, skip.tolist(), found)
-    plan = wanted(source, network, skip, found)
+    away = skip | source.empty(skip)
+    axis = common(source.time_h, source.labels, away.tolist(), found)
+    plan = wanted(source, network, away, found)
     if not len(axis.time_h):
         found.end()
     archive = None if found.faults else _new(source, plan, axis, folder)

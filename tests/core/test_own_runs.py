@@ -72,6 +72,12 @@ def test_a_missing_run_is_named_and_left_out_by_its_label_or_by_its_emptiness(
     assert "missing" in warned(found, "run 7").problem
     assert 7 not in chosen
     assert len(chosen) == 23
+    (tmp_path / "c").mkdir()
+    reindexed = dataset().isel(run=[*range(7), *range(8, 24)]).reindex(run=range(24))
+    _, found, chosen = taken(reindexed, tmp_path / "c")
+    assert "missing" in warned(found, "run 7").problem
+    assert 7 not in chosen
+    assert len(chosen) == 23
 
 
 def test_every_nan_is_told_with_run_quantity_and_hour_and_the_run_can_be_left_out(
