@@ -58,7 +58,7 @@ def check_changes(seen: Mapping[str, Seen], network: Network, found: Findings) -
         if one.between <= CONSTANT * max(largest, np.finfo(float).tiny):
             problem = "is the same in every run: no input moves it, and nothing is learnt"
             remedy = "check what the runs write, or take it out of the network"
-            found.fault(f"quantity {name}", largest, problem, remedy)
+            found.fault(f"quantity {name}", float(largest), problem, remedy)
         elif name in by_name:
             _check_magnitude(name, one, by_name[name], found)
 

@@ -296,6 +296,7 @@ def test_what_nothing_can_be_learnt_from_is_refused_by_name(
     spoil(data)
     (fault,) = [one for one in refused(data, tmp_path) if one.what == field]
     assert words in fault.problem
+    assert "np." not in str(fault)
 
 
 @pytest.mark.parametrize("kept", [0, 24])
