@@ -16,6 +16,8 @@ import json
 import shlex
 import subprocess
 import tempfile
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -29,6 +31,11 @@ from core.errors import BladetwinError, InputError, ModelError
 from core.network import Network
 from service import sampling
 from service.refining import Array, Done, fits, present
+
+UNREADABLE = (
+    OSError, ValueError, TypeError, AttributeError, EOFError, OverflowError,
+    zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,7 +65,7 @@ class Command:
         if archive is None:
             told = f"bladetwin model refine, {self.words[0]}"
             return sampling.archive_of(self.network, folder, self.time_h, self.nodes, seed, told)
-        fits(archive, self.network)
+        fits(archive, self.network, self.time_h)
         return archive
 
     def run(self, archive: Archive, points: Mapping[int, Array], done: Done) -> dict[int, str]:
@@ -109,11 +116,11 @@ def _answer(file: Path) -> dict[str, Array]:
     packed = file.with_suffix(".npz")
     try:
         if packed.exists():
-            with np.load(packed, allow_pickle=False) as data:
+            with open(packed, "rb") as written, np.load(written, allow_pickle=False) as data:
                 return {name: np.asarray(data[name], dtype=float) for name in data.files}
         told = json.loads(file.read_text())
         return {name: np.asarray(value, dtype=float) for name, value in told.items()}
     except FileNotFoundError:
         raise ModelError("the command wrote neither out.json nor out.npz") from None
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+    except UNREADABLE as error:
         raise ModelError(f"what the command wrote cannot be read: {error}") from None

@@ -124,6 +124,9 @@ def test_runs_that_fail_are_told_and_tried_again(own: Path) -> None:
         ("open(sys.argv[2], 'w').write('{')", "cannot be read"),
         ("open(sys.argv[2], 'w').write('{\"lift\": [1]}')", "wrote no drop"),
         ("open(sys.argv[2], 'w').write('{\"drop\": [1, 2]}')", "is the wrong shape"),
+        ("open(sys.argv[2][:-5] + '.npz', 'w')", "cannot be read"),
+        ("open(sys.argv[2][:-5] + '.npz', 'w').write('PK\\3\\4 cut short')", "cannot be read"),
+        ("open(sys.argv[2], 'w').write('{\"drop\": [1' + '0' * 400 + ']}')", "cannot be read"),
         ("import time; time.sleep(30)", "took longer than 2 s"),
     ],
 )
