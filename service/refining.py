@@ -3,12 +3,13 @@
 Three sources: the built-in finite elements of the rotor blade, a model that is served over
 UM-Bridge (`service.sampling`), and a command of the user's (`service.command_runs`).
 
-An archive that is there is gone on with, if its inputs and quantities are those of the source.
+An archive that is there is gone on with, if its inputs, quantities and instants are those of the
+source.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -115,7 +116,7 @@ class ServedModel:
         archive = present(folder)
         if archive is None:
             return sampling.begin(self.served, self.network, folder, self.time_h, seed, command)
-        fits(archive, self.network)
+        fits(archive, self.network, self.time_h)
         return archive
 
     def run(self, archive: Archive, points: Mapping[int, Array], done: Done) -> dict[int, str]:
@@ -129,18 +130,32 @@ class ServedModel:
         return failed
 
 
-def fits(archive: Archive, network: Network) -> None:
-    """Refuse an archive of other inputs or quantities than the network's."""
-    declared = archive.declaration
-    wanted = {"inputs": [p.name for p in sampling.inputs_of(network)]}
-    wanted["quantities"] = [q.name for q in sampling.quantities_of(network)]
+def fits(archive: Archive, network: Network, time_h: Sequence[float] = ()) -> None:
+    """Refuse an archive of other inputs, bounds, quantities or units than the network's, and of
+    other instants than `time_h`, where these are given."""
+    declared, parameters = archive.declaration, sampling.inputs_of(network)
+    wanted = {"inputs": [p.name for p in parameters]}
+    wanted["quantities"] = [f"{q.name} [{q.unit}]" for q in sampling.quantities_of(network)]
     found = {"inputs": [i.name for i in declared.inputs]}
-    found["quantities"] = [q.name for q in declared.quantities]
+    found["quantities"] = [f"{q.name} [{q.unit}]" for q in declared.quantities]
     for what, names in wanted.items():
         if found[what] != names:
             problem = f"of the runs in {archive.path} are not the network's ({', '.join(names)})"
             remedy = "name a new folder, or the network of these runs"
             raise InputError(what, ", ".join(found[what]), problem, remedy)
+    for p, own in zip(parameters, declared.inputs, strict=True):
+        slack = 1e-9 * (own.high - own.low)
+        if p.prior.low < own.low - slack or p.prior.high > own.high + slack:
+            problem = f"leaves the bounds of the runs in {archive.path}, {own.low:g} … {own.high:g}"
+            shown = f"{p.prior.low:g} … {p.prior.high:g}"
+            remedy = "narrow it, or name a new folder"
+            raise InputError(f"prior of {p.name}", shown, problem, remedy)
+    if len(time_h) and tuple(time_h) != declared.time_h:
+        problem = f"are not those of the runs in {archive.path}"
+        shown = ", ".join(f"{t:g}" for t in time_h)
+        there = ",".join(f"{t:g}" for t in declared.time_h)
+        remedy = f"leave them out, give {there}, or name a new folder"
+        raise InputError("times", shown, problem, remedy)
 
 
 @dataclass(frozen=True, slots=True)

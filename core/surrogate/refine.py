@@ -29,7 +29,7 @@ from core.archive import Archive
 from core.archive.take import MINIMUM_RUNS
 from core.design import Region, choose, maximin_lhs
 from core.design.region import sobol
-from core.errors import InputError, ModelError
+from core.errors import InputError, ModelError, RangeError
 from core.rng import seed_of, stream
 from core.surrogate.accuracy import Goal, accuracy, cost
 from core.surrogate.kernel import Hyper, SharedGP
@@ -61,12 +61,17 @@ def refine(
     """Add runs to the archive until every goal is met, or `plan.most` runs are there.
 
     seen   called after each round, before its runs
-    Raises InputError for a plan that makes no sense, ModelError where too few runs succeed.
+    Raises InputError for a plan that makes no sense, RangeError for hours beyond the runs',
+    ModelError where too few runs succeed.
     """
     plan.check()
     if not goals:
         raise InputError("accuracy", "", "names no quantity", "name one at least")
     declared = archive.declaration
+    for hour in (one for goal in goals for one in goal.times_h):
+        if not 0 <= hour <= declared.time_h[-1]:
+            problem = f"lies outside 0 … {declared.time_h[-1]:g} h, which the runs cover"
+            raise RangeError("hours", hour, problem, "ask inside")
     low, high = (np.array([getattr(i, end) for i in declared.inputs]) for end in ("low", "high"))
     rounds = list(read_log(archive.path))
     failed = _first(archive, runs, plan, rounds, low, high, progress)

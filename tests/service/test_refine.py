@@ -161,6 +161,7 @@ def test_a_command_may_write_numpy_arrays(own: Path) -> None:
         (["--accuracy", "much"], "is no relative sd"),
         (["--accuracy", "0"], "is not positive"),
         (["--hours", "late"], "are no hours"),
+        (["--hours", "500,99999"], "hours = 99999.0 lies outside 0 … 16000 h"),
         (["--start", "3"], "start with 9 or more"),
         (["--batch", "0"], "batch = 0"),
         (["--elsewhere", "2"], "is no share"),
@@ -181,12 +182,31 @@ def test_a_source_without_its_network_and_an_archive_of_another_are_refused(own:
     source = Command.of("true", network(), time_h=tuple(TIME_H))
     source.open(own / "a", 0)
     other = Command.of("true", network(BOTH), time_h=tuple(TIME_H))
-    with pytest.raises(InputError, match="are not the network's \\(drop, transfer\\)"):
+    with pytest.raises(InputError, match=r"are not the network's .drop .*, transfer "):
         other.open(own / "a", 0)
     with pytest.raises(ModelError, match="other finite elements"):
         refining.FiniteElements().open(own / "a", 0)
     with pytest.raises(InputError, match="has no words"):
         Command.of("  ", network())
+
+
+@pytest.mark.parametrize(
+    ("text", "hours", "said"),
+    [
+        (NETWORK.replace("kPa", "Pa"), TIME_H, "are not the network's \\(drop \\[Pa\\]\\)"),
+        (NETWORK.replace("high: 9}", "high: 12}"), TIME_H, "prior of roughness = '1 … 12' leaves"),
+        (NETWORK, TIME_H[:-1], "times = '0, 250, .*' are not those of the runs"),
+    ],
+)
+def test_runs_of_other_units_bounds_or_hours_are_not_gone_on_with(
+    own: Path, text: str, hours: np.ndarray, said: str
+) -> None:
+    """They were taken as they are: readings in Pa met runs in kPa, and --times was passed over."""
+    Command.of("true", network(), time_h=tuple(TIME_H)).open(own / "a", 0)
+    Command.of("true", network()).open(own / "a", 0)
+    Command.of("true", network(NETWORK.replace("high: 9}", "high: 8}"))).open(own / "a", 0)
+    with pytest.raises(InputError, match=said):
+        Command.of("true", network(text), time_h=tuple(hours)).open(own / "a", 0)
 
 
 def test_readings_that_the_network_cannot_use_are_named_by_line(own: Path) -> None:
