@@ -7,7 +7,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -80,9 +83,7 @@ def train(
     from service.declared import read_file
     from service.packed import write_network
 
-    with telling(as_json):
-        if out.exists() and any(out.iterdir()):
-            raise InputError("out", str(out), "is not empty", "name a new folder")
+    with telling(as_json), _whole(out):
         declared = read_file(network)
         with source_of(runs) as source, steps(quiet=as_json) as progress:
             surrogate, found = make(
@@ -96,6 +97,23 @@ def train(
     told |= {"runs": surrogate.manifest["runs"], "quality": rows, "warnings": warnings_of(found)}
     lines = [f"{out}: version {version}, {told['runs']} runs", *table(rows)]
     say(told, lines, as_json=as_json)
+
+
+@contextmanager
+def _whole(out: Path) -> Iterator[None]:
+    """A folder that is empty or not there is as it was where what fills it fails."""
+    there = out.exists()
+    if there and not out.is_dir():
+        raise InputError("out", str(out), "is no folder", "name a new one")
+    if there and any(out.iterdir()):
+        raise InputError("out", str(out), "is not empty", "name a new folder")
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(out, ignore_errors=True)
+        if there:
+            out.mkdir(exist_ok=True)
+        raise
 
 
 def register(

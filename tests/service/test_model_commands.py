@@ -89,6 +89,27 @@ def test_faults_stand_line_by_line_on_stderr_or_in_one_object(tmp_path: Path) ->
     assert "warning: runs = '7' is left out, as asked" in left.stderr
 
 
+def test_a_training_that_is_refused_leaves_its_folder_as_it_was(tmp_path: Path) -> None:
+    """The same command with --leave-out found the folder not empty."""
+    write_table(tmp_path / "runs.csv", points(), {(3, 4): "", (5, 2): "9000"})
+    (tmp_path / "net.yaml").write_text(NETWORK)
+    runs, net, model = tmp_path / "runs.nc", tmp_path / "net.yaml", tmp_path / "model"
+    run("model", "convert", tmp_path / "runs.csv", "--out", runs)
+    train = ["model", "train", runs, "--network", net, "--out", model]
+    done = run(*train)
+    assert done.exit_code == 1
+    assert "run 3: drop" in done.stderr
+    assert not model.exists()
+    model.mkdir()
+    assert run(*train, "--leave-out", "3").exit_code == 1, "run 5 spoils what is learnt"
+    assert list(model.iterdir()) == []
+    done = run(*train, "--leave-out", "3", "--leave-out", "5")
+    assert done.exit_code == 0, done.output
+    (tmp_path / "file").write_text("")
+    done = run(*train[:-1], tmp_path / "file")
+    assert "is no folder" in str(done.exception)
+
+
 def test_a_table_of_mesh_files_is_converted_with_the_fields_that_are_named(tmp_path: Path) -> None:
     table = meshes(tmp_path)
     done = run(
