@@ -131,6 +131,11 @@ def _input(
         problem = f"is the same in all {len(seen)} runs: nothing is learnt of it"
         remedy = "vary it in the runs, or take it out of network and runs"
         found.fault(what, least, problem, remedy)
+    elif p.prior.low > most or p.prior.high < least:
+        problem = f"lies beside all that the runs cover, {least:.3g} … {most:.3g} {p.unit}: it is "
+        problem += "a range in which no run lies"
+        shown = f"{p.prior.low:g} … {p.prior.high:g}"
+        found.fault(f"prior of {p.name}", shown, problem, "check the units, or add runs there")
     else:
         _cover(p, (low, high), (least, most), len(seen), found)
     return Input(p.name, float(low), float(high)), values

@@ -299,6 +299,18 @@ def test_what_nothing_can_be_learnt_from_is_refused_by_name(
     assert "np." not in str(fault)
 
 
+def test_a_prior_in_which_no_run_lies_is_refused(tmp_path: Path) -> None:
+    """Roughness in mm for um: the prior was a thousandth of the box, and all of it extrapolated."""
+    data = dataset()
+    data["roughness"].attrs["units"] = "mm"
+    (fault,) = refused(data, tmp_path)
+    assert fault.what == "prior of roughness"
+    assert "1.17e+03 … 8.83e+03 um" in fault.problem
+    (tmp_path / "b").mkdir()
+    narrow = network(NETWORK.replace("low: 1, high: 9", "low: 1, high: 1.1"))
+    assert "in which no run lies" in refused(dataset(), tmp_path / "b", narrow)[0].problem
+
+
 @pytest.mark.parametrize("kept", [0, 24])
 def test_nothing_to_learn_from_is_told(tmp_path: Path, kept: int) -> None:
     """A file of no runs, or all of them left out."""
