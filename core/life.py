@@ -35,6 +35,7 @@ from core.model import Model
 from core.prediction import QUANTILES
 
 Array = NDArray[np.float64]
+EVEN = 51  # hours of a model without runs
 TURNS = 30  # between two of the hours; three or four where the share is smooth
 EXACT = 1e-5  # of a probit
 NARROW_H = 0.1  # or so near in hours
@@ -46,7 +47,7 @@ class Life:
     """The time until `quantity` passes `limit` [unit], in operating hours.
 
     time_h     hours (T,); passed: share of belief that it has passed it by then (T,)
-    quantiles  {p: hour by which it has passed it with probability p}; None: not in these hours
+    quantiles  {p: hour by which it has passed it with probability p}; None: not in the model's
     """
 
     quantity: str
@@ -72,14 +73,15 @@ def life(
 ) -> Life:
     """The distribution of the time to a limit, from a blade's posterior.
 
-    times      hours between which quantiles are looked for, no further apart than curves bend
+    times      hours at which `passed` is told; quantiles are looked for over all the model's hours
     component  for 3-D deformation: 0, 1, 2 for x, y, z
 
     Raises InputError for a limit that is no number, and what `predict` raises.
     """
     if not math.isfinite(limit):
         raise InputError("limit", limit, "is no number", "give it in the quantity's unit")
-    time = np.unique(checked_times(model, quantity, times))
+    asked = np.unique(checked_times(model, quantity, times))
+    time = np.union1d(asked, instants(model, quantity))
     thin = thinned(posterior)
     w = thin.particles.w
 
@@ -105,7 +107,16 @@ def life(
         float(p): None if np.isnan(h) else float(h) for p, h in zip(levels, hours, strict=True)
     }
     unit = model.network.quantity(quantity).unit
-    return Life(quantity, unit, float(limit), time, passed, found, len(w))
+    at_asked = passed[np.isin(time, asked)]
+    return Life(quantity, unit, float(limit), asked, at_asked, found, len(w))
+
+
+def instants(model: Model, quantity: str) -> Array:
+    """Hours from 0 to the model's last, no further apart than its curves bend: those of its runs,
+    or `EVEN` where it has none."""
+    part = model.part(quantity)
+    own = getattr(getattr(part, "base", part), "time_h", np.linspace(0.0, part.horizon_h, EVEN))
+    return np.append(own[own < part.horizon_h], part.horizon_h)
 
 
 def crossings(time: Array, passed: Array, levels: Array, share: Callable[[Array], Array]) -> Array:

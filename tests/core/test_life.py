@@ -161,6 +161,21 @@ def test_the_order_and_number_of_the_hours_do_not_matter() -> None:
     )
 
 
+@pytest.mark.parametrize("asked", [[24_000.0], [0.0, 3000.0], [30_000.0, 50_000.0]])
+def test_the_hours_that_are_asked_for_bound_no_quantile(asked: list[float]) -> None:
+    """Asked for one hour every quantile was that hour, or none, as if the model ended there."""
+    rates = np.exp(0.5 * ndtri((np.arange(777) + 0.5) / 777))
+    whole, found = of(rates, 1.5), life(growing(), belief(rates), "y", 1.5, asked)
+    assert found.time_h.tolist() == asked
+    for p, hour in whole.quantiles.items():
+        assert found.quantiles[p] == (None if hour is None else pytest.approx(hour, rel=1e-4))
+    own = 1e4 * (1.5 / rates) ** 1.25
+    for t, passed in zip(asked, found.passed, strict=True):
+        assert passed == pytest.approx(np.mean(own <= t), abs=2e-3)
+    shrunk = life(growing(shrinks=True), belief(np.ones(50)), "y", 1.0, [45_000.0])
+    assert shrunk.passed.tolist() == pytest.approx([1.0]), "it had passed it before"
+
+
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(InputError, match=r"limit = nan is no number"):
         of(np.ones(5), float("nan"))
