@@ -27,10 +27,10 @@ f is a sum of its Karhunen–Loève modes on [0, horizon] (Nyström's method wit
 
     f(t) = Σ_k theta_k sqrt(lambda_k) phi_k(t),   theta_k ~ N(0, 1),
 
-as many as hold `HELD` of the variance at every t (holding it of the integral alone would leave most
-at the ends). What the cut modes leave, r(t)² = sd² − Σ lambda_k phi_k(t)², counts as independent
-from reading to reading. Priors are cut at `WIDTH` standard deviations, and no prior may let g fall
-below `LEAST_GAIN`.
+as many as hold 0.995 of the variance at every t (`core.expansion`; holding it of the integral alone
+would leave most at the ends). What the cut modes leave, r(t)² = sd² − Σ lambda_k phi_k(t)², counts
+as independent from reading to reading. Priors are cut at `WIDTH` standard deviations, and no prior
+may let g fall below `LEAST_GAIN`.
 """
 
 from __future__ import annotations
@@ -38,19 +38,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import InputError
+from core.expansion import modes_over
 from core.model import Model
-from core.network import LEAST_GAIN, WIDTH, Quantity
+from core.network import WIDTH, Quantity
 from core.prior import Prior
 
 Array = NDArray[np.float64]
 Term = tuple[float, tuple[str, ...]]
-HELD, MOST_MODES, NODES = 0.995, 6, 96
 AXES = ("x", "y", "z")
 
 
@@ -77,72 +75,6 @@ class Affine:
 NONE = Affine()
 
 
-@dataclass(frozen=True, slots=True)
-class Modes:
-    """Karhunen–Loève modes of a unit-variance process on [0, 1], at quadrature nodes (NODES,).
-
-    weight (NODES,); value (NODES, k) holds phi_k, eigenvalue (k,) lambda_k, largest first.
-    """
-
-    length: float
-    node: Array
-    weight: Array
-    value: Array
-    eigenvalue: Array
-
-    def at(self, t: Array) -> Array:
-        """sqrt(lambda_k) phi_k at t (n,): (n, k)."""
-        kernel = np.exp(-0.5 * ((t[:, None] - self.node) / self.length) ** 2)
-        return np.asarray((kernel * self.weight) @ self.value / np.sqrt(self.eigenvalue))
-
-
-@lru_cache(maxsize=64)
-def modes(length: float) -> Modes:
-    """Modes of a process with this length, as a share of the horizon, that hold `HELD`.
-
-    >>> len(modes(0.5).eigenvalue), len(modes(2.0).eigenvalue)
-    (4, 2)
-    """
-    x, w = np.polynomial.legendre.leggauss(NODES)
-    node, weight = 0.5 * (x + 1), 0.5 * w
-    root = np.sqrt(weight)
-    kernel = np.exp(-0.5 * ((node[:, None] - node) / length) ** 2)
-    values, vectors = np.linalg.eigh(root[:, None] * kernel * root)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    phi = vectors / root[:, None]
-    held = np.cumsum(values * phi**2, axis=1).min(axis=0)
-    count = int(np.argmax(held >= HELD)) + 1
-    phi = phi[:, :count] * np.where(
-        phi[-1, :count] < 0, -1.0, 1.0
-    )  # on every machine the same sign
-    return Modes(length, node, weight, phi, values[:count])
-
-
-def _modes_of(model: Model, quantity: Quantity) -> Modes:
-    declared = quantity.discrepancy
-    assert declared.length_h is not None
-    assert declared.sd is not None
-    horizon_h = model.part(quantity.name).horizon_h
-    # anything shorter needs every mode as well
-    found = modes(max(declared.length_h / horizon_h, 1.0 / NODES**2))
-    if len(found.eigenvalue) > MOST_MODES:
-        raise InputError(
-            f"discrepancy length_h of {quantity.name}",
-            declared.length_h,
-            f"needs {len(found.eigenvalue)} modes up to {horizon_h:g} h, more than {MOST_MODES}",
-            "give a longer one",
-        )
-    reach = WIDTH * declared.sd * np.abs(found.at(np.linspace(0, 1, 101))).sum(axis=1).max()
-    if 1 - reach < LEAST_GAIN:
-        raise InputError(
-            f"discrepancy sd of {quantity.name}",
-            declared.sd,
-            f"lets 1 + f fall to {1 - reach:.3g}, below {LEAST_GAIN}",
-            "give a smaller one",
-        )
-    return found
-
-
 def parameters(model: Model, quantity: Quantity) -> dict[str, Prior]:
     """The shared parameters of a quantity's discrepancy, with their priors."""
     declared, name = quantity.discrepancy, quantity.name
@@ -153,7 +85,7 @@ def parameters(model: Model, quantity: Quantity) -> dict[str, Prior]:
     if declared.kind == "paper":
         return {f"theta1.{name}": declared.theta, f"theta2.{name}": declared.theta}
     if declared.kind == "gp":
-        count = len(_modes_of(model, quantity).eigenvalue)
+        count = len(modes_over(quantity, model.part(quantity.name).horizon_h).eigenvalue)
         return {f"theta.{name}.{k + 1}": Prior.gaussian(0.0, 1.0, WIDTH) for k in range(count)}
     return {}
 
@@ -195,7 +127,8 @@ def _declared(model: Model, quantity: Quantity, time_h: float, component: int | 
         psi = model.network.psi_of(quantity).name
         return Affine(((1.0, names[:1]), (-1.0, (names[1], psi))), sigma=sigma)
     assert declared.sd is not None
-    at = _modes_of(model, quantity).at(np.array([time_h / model.part(quantity.name).horizon_h]))[0]
+    horizon_h = model.part(quantity.name).horizon_h
+    at = modes_over(quantity, horizon_h).at(np.array([time_h / horizon_h]))[0]
     left = declared.sd * math.sqrt(max(1.0 - float(at @ at), 0.0))
     terms = tuple((declared.sd * float(a), (n,)) for a, n in zip(at, names, strict=True))
     return Affine(terms, sigma=sigma, left=left)

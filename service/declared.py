@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from core.errors import FaultsError, InputError
-from core.network import Network
+from core.network import Network, Parameter
 from service.names import ID_LENGTH, ID_PATTERN
 from service.plain_yaml import UNREADABLE, PlainReader
 from service.ports import Json
@@ -125,10 +125,28 @@ def network_of(told: object, where: str = "network") -> Network:
     if faults:
         raise FaultsError(faults)
     try:
-        return Network.from_json(_floats(dict(told)))
+        network = Network.from_json(_floats(dict(told)))
     except InputError as error:
         named = type(error)(f"{where}: {error.what}", error.value, error.problem, error.remedy)
         raise FaultsError([named]) from None
+    for i, p in enumerate(network.parameters):
+        faults += _uncalibrated(p, f"{where}.parameters[{i}]")
+    if faults:
+        raise FaultsError(faults)
+    return network
+
+
+def _uncalibrated(p: Parameter, where: str) -> Iterator[InputError]:
+    """What a model could be trained with, and no rotor calibrated."""
+    low, high = p.prior.low, p.prior.high
+    if p.level in ("local", "shared") and p.prior.log_scale:
+        remedy = "give the runs its logarithm as the input and declare that, uniform"
+        problem = "cannot be calibrated as an input"
+        yield InputError(f"{where}.prior.kind", p.prior.kind, problem, remedy)
+    still = p.level in ("known", "dormant") and p.nominal is not None
+    if still and not low <= (p.nominal or 0.0) <= high:
+        problem = f"lies outside {low:g} … {high:g}, which the runs cover"
+        yield InputError(f"{where}.nominal", p.nominal, problem, "give a value inside")
 
 
 def _list(told: Mapping[str, Any], name: str) -> list[Any]:

@@ -31,6 +31,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.course",
         "core.drift",
         "core.family",
+        "core.expansion",
     ),
     ("core.blade", "core.design", "core.reduction", "core.smc"),
     ("core.surrogate",),

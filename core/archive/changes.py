@@ -1,4 +1,5 @@
-"""Whether a quantity changes between runs, and is of a reading's magnitude."""
+"""Whether a quantity changes between runs, is of a reading's magnitude, and can have its
+discrepancy over the runs' hours."""
 
 from __future__ import annotations
 
@@ -9,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive.faults import Findings
+from core.errors import InputError
+from core.expansion import modes_over
 from core.network import Network, Quantity
 
 Array = NDArray[np.float64]
@@ -46,8 +49,17 @@ class Seen:
         return float(np.sqrt(self.square.max() / max(self.count - 1, 1)))
 
 
-def check_changes(seen: Mapping[str, Seen], network: Network, found: Findings) -> None:
-    """Quantities that never change, that leave what readings may be, or drown in their noise."""
+def check_changes(
+    seen: Mapping[str, Seen], network: Network, horizon_h: float, found: Findings
+) -> None:
+    """Quantities that never change, that leave what readings may be, or drown in their noise; and
+    whose discrepancy does not go with the runs' hours."""
+    for q in network.quantities:
+        if q.discrepancy.kind == "gp":
+            try:
+                modes_over(q, horizon_h)
+            except InputError as error:
+                found.add(error)
     by_name = {q.name: q for q in network.quantities}
     if "displacement" in seen and "deformation" in by_name:
         by_name["displacement"] = by_name["deformation"]

@@ -81,7 +81,7 @@ def take(
     if archive is not None:
         kept = _no_twins(archive, source.labels, list(archive.done()), found)
         _enough(archive, kept, found)
-    check_changes(seen, network, found)
+    check_changes(seen, network, axis.time_h[-1], found)
     found.end()
     assert archive is not None
     return archive, found, tuple(kept)

@@ -13,8 +13,9 @@ from core.answers import Stacked
 from core.builtin.paper_network import rotor_blade_network
 from core.calibration.state import Posterior
 from core.curves import instrument_of, noise_of
-from core.discrepancy import HELD, affine, modes, parameters
+from core.discrepancy import affine, parameters
 from core.errors import InputError
+from core.expansion import HELD, modes
 from core.model import Model
 from core.network import Discrepancy, Network, Parameter, Quantity
 from core.prediction import predict

@@ -299,6 +299,23 @@ def test_what_nothing_can_be_learnt_from_is_refused_by_name(
     assert "np." not in str(fault)
 
 
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ("length_h: 10", "length_h of drop = 10.0 needs 96 modes up to 16000 h"),
+        ("length_h: 8000, sd: 0.9", "sd of drop = 0.9 lets 1 . f fall to -"),
+    ],
+)
+def test_a_discrepancy_that_these_hours_cannot_have_is_refused_before_training(
+    told: str, words: str, tmp_path: Path
+) -> None:
+    """A model was trained, and every rotor on it was blocked."""
+    gp = f"high: 2}}, discrepancy: {{kind: gp, {told}}}}}"
+    file = stored(dataset(), tmp_path / "runs.nc")
+    with opened(file) as source, pytest.raises(RunsError, match=words):
+        make(source, network(NETWORK.replace("high: 2}}", gp)), tmp_path / "model")
+
+
 def test_a_prior_in_which_no_run_lies_is_refused(tmp_path: Path) -> None:
     """Roughness in mm for um: the prior was a thousandth of the box, and all of it extrapolated."""
     data = dataset()

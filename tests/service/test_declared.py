@@ -69,6 +69,19 @@ def test_what_is_no_plain_data_is_refused(text: str, words: str) -> None:
     assert words in problem
 
 
+def test_what_no_rotor_could_be_calibrated_with_is_refused() -> None:
+    """A model was trained, and each of its rotors was blocked, or answered beyond its runs."""
+    text = NETWORK.replace("level: shared", "level: known, nominal: 3e-3").replace(
+        "kind: uniform, low: 1, high: 9", "kind: log_uniform, low: 1, high: 9"
+    )
+    assert faults(text) == {
+        "network.parameters[0].prior.kind": "cannot be calibrated as an input",
+        "network.parameters[1].nominal": "lies outside 2e-05 … 0.0002, which the runs cover",
+    }
+    known = NETWORK.replace("level: shared", "level: known, nominal: 2e-4")
+    assert read_network(known.replace("kind: uniform, low: 2e-5", "kind: log_uniform, low: 2e-5"))
+
+
 def test_what_the_network_itself_refuses_is_told_as_well() -> None:
     found = faults(NETWORK.replace("low: 1, high: 9", "low: 9, high: 1"))
     assert list(found.values()) == ["are not an interval"]
