@@ -62,6 +62,8 @@ def convert_arrays(path: str | Path, out: str | Path) -> dict[str, object]:
             unit(str(units[name]))
         except UnitError as error:
             found.add(UnitError(f"units of {name}", units.get(name), error.problem, error.remedy))
+    for name in (one for one in values if "/" in one):
+        found.fault(name, None, "holds a slash, which names a group in a file of runs", "rename it")
     for name in sorted(values.keys() & {*KEPT}):
         found.fault(name, None, "is a name that the format of runs keeps for itself", "rename it")
     for name, array in values.items():
@@ -75,6 +77,9 @@ def convert_arrays(path: str | Path, out: str | Path) -> dict[str, object]:
             inputs[name] = Column(text, low, high, np.asarray(array, float))
         else:
             quantities[name] = Given(text, KINDS[array.ndim])
+    for name in sorted(told["bounds"].keys() - (values.keys() - quantities.keys())):
+        shown = str(told["bounds"][name])[:100]
+        found.fault(f"bounds of {name}", shown, "are of no input", "name it as the array")
     for what, have in (("input", inputs), ("quantity", quantities)):
         if not have and not found.faults:
             found.fault(path.name, None, f"holds no {what}", "give (runs,) and (runs, T)")

@@ -78,7 +78,12 @@ def convert_meshes(
         if kind is not None:
             quantities[name] = Given(text, kind)
     found.end()
-    points = np.asarray(first.points, dtype=float)[:, :3]
+    points = _points(first)
+    for name, node in (named or {}).items():
+        if not 0 <= node < len(points):
+            remedy = "count nodes from 0"
+            found.fault(f"node {name}", node, f"is not in 0 … {len(points) - 1}", remedy)
+    found.end()
     blocks = sorted(first.cells, key=lambda block: -len(block.data))
     cells = np.asarray(blocks[0].data, np.int64) if blocks else np.zeros((0, 0), np.int64)
     mesh = Mesh("own", scale * points, cells, np.zeros(points.shape), dict(named or {}))
@@ -112,6 +117,12 @@ def _opened(file: Path) -> Any:
         raise ModelError(f"{file} cannot be read as a mesh: {error}") from error
 
 
+def _points(mesh: Any) -> Array:
+    """(N, 3); a plane mesh lies at z = 0."""
+    points = np.asarray(mesh.points, dtype=float)[:, :3]
+    return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+
+
 def _kind(mesh: Any, name: str, file: Path, found: Findings) -> Kind | None:
     data = mesh.point_data.get(name)
     if data is None:
@@ -142,7 +153,7 @@ def _run_fields(
     for line in lines:
         where = f"run {table.labels[k]}: {files[line].name}"
         mesh = _opened(files[line])
-        own = np.asarray(mesh.points, dtype=float)[:, :3]
+        own = _points(mesh)
         nodes = len(points)
         if len(own) != nodes:
             found.fault(where, len(own), f"nodes are not the {nodes} of the first file", "remesh")

@@ -174,6 +174,23 @@ def test_a_series_of_mesh_files_becomes_fields_on_one_mesh(tmp_path: Path) -> No
         assert source.inputs["load"].values.tolist() == [1.0, 2.0, 3.0]
 
 
+def test_a_plane_mesh_without_z_lies_at_0(tmp_path: Path) -> None:
+    """Of xdmf files, whose points have as many coordinates as were written."""
+    lines, plane = ["run,time [h],file,load [kN]"], np.random.default_rng(0).random((6, 2))
+    for k, t in np.ndindex(3, 4):
+        name = f"run{k}-{t}.xdmf"
+        cells, data = [("triangle", np.arange(6).reshape(2, 3))], {"warm": k * t * np.arange(6.0)}
+        meshio.Mesh(plane, cells, point_data=data).write(tmp_path / name)
+        lines.append(f"{k},{t},{name},{k + 1}")
+    (tmp_path / "runs.csv").write_text("\n".join(lines))
+    convert_meshes(tmp_path / "runs.csv", tmp_path / "runs.nc", {"warm": "K"}, named={"end": 5})
+    with opened(tmp_path / "runs.nc") as source:
+        np.testing.assert_array_equal(source.mesh.points, np.pad(plane, ((0, 0), (0, 1))))
+        np.testing.assert_array_equal(source.read(2, "warm")[3], 6 * np.arange(6.0))
+    with pytest.raises(RunsError, match="node end = 6 is not in 0 … 5"):
+        convert_meshes(tmp_path / "runs.csv", tmp_path / "n", {"warm": "K"}, named={"end": 6})
+
+
 def test_a_mesh_file_that_is_missing_moved_or_lacks_the_field_is_named(tmp_path: Path) -> None:
     table = meshes(tmp_path, spoil="run1-2.vtu")
     with pytest.raises(RunsError) as caught:
@@ -218,7 +235,10 @@ def test_a_text_that_is_no_unit_is_refused(text: str) -> None:
         ({"bounds": json.dumps({"roughness": [1.0]})}, "bounds of roughness"),
         ({"bounds": json.dumps({"roughness": ["a", "b"]})}, "bounds of roughness"),
         ({"bounds": json.dumps({"roughness": 5})}, "bounds of roughness"),
+        ({"bounds": json.dumps({"roughnes": [1.0, 9.0]})}, "bounds of roughnes"),
+        ({"bounds": json.dumps({"drop": [1.0, 9.0]})}, "bounds of drop"),
         ({"xyz": np.zeros(12)}, "xyz"),
+        ({"a/b": np.zeros(12)}, "a/b"),
     ],
 )
 def test_arrays_that_do_not_fit_each_other_are_named(
