@@ -204,6 +204,11 @@ def _quantity(
     if q.kind == "field" and q.node is not None and q.node not in source.mesh.named:
         remedy = "name it in the file's named_nodes, or leave the quantity's node out"
         found.fault(f"node of {q.name}", q.node, "is no named node of the runs", remedy)
+    elif q.kind != "scalar" and q.default_node not in source.mesh.named:
+        problem = f"is not named: {q.default_node} is not among the file's named_nodes. Readings "
+        problem += "and questions without the number of a node, the list of blades too, are refused"
+        remedy = "name a node in named_nodes, and give the quantity its `node`"
+        found.warn(f"node of {q.name}", q.node, problem, remedy)
     turn = _turn(what, given.unit, q.unit, found)
     if turn is not None:
         turned[name] = (given.kind, q.unit, *turn)

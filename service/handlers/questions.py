@@ -79,12 +79,13 @@ def _node(card: ModelCard, quantity: str, node: str | None) -> int | None:
         if node is not None:
             raise InputError("node", node, "belongs to no scalar quantity", "leave it out")
         return None
-    name = card.network.quantity(quantity).default_node if node is None else node
+    if node is None:
+        return card.network.quantity(quantity).node_among(card.nodes)
     named = ", ".join(sorted(card.nodes))
-    remedy = f"use 0 … {card.node_count - 1}, or one of {named}"
-    if name in card.nodes:
-        return card.nodes[name]
-    digits = name.isascii() and name.isdigit() and len(name) <= 9
-    if not digits or int(name) >= card.node_count:
-        raise RangeError("node", name, "does not exist in the model's mesh", remedy)
-    return int(name)
+    remedy = f"use 0 … {card.node_count - 1}" + (f", or one of {named}" if named else "")
+    if node in card.nodes:
+        return card.nodes[node]
+    digits = node.isascii() and node.isdigit() and len(node) <= 9
+    if not digits or int(node) >= card.node_count:
+        raise RangeError("node", node, "does not exist in the model's mesh", remedy)
+    return int(node)

@@ -147,8 +147,9 @@ def test_fields_and_vectors_of_no_creeping_body_are_learnt_and_read(tmp_path: Pa
     with opened(stored(plate(), tmp_path / "runs.nc")) as source:
         surrogate, found = make(source, network(FIELD), tmp_path / "model")
     assert {one.what for one in found.warnings} == {
-        "units of input load", "units of quantity deformation"
+        "units of input load", "units of quantity deformation", "node of deformation"
     }  # fmt: skip
+    assert "tip is not among" in warned(found, "node of deformation").problem
     np.testing.assert_allclose(surrogate.points[3], [30.0, 0, 0])
     model = Model.of(network(FIELD), surrogate)
     x, times = np.array([[2.3]]), np.array([25.0, 130.0])
