@@ -12,8 +12,9 @@ that leave a root-mean-square residual below a tolerance, up to a cap.
 Between the instants the tau are cubic splines in log t; before the first instant t1 > 0 they
 keep their value at t1. A part that has a value at t = 0 as well uses log(1 + t / t*): in
 log(1 + t) the hours from 0 to a first instant at 500 are most of the axis, and a cubic is free to
-swing there. t* is at most the first instant that none follows by more than a decade, and that of
-some smaller ones which best foretells instants from the others; 1 where that instant is.
+swing there. t* is one of 1 h up to ten times the last instant, the one whose cubics foretell
+instants best from the others and swing least from monotone ones; 1 h where instants begin at 1 h
+or before and follow each other within a decade.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from core.reduction import Basis
 
@@ -127,24 +128,30 @@ def early_of(time_h: Array, modes: Array, square: Array) -> float:
     """t* of the module's text, for time modes (T, A) whose weights have the sum of products (A, A).
 
     >>> hours = np.array([0.0, 500.0, 1000.0, 2000.0, 4000.0])
-    >>> early_of(hours, hours[:, None], np.ones((1, 1)))
-    500.0
+    >>> early_of(hours, hours[:, None], np.ones((1, 1))) > 4000
+    True
+    >>> early_of(np.array([0.0, 1, 10, 100, 1000]), np.ones((5, 1)), np.ones((1, 1)))
+    1.0
     """
     if len(time_h) < 4 or time_h[0] > 0:
         return 1.0
     later = time_h[1:]
     leaps = np.flatnonzero(later[1:] > DECADE * later[:-1])
     latest = float(later[leaps[-1] + 1 if len(leaps) else 0])
-    tried = [float(early) for early in latest * 10.0 ** -np.arange(0.0, 10.0, 0.5) if early > 1.0]
-    if not tried:
+    if latest <= 1.0:
         return 1.0
+    scales = latest * 10.0 ** np.arange(10.0, -10.0, -0.5)
+    tried = [float(early) for early in scales if 1.0 < early < 10.0 * time_h[-1]]
     missed = [_missed(np.log1p(time_h / early), modes, square) for early in (*tried, 1.0)]
     return (*tried, 1.0)[int(np.argmin(missed))]
 
 
 def _missed(clock: Array, modes: Array, square: Array) -> float:
-    """How far instants are off that are left out in turn, `TURNS` times."""
-    place, total = np.arange(len(clock)), 0.0
+    """How far instants are off that are left out in turn, `TURNS` times, and how far the cubics
+    swing from monotone ones between them."""
+    between = clock[:-1] + 0.5 * np.diff(clock)
+    swing = CubicSpline(clock, modes, axis=0)(between) - PchipInterpolator(clock, modes)(between)
+    place, total = np.arange(len(clock)), float(np.einsum("ka,ab,kb->", swing, square, swing))
     for turn in range(min(TURNS, len(clock) - 2)):
         out = ((place - 1) % TURNS == turn) & (place > 0) & (place < len(clock) - 1)
         found = CubicSpline(clock[~out], modes[~out], axis=0)(clock[out]) - modes[out]
