@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from service.api import answers
-from service.api.answers import beliefs, diagnoses, others, residuals
+from service.api.answers import beliefs, diagnoses, others, residuals, shown
 
 Json = dict[str, Any]
 FILE = Path(__file__).parents[1] / "service" / "client" / "answers.py"
@@ -56,13 +56,13 @@ NAMES: tuple[tuple[str, Json], ...] = (
     ("ResidualTest", residuals.TEST),
     ("Visit", residuals.VISIT),
     ("Residuals", residuals.RESIDUALS),
-    ("Planned", diagnoses.PLANNED),
+    ("Planned", shown.PLANNED),
     ("Adoption", diagnoses.ADOPTION),
-    ("Course", diagnoses.COURSE),
-    ("Foreseen", diagnoses.TWICE),
-    ("Placed", diagnoses.PLACED),
-    ("Pictures", diagnoses.PICTURES),
-    ("Separating", diagnoses.SEPARATING),
+    ("Course", shown.COURSE),
+    ("Foreseen", shown.TWICE),
+    ("Placed", shown.PLACED),
+    ("Pictures", shown.PICTURES),
+    ("Separating", shown.SEPARATING),
     ("Found", diagnoses.FOUND),
     ("Diagnosis", diagnoses.DIAGNOSIS),
 )

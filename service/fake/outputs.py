@@ -121,7 +121,7 @@ def life_of(
     for level in LIFE_LEVELS:
         needed = part * (rate + sd * float(ndtri(1 - level)))
         at = 0.0 if limit <= 0 else HORIZON_H * limit / needed if needed > 0 else np.inf
-        hours[level] = at if at <= time_h[-1] else None
+        hours[level] = at if at <= HORIZON_H else None
     return FakeLife(time_h, passed, hours)
 
 

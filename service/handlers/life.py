@@ -51,14 +51,9 @@ def life(
     component: int | None,
     limit: float,
 ) -> Json:
-    """The distribution of the time to the limit, as plain lists.
-
-    Its quantiles are looked for in all the model's hours, whichever are asked for: between these
-    alone, what was passed before the first would be told to be passed at it.
-    """
+    """The distribution of the time to the limit, as plain lists."""
     blade, get = found.blade, found.arrays(store)
     assert blade is not None
-    every = np.unique([0.0, *found.card.time_h, found.card.horizon_h, *asked.times])
     told = science.life(
         found.card,
         found.state.meta,
@@ -66,12 +61,11 @@ def life(
         blade.id,
         asked.quantity,
         limit,
-        every.tolist(),
+        asked.times,
         asked.node,
         component=component,
         known=blade.known,
     )
-    wanted = np.isin(told.time_h, asked.times)
     return {
         "blade": blade.id,
         "quantity": asked.quantity,
@@ -79,8 +73,8 @@ def life(
         "node": asked.node,
         "component": None if component is None else AXES[component],
         "limit": limit,
-        "time_h": np.asarray(told.time_h)[wanted].tolist(),
-        "passed": np.asarray(told.passed)[wanted].tolist(),
+        "time_h": np.asarray(told.time_h).tolist(),
+        "passed": np.asarray(told.passed).tolist(),
         "quantiles": {str(p): hour for p, hour in told.quantiles.items()},
         "held_from_h": held_from(science, found, get, blade),
         "health": health(found.state),

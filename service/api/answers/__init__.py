@@ -21,7 +21,7 @@ from service.api.answers.beliefs import (
     STANDING,
     SUMMARY,
 )
-from service.api.answers.diagnoses import ADOPTION, DIAGNOSIS, DIAGNOSIS_LISTED, PLANNED
+from service.api.answers.diagnoses import ADOPTION, DIAGNOSIS, DIAGNOSIS_LISTED
 from service.api.answers.others import (
     AUDIT,
     BLADES,
@@ -35,6 +35,7 @@ from service.api.answers.others import (
     WEBHOOK,
 )
 from service.api.answers.residuals import RESIDUALS
+from service.api.answers.shown import PLANNED
 from service.api.answers.words import (
     ANY,
     NUMBER,

@@ -1,8 +1,9 @@
-"""Diagnoses, their pictures, and adoptions."""
+"""Diagnoses and adoptions."""
 
 from __future__ import annotations
 
 from service.api.answers.residuals import REQUEST
+from service.api.answers.shown import ALTERNATIVES, NOTICED, PICTURES, SEPARATING
 from service.api.answers.words import (
     ANY,
     NUMBER,
@@ -16,121 +17,6 @@ from service.api.answers.words import (
     named,
 )
 
-TWICE = having(mean=NUMBER, sd=NUMBER, z=NUMBER)
-COURSE = having(
-    mean=each(each(NUMBER)),
-    sd=each(each(NUMBER)),
-    low=each(each(NUMBER)),
-    median=each(each(NUMBER)),
-    high=each(each(NUMBER)),
-)
-PLACED = having(mean=NUMBER, sd=NUMBER, spread=NUMBER, of=WHOLE, at_low=WHOLE, at_high=WHOLE)
-PICTURES = having(
-    schema=WHOLE,
-    readings=each(
-        having(
-            id=TEXT,
-            blade=TEXT,
-            quantity=TEXT,
-            unit=TEXT,
-            time_h=NUMBER,
-            rotor_h=NUMBER,
-            instrument=maybe(TEXT),
-            campaign=maybe(TEXT),
-            value=NUMBER,
-            before=TWICE,
-            after=TWICE,
-        )
-    ),
-    readings_not_shown=WHOLE,
-    courses=maybe(
-        having(
-            ("now_h",),  # older reports have none
-            quantity=TEXT,
-            unit=TEXT,
-            time_h=each(NUMBER),
-            blades=each(TEXT),
-            now_h=each(NUMBER),
-            before=COURSE,
-            after=COURSE,
-        )
-    ),
-    amplitudes=each(
-        having(
-            name=TEXT,
-            unit=TEXT,
-            prior=having(low=NUMBER, high=NUMBER, mean=NUMBER, sd=NUMBER),
-            quantiles=each(NUMBER),
-            at_bound=maybe(TEXT),
-            x=each(NUMBER),
-            prior_density=each(NUMBER),
-            density=each(NUMBER),
-        )
-    ),
-    parameters=each(
-        having(
-            name=TEXT,
-            level={"enum": ["shared", "local"]},
-            unit=TEXT,
-            low=NUMBER,
-            high=NUMBER,
-            effect=YES,
-            before=maybe(PLACED),
-            after=maybe(PLACED),
-        )
-    ),
-)
-READABLE = {
-    "blade": TEXT,
-    "quantity": TEXT,
-    "time_h": NUMBER,
-    "ahead_h": NUMBER,
-    "instrument": maybe(TEXT),
-    "sigma": maybe(NUMBER),
-}
-PLANNED = having(**READABLE, sd_after=NUMBER, narrower=NUMBER)
-TELLS = {"gain_nat": NUMBER, "share": NUMBER, "settled": NUMBER}
-CANDIDATE = READABLE | TELLS
-SEPARATING = having(
-    ("campaigns",),  # older reports have none
-    rivals=each(having(("called",), names=each(TEXT), called=each(TEXT), weight=NUMBER)),
-    entropy_nat=NUMBER,
-    single=each(
-        having(
-            **CANDIDATE,
-            unit=TEXT,
-            blades_alike=WHOLE,
-            expected=each(having(mean=NUMBER, sd=NUMBER)),
-        )
-    ),
-    set=each(having(**CANDIDATE)),
-    campaigns=each(
-        having(
-            quantity=TEXT,
-            ahead_h=NUMBER,
-            blades=WHOLE,
-            instrument=maybe(TEXT),
-            sigma=maybe(NUMBER),
-            nodes=maybe(WHOLE),
-            **TELLS,
-        )
-    ),
-)
-FORESEEN = {"mean": NUMBER, "sd": NUMBER}
-ALTERNATIVES = having(
-    quantity=TEXT,
-    time_h=NUMBER,
-    blades=each(TEXT),
-    before=having(**FORESEEN),
-    together=having(**FORESEEN),
-    each=each(
-        having(
-            effects=each(having(name=TEXT, shape=TEXT, step_h=maybe(NUMBER))),
-            share=NUMBER,
-            **FORESEEN,
-        )
-    ),
-)
 VERDICT: Json = {"enum": ["adequate", "effect", "not separable", "unattributed"]}
 ADOPTION = having(
     rotor=TEXT,
@@ -210,28 +96,7 @@ FOUND = having(
             sd=having(before=NUMBER, after=NUMBER),
         )
     ),
-    noticed=maybe(
-        having(
-            probability=NUMBER,
-            alarm=NUMBER,
-            families=each(
-                having(
-                    family=TEXT,
-                    whom=TEXT,
-                    kind=TEXT,
-                    on=TEXT,
-                    target=TEXT,
-                    how=TEXT,
-                    of=TEXT,
-                    unit=TEXT,
-                    least=maybe(NUMBER),
-                    easiest=TEXT,
-                    most=maybe(NUMBER),
-                    hardest=TEXT,
-                )
-            ),
-        )
-    ),
+    noticed=maybe(NOTICED),
     conditions=each(
         having(
             ("fault",),
