@@ -6,7 +6,8 @@ Of each clean set of `effect_sets` in the plan fleet-100 (finite elements, 100 b
 times) it is asked from which size on wear, fouling, a step of the gas and a campaign's offset would
 have been noticed (`core.diagnosis.noticed`). Effects of that size, finite elements scaled to it or
 put on the readings, stand in another set of the same number, and half as large in a third; noise
-and labels are drawn anew. All are counted, those without a size as well.
+and labels are drawn anew. All are kept, those without a size as well, and those whose finite
+elements would have to be scaled by more than two.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import typer
 from core.calibration.online import Workspace, update
 from core.diagnosis.noticed import PROBABILITY, Trial
 from core.diagnosis.verdict import ALARM, DEALT
+from core.errors import InputError
 from core.model import rotor_blade_wide
 from core.validation import effect_fleet as fleet
 from core.validation.effect_plans import NOISE, plan
@@ -67,17 +69,20 @@ def place(trial: Trial, condition: str, given: Set) -> int:
     return own[0]
 
 
-def in_noises(condition: str, number: int, size: float) -> float:
+def in_noises(condition: str, number: int, size: float) -> float | None:
     """The size that `made` wants: noises of an offset, or of the change at the last visit of the
-    rotor that it takes for it."""
+    rotor that it takes for it; none where the finite elements would be scaled up too far."""
     if condition == "campaign":
         return size / NOISE
     for rotor in range(PLAN.rotors):
         noises = size / RUN[condition] / PLAN.strength(rotor, condition, 1.0)
-        among = PLAN.with_effect(condition, noises)
+        try:
+            among = PLAN.with_effect(condition, noises)
+        except InputError:
+            continue
         if among[number % len(among)] == rotor:
             return float(noises)
-    raise AssertionError(f"{condition} of {size:g} is in no rotor")
+    return None
 
 
 def alarms(condition: str, number: int, seed: int, noises: float) -> bool:
@@ -96,7 +101,8 @@ def one(number: int, seed: int) -> list[Json]:
         record: Json = {"set": number, "condition": condition, "size": size}
         if size is not None:
             noises = in_noises(condition, number, size)
-            record |= {"noises": round(noises, 3)}
+            record["noises"] = noises
+        if size is not None and noises is not None:
             record |= {"alarms": alarms(condition, number, seed + 1, noises)}
             record |= {"half": alarms(condition, number, seed + 2, 0.5 * noises)}
         found.append(record)
@@ -112,7 +118,7 @@ def main(
     """Sizes that are told, and whether effects of them are noticed."""
     made_by = commit()
     records = [record for number in range(sets) for record in one(number, seed)]
-    asked = [r for r in records if r["size"] is not None]
+    asked = [r for r in records if "alarms" in r]
     told = {
         "commit": made_by,
         "seed": seed,
