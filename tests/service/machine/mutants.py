@@ -78,7 +78,7 @@ def newest_model(self: SqlRecords, model_id: str, version: str | None = None) ->
 MUTANTS = (
     Mutant("every moment is now", Moments, "service.store.kept.end_of", lambda at: at + 3600.0),
     Mutant("webhooks told nothing", Hooks, "service.store.outbox.tell", lambda *given: None, 29),
-    Mutant("deliveries out of turn", Hooks, "service.worker.hook_lease.due", due_out_of_turn, 32),
+    Mutant("deliveries out of turn", Hooks, "service.worker.hook_lease.due", due_out_of_turn, 56),
     Mutant(
         "webhooks told of every rotor",
         Hooks,
@@ -141,7 +141,7 @@ MUTANTS = (
     Mutant(
         "one ETag for all", Reads, "service.api.routers.reads.tag_of_basis", lambda *given: '"one"'
     ),
-    Mutant("every version the newest", Reads, "service.handlers.reads.state_of", newest_always, 29),
+    Mutant("every version the newest", Reads, "service.handlers.reads.state_of", newest_always, 46),
     Mutant(
         "what was retracted counts",
         Reads,
