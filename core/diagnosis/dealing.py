@@ -16,6 +16,8 @@ measured by their scatter about it, so that its size does not matter.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
@@ -27,7 +29,39 @@ from core.rng import stream
 Array = NDArray[np.float64]
 FEW = 6  # blades below which they are not dealt
 PULLED = 0.1  # of a residual's variance that the shared parameters leave, at least
+WHOLE = 256  # columns up to which sets are held against all of them
 ODD, TAIL = 0.05, 4.0  # a blade is dealt no larger than t-distributed readings are but so rarely
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Signatures g (B, n, C) as sets are held against them: whole where they are few, else by blade
+    those that concern it, for most of many are of some other one."""
+
+    g: Array
+    there: tuple[tuple[NDArray[np.intp], Array], ...]
+
+    @staticmethod
+    def of(g: Array) -> Columns:
+        if g.shape[2] <= WHOLE:
+            return Columns(g, ())
+        there = (np.flatnonzero(np.any(one != 0, axis=0)) for one in g)
+        return Columns(g, tuple((at, one[:, at]) for at, one in zip(there, g, strict=True)))
+
+    def along(self, q: Array) -> Array:
+        """gᵀ q of a set q (B, n), (B, C).
+
+        >>> g, q = np.arange(12.0).reshape(2, 2, 3), np.ones((2, 2))
+        >>> several = tuple((np.arange(3), one) for one in g)
+        >>> Columns(g, ()).along(q).tolist() == Columns(g, several).along(q).tolist()
+        True
+        """
+        if not self.there:
+            return np.asarray((q[:, None] @ self.g)[:, 0])
+        found = np.zeros((self.g.shape[0], self.g.shape[2]))
+        for b, (at, own) in enumerate(self.there):
+            found[b, at] = q[b] @ own
+        return found
 
 
 def dealt_sets(seen: Scores, count: int, seed: int) -> Array:

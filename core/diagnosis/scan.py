@@ -37,7 +37,7 @@ from core.calibration.message import POOL
 from core.diagnosis.bayes import Grouped, one_by_one, together
 from core.diagnosis.chance import family_wise
 from core.diagnosis.coherent import discount
-from core.diagnosis.dealing import FEW, dealt_sets
+from core.diagnosis.dealing import FEW, Columns, dealt_sets
 from core.diagnosis.grammar import Cell
 from core.diagnosis.misread import Spared, alone_of, spared
 from core.diagnosis.scatter import LEAST_BLADES, Scatter
@@ -202,17 +202,14 @@ class Scan:
 
     def of_set(self, q: Array) -> Array:
         """`by_family` of a dealt set q (B, n)."""
-        whole, (shared, blocks) = np.zeros(self.own.shape), self._blocks
-        for b, (at, own) in enumerate(blocks):
-            whole[b, at] = q[b] @ own
-        turned = np.einsum("bis,bi->bs", self.seen.imitated, q)
+        shared, columns = self._columns
+        whole, turned = columns.along(q), np.einsum("bis,bi->bs", self.seen.imitated, q)
         return self._tried(whole - turned @ shared, whole.sum(axis=0), q)
 
     @cached_property
-    def _blocks(self) -> tuple[Array, list[tuple[NDArray[np.intp], Array]]]:
+    def _columns(self) -> tuple[Array, Columns]:
         shared = np.tensordot(self.seen.deviation, self.g, axes=((0, 1), (0, 1)))
-        there = [np.flatnonzero(np.any(one != 0, axis=0)) for one in self.g]
-        return shared, [(at, one[:, at]) for at, one in zip(there, self.g, strict=True)]
+        return shared, Columns.of(self.g)
 
     @cached_property
     def _scatter(self) -> Scatter:
