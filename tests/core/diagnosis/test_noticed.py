@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from core.diagnosis import noticed as module
 from core.diagnosis.noticed import NOTHING, PROBABILITY, Noticed, in_words, noticed, noticed_json
 from tests.core.diagnosis import fleet
 from tests.core.diagnosis.fleet import MODEL, SIGMA, rotor, scan
 
-DEALT, ROTORS = 199, 12
+DEALT, ROTORS = 199, 8
 OFFSETS = tuple(f for f in fleet.READING if f.name == "campaign offset")
 
 
@@ -32,12 +33,14 @@ def in_visit(cell: Any, size: float) -> Any:
 def test_effects_of_the_told_size_alarm_in_nine_rotors_of_ten(
     noise: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Told by one rotor, planted in the readings of another; the control is half as large.
+    """Told by one rotor, planted in the readings of another; the control is half as large. Noise
+    is known here and all is linear, so that nothing is lost to a calibration.
 
-    Where readings tell most of a campaign and where least, up and down. 17 of 24 and fewer are 1 in
-    130 at nine of ten.
+    Where readings tell most of a campaign and where least, up and down. 11 of 16 and fewer are 1 in
+    60 at nine of ten.
     """
     monkeypatch.setattr(fleet, "READING", OFFSETS)
+    monkeypatch.setattr(module, "LEFT", 1.0)
     seen, half = [], []
     for seed in range(ROTORS):
         own = told(seed, noise)["campaign offset"]
@@ -46,7 +49,7 @@ def test_effects_of_the_told_size_alarm_in_nine_rotors_of_ten(
         seen.append(alarms(seed, in_visit(own.easiest, own.least), noise))
         seen.append(alarms(seed, in_visit(own.hardest, -own.most), noise))
         half.append(alarms(seed, in_visit(own.easiest, 0.5 * own.least), noise))
-    assert np.sum(seen) > 17
+    assert np.sum(seen) > 11
     assert np.mean(half) < 0.6
 
 
