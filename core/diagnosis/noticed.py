@@ -183,5 +183,5 @@ def in_words(found: Sequence[Noticed]) -> tuple[str, ...]:
 def _which(cell: Cell) -> str:
     """A cell among those of its family: whom of them, its course, its hour."""
     step = None if cell.step_h is None else f"at {cell.step_h:,.0f} h"
-    told = [cell.value, step or (None if cell.shape == "constant" else cell.shape)]
+    told = [cell.value, step or (cell.shape if len(cell.family.shapes) > 1 else None)]
     return ", ".join(one for one in told if one)

@@ -43,9 +43,9 @@ def blind(found: Json) -> bool:
 
 
 def lines(found: Json) -> Iterator[str]:
-    """The same as lines of a terminal."""
+    """The same as lines of a terminal; where it is nothing, the verdict's reasons say so."""
     told = found.get("noticed")
-    if not told or not told["families"]:
+    if not told or not told["families"] or blind(found):
         return
     yield f"an alarm would have been raised, with {told['probability']:.0%} probability, by"
     model = found["rests_on"]["model"]
@@ -56,17 +56,21 @@ def lines(found: Json) -> Iterator[str]:
 
 
 def _what(one: Json) -> str:
-    return f"{one['family']} of {WHOM.get(one['whom'], one['whom'])}"
+    return f"{one['family']}, {WHOM.get(one['whom'], one['whom'])}"
 
 
 def _sizes(one: Json, model: str) -> tuple[str, str]:
     """The least size where it is easiest to notice, and where it is hardest."""
     scale, unit = unit_of(one, one["unit"], model)
 
-    def size(value: float | None, which: str) -> str:
-        if value is None:
-            return "–"
-        at = f" ({which})" if which and one["easiest"] != one["hardest"] else ""
-        return f"{number(scale * value, 2)} {unit}".rstrip() + at
+    least, most = (
+        "–" if one[end] is None else f"{number(scale * one[end], 2)} {unit}".rstrip()
+        for end in ("least", "most")
+    )
+    if least == most:
+        return least, most
+    return _at(least, one["easiest"]), _at(most, one["hardest"])
 
-    return size(one["least"], one["easiest"]), size(one["most"], one["hardest"])
+
+def _at(size: str, which: str) -> str:
+    return f"{size} ({which})" if which and size != "–" else size

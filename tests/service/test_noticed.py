@@ -28,8 +28,8 @@ def test_the_sizes_that_would_have_alarmed_stand_in_the_report_in_engineers_unit
     page = page_of(told("adequate"))
     assert "What would have been noticed" in page
     for shown in (
-        "coating wear of a coating lot", "6.1 % (C2, early)", "12 % (C1, late)",
-        "7.5 K (at 8,000 h)", "campaign offset of a campaign", "0.012 mm", "90% probability",
+        "coating wear, a coating lot", "6.1 % (C2, early)", "12 % (C1, late)",
+        "7.5 K (at 8,000 h)", "campaign offset, a campaign", "0.012 mm", "90% probability",
     ):  # fmt: skip
         assert shown in page, shown
     assert "forecasts and bands of the model can be used" in page
@@ -47,6 +47,8 @@ def test_readings_that_could_not_contradict_the_model_are_nothing_to_rest_on() -
     assert do_next(blind()).startswith("Do not rest anything on this")
     assert "forecasts and bands of the model can be used" not in page_of(blind())
     assert "too few" in NOTHING
+    said = list(lines_of({"rotor": "r1", "result": blind()}))
+    assert not any("alarm would have been raised" in line for line in said)
 
 
 @pytest.mark.parametrize("verdict", ["effect", "not separable", "unattributed"])

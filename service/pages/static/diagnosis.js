@@ -87,7 +87,7 @@ function halves(holds) {
 /** Where nothing was found: from which size on an effect would have been. */
 function unseen(told) {
   if (!told?.families.length) return null;
-  const size = (value, which, one) => (value === null ? "–" : inUnit(plain(value, 2), one.unit) + (which && one.easiest !== one.hardest ? ` (${which})` : ""));
+  const size = (value, which, one) => (value === null ? "–" : inUnit(plain(value, 2), one.unit) + (which && plain(one.least, 2) !== plain(one.most, 2) ? ` (${which})` : ""));
   return panel("What would have been noticed", scroll("What would have been noticed", table([
     { name: "Effect", value: (one) => one.family },
     { name: "Of", value: (one) => (one.whom === "all" ? "all blades" : `one ${words(one.whom)}`) },
