@@ -9,8 +9,8 @@ scatter by and nothing in common. An effect of amplitude a with signature g move
 (`scores`: g⊥ is what the shared parameters do not imitate), and the same test is asked whether it
 alarms: the mean Bayes factor of all families against its level in sets dealt from residuals which
 have the effect as well, for that is what the test would have had to deal. The least amplitude for
-which `ENOUGH` of the sets alarm is found by halving, up to `MOST` times the expected size:
-what would have to be larger is not looked for by the grammar either, and such readings cannot
+which `ENOUGH` of the sets alarm is found by halving about a guess, up to `MOST` times the expected
+size: what would have to be larger is not looked for by the grammar either, and such readings cannot
 contradict the model. What a rotor tells of its own scatter is uncertain, and with it the level:
 sizes of like rotors differ by a seventh, so that `ENOUGH` of its sets have to alarm for
 `PROBABILITY` of rotors to do (0.95 and with heavy tails 0.89 of them did: `tests/claims`).
@@ -21,14 +21,17 @@ moved by 0.91 of a Q g⊥ for a campaign's offset, by 0.70 to 0.77 for wear, fou
 gas. So the least of these, `LEFT`, is what is planted: sizes are told on the safe side.
 
 Where a family runs in several ways (courses, hours of a step, campaigns) the cell with the most
-information and the one with the least are planted, so that two sizes are told. To second order, as
-the scan is. Families of one blade are left out: in clean fleets theirs hardly ever alarm.
+information and the one with the least are planted, so that two sizes are told; one where these
+hardly differ. To second order, as the scan is. Families of one blade are left out: in clean fleets
+theirs hardly ever alarm.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,7 +51,9 @@ Array = NDArray[np.float64]
 PROBABILITY, ENOUGH = 0.9, 0.95
 LEFT = 0.7  # of a score, once the model is calibrated with what moves it
 PLANTED, DEALS = 60, 60  # sets that an effect is planted in; that tell how it lifts the level
-LEAST, MOST, HALVINGS = 0.05, WIDTH, 6  # in expected sizes: to 7 %
+LEAST, MOST = 0.05, WIDTH  # in expected sizes
+ALIKE = 1.2  # information of cells by so little apart tells no size apart
+NEAR, HALVINGS = 1.6, 3  # factor about a guess; to 12 % from there, as the sets themselves are
 NOTHING = (
     "no effect of the sizes that are expected would have been noticed: these readings are too few "
     "to contradict the model"
@@ -100,6 +105,7 @@ def noticed(
     for places in several.families.values():
         order = sorted(places, key=lambda i: (-told[i], i))
         first, last = order[0], order[-1]
+        last = first if told[last] * ALIKE > told[first] else last
         cells = several.cells[first], several.cells[last]
         out.append(Noticed(*cells, size(first), size(last)))
     return tuple(out)
@@ -133,20 +139,36 @@ class Trial:
         seen = self.scan.seen
         along = seen.efficient(self.scan.g[:, :, [i]])[:, :, 0]
         moved = LEFT * np.einsum("bij,bj->bi", seen.information, along)
-        if self.alarms(MOST * moved) < ENOUGH:
-            return None
-        low, high = np.log(LEAST), np.log(MOST)
+        if (guess := self._guess(i)) > MOST * NEAR:
+            guess = MOST  # nearly nothing is told of it
+        low, high = guess / NEAR, min(NEAR * guess, MOST)
+        while not self.alarms(high * moved):
+            if high >= MOST:
+                return None
+            low, high = high, min(NEAR**2 * high, MOST)
+        while low > LEAST and self.alarms(low * moved):
+            low, high = low / NEAR**2, low
         for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            there = self.alarms(np.exp(middle) * moved) >= ENOUGH
-            low, high = (low, middle) if there else (middle, high)
-        return float(np.exp(high)) * expected(self.scan.cells[i], noise)
+            middle = math.sqrt(low * high)
+            low, high = (low, middle) if self.alarms(middle * moved) else (middle, high)
+        return high * expected(self.scan.cells[i], noise)
 
-    def alarms(self, moved: Array) -> float:
-        """The share of sets that alarm with an effect that moves scores (B, n)."""
+    def alarms(self, moved: Array) -> bool:
+        """Whether `ENOUGH` of the sets alarm with an effect that moves scores (B, n)."""
         seen = replace(self.scan.seen, q=self.scan.seen.q + moved)
         higher = _level(self.scan, dealt_sets(seen, DEALS, self.seed), self.share) - self.few
-        return float(np.mean(_together(self.scan, self.sets + moved) >= self.level + higher))
+        left = math.floor((1.0 - ENOUGH) * len(self.sets) + 1e-9)
+        for q in self.sets:  # most are done after a few
+            left -= _one(self.scan, q + moved) < self.level + higher
+            if left < 0:
+                return False
+        return True
+
+    def _guess(self, i: int) -> float:
+        """By the cell alone: as many sds as its Bayes factor needs, and some for chance."""
+        own = float(self.scan.information[i, i])
+        sds = math.sqrt(2.0 * max(self.level + 0.5 * math.log1p(own), 0.5)) + 1.0
+        return sds / (LEFT * math.sqrt(own)) if own > 0 else math.inf
 
 
 def _level(scan: Scan, sets: Array, share: float) -> float:
@@ -156,7 +178,11 @@ def _level(scan: Scan, sets: Array, share: float) -> float:
 
 def _together(scan: Scan, sets: Array) -> Array:
     """log of the families' mean Bayes factor of sets (K, B, n), times the families' number."""
-    return np.array([np.logaddexp.reduce(one) for one in POOL.map(scan.of_set, sets)])
+    return np.array(list(POOL.map(partial(_one, scan), sets)))
+
+
+def _one(scan: Scan, q: Array) -> float:
+    return float(np.logaddexp.reduce(scan.of_set(q)))
 
 
 def _of_several(scan: Scan) -> Scan:

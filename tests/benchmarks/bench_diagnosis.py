@@ -1,6 +1,6 @@
 """A diagnosis of 100 blades, as a worker makes it: its steps, and how long each takes.
 
-    python tests/benchmarks/bench_diagnosis.py [VISITS | fleet | many]
+    python tests/benchmarks/bench_diagnosis.py [VISITS | fleet | many | clean]
 
 Finite-element elongations of `core.builtin.worn_plan` at VISITS (default 6) equal steps to
 24,000 h, with 0.02 mm of noise; one coating lot wears, one visit reads 0.02 mm too much. All of it
@@ -8,6 +8,7 @@ is diagnosed by `rotor-blade-wide` over the whole grammar with pairs, before and
 With `fleet` it is a hundred blades of five ages at three visits, whose coatings all wear, which
 such readings do not tell from other causes: the inspections that would are worked out as well.
 With `many` it is one whose gas steps, and too many names for an answer share the evidence.
+With `clean` it is one read six times in which nothing is: what would have been noticed is told.
 Peak memory is that of the process.
 """
 
@@ -60,10 +61,10 @@ def of_a_lot(visits: int) -> tuple[RotorSpec, list[BladeRecord], Sequence[Inspec
 
 
 def of_a_fleet(
-    condition: str, seed: int
+    condition: str, seed: int, name: str = "fleet-100", number: int = 0
 ) -> tuple[RotorSpec, list[BladeRecord], Sequence[Inspection]]:
-    """Blades of five ages with an effect that cannot be told from others."""
-    case = made(plan("fleet-100"), condition, 0, seed, PARTICLES).case
+    """Blades of five ages, with an effect that cannot be told from others or with none."""
+    case = made(plan(name), condition, number, seed, PARTICLES).case
     facts = sorted(case.facts.items())
     records = [BladeRecord(b, lot=f.lot, coating_lot=f.coating_lot) for b, f in facts]
     return case.spec, records, case.readings
@@ -72,7 +73,10 @@ def of_a_fleet(
 def main() -> None:
     asked, model = sys.argv[1] if len(sys.argv) > 1 else "6", rotor_blade_wide()
     fleets = {"fleet": ("wear", 424242), "many": ("step", 7975784)}
-    rotor = of_a_fleet(*fleets[asked]) if asked in fleets else of_a_lot(int(asked))
+    if asked == "clean":
+        rotor = of_a_fleet("clean", 5, "fleet-six-visits", 1)
+    else:
+        rotor = of_a_fleet(*fleets[asked]) if asked in fleets else of_a_lot(int(asked))
     spec, records, given = rotor
     steps: list[tuple[str, float, float]] = []
 
