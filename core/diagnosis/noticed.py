@@ -13,7 +13,7 @@ which `ENOUGH` of the sets alarm is found by halving about a guess, up to `MOST`
 size: what would have to be larger is not looked for by the grammar either, and such readings cannot
 contradict the model. What a rotor tells of its own scatter is uncertain, and with it the level:
 sizes of like rotors differ by a seventh, so that `ENOUGH` of its sets have to alarm for
-`PROBABILITY` of rotors to do (0.95 and with heavy tails 0.89 of them did: `tests/claims`).
+`PROBABILITY` of rotors to do (0.95 and with heavy tails 0.92 of them did: `tests/claims`).
 
 A rotor that has the effect is calibrated with it, though. Its blades' parameters follow farther
 than to first order, and what is left counts in part as noise: in finite-element fleets the score
