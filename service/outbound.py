@@ -126,8 +126,11 @@ def resolve(host: str, port: int) -> list[Address]:
     return [ipaddress.ip_address(str(one[4][0]).partition("%")[0]) for one in found]
 
 
-def looked_up(host: str, port: int, seconds: float) -> list[Address]:
-    """`resolve`, and SendError where it takes longer: the system's lookup has no limit of ours."""
+def looked_up(host: str, port: int, end: float, timeout_s: float) -> list[Address]:
+    """`resolve`, and SendError where it takes longer: the system's lookup has no limit of ours.
+
+    It ends at `end` of the monotonic clock, by the `timeout_s` s that the message may take in all.
+    """
     found: list[list[Address] | SendError] = []
 
     def look() -> None:
@@ -138,9 +141,9 @@ def looked_up(host: str, port: int, seconds: float) -> list[Address]:
 
     looking = threading.Thread(target=look, name="lookup", daemon=True)
     looking.start()
-    looking.join(max(0.0, seconds))
+    looking.join(max(0.0, end - time.monotonic()))
     if not found:
-        raise SendError(f"{host} has no address within {seconds:.3g} s")
+        raise SendError(f"{host} has no address within {timeout_s:g} s")
     if isinstance(found[0], SendError):
         raise found[0]
     return found[0]
@@ -194,7 +197,7 @@ def post(
     end = time.monotonic() + timeout_s
     try:
         target = target_of(url, allowed)
-        addresses = looked_up(target.host, target.port, end - time.monotonic())
+        addresses = looked_up(target.host, target.port, end, timeout_s)
         for address in addresses:
             judge(target, address, allowed)
     except InputError as error:
