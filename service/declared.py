@@ -91,7 +91,8 @@ def network_of(told: object, where: str = "network") -> Network:
     faults: list[InputError] = []
     if not isinstance(told, Mapping):
         problem = "is no mapping with name, parameters and quantities"
-        raise FaultsError([InputError(where, _short(told), problem, "see the README")])
+        remedy = "see `Your own runs` in core/README.md"
+        raise FaultsError([InputError(where, _short(told), problem, remedy)])
     for name in ("parameters", "quantities"):
         if (count := len(_list(told, name))) > MOST_NAMED:
             remedy = f"declare {MOST_NAMED} at most"

@@ -172,7 +172,8 @@ def read_families(file: Path) -> list[Told]:
         ) from None
     told = told.get("families") if isinstance(told, dict) else told
     if not isinstance(told, list) or not all(isinstance(one, dict) for one in told):
-        raise InputError("--families", str(file), "holds no list of families", "see the README")
+        remedy = "see `Asking for a diagnosis` in service/README.md"
+        raise InputError("--families", str(file), "holds no list of families", remedy)
     return told
 
 

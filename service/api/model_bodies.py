@@ -48,7 +48,7 @@ BODY: dict[str, Any] = {
                         "runs": {
                             "type": "string",
                             "format": "binary",
-                            "description": "netCDF-4, as the README's `Your own runs` says",
+                            "description": "netCDF-4, as `Your own runs` of core/README.md says",
                         },
                         "leave_out": {
                             "type": "string",

@@ -69,7 +69,7 @@ def refusal(error: Exception) -> str | None:
         return dumps({"faults": [error.to_json()], "warnings": []})
     if isinstance(error, ModelError):
         one = InputError(
-            "runs", None, str(error), "write them as the README says, and upload again"
+            "runs", None, str(error), "write them as core/README.md says, and upload again"
         )
         return dumps({"faults": [one.to_json()], "warnings": []})
     return None

@@ -1,4 +1,4 @@
-"""What holds for every command: JSON, options in the README, completion, errors in one line."""
+"""What holds for every command: JSON, options in the table, completion, errors in one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typer.main import get_command
 
 from service.cli import app as commands
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
+SERVICE = (Path(__file__).parents[2] / "service" / "README.md").read_text()
 WITHOUT_JSON = {"worker"}
 """Prints nothing but its log."""
 
@@ -38,9 +38,9 @@ def options(command: Any) -> set[str]:
 
 
 def documented() -> dict[str, set[str]]:
-    """Options of each row of the README's table of commands."""
+    """Options of each row of the tables of commands."""
     found: dict[str, set[str]] = {}
-    for cell in re.findall(r"^\| `bladetwin ([^`]*)` \|", README, re.MULTILINE):
+    for cell in re.findall(r"^\| `bladetwin ([^`]*)` \|", SERVICE, re.MULTILINE):
         words = re.match(r"[a-z]+(?: [a-z]+)*", cell)
         assert words is not None
         told = set(re.findall(r"--[a-z][a-z-]*", cell))
@@ -48,7 +48,7 @@ def documented() -> dict[str, set[str]]:
     return found
 
 
-def test_every_option_is_in_the_readme_and_no_other() -> None:
+def test_every_option_is_in_the_tables_and_no_other() -> None:
     rows = documented()
     for name, command in walk():
         own = {row: told for row, told in rows.items() if row == name or row.startswith(f"{name} ")}

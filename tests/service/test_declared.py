@@ -47,7 +47,7 @@ def test_every_fault_of_a_declaration_is_told_under_the_name_that_was_written() 
 
 
 def test_the_network_of_the_readme_is_one() -> None:
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    readme = (Path(__file__).parents[2] / "core" / "README.md").read_text()
     text = readme.partition("# network.yaml")[2].partition("```")[0]
     assert read_network("#" + text) == read_network(NETWORK)
 

@@ -21,7 +21,9 @@ import pytest
 
 from tests.service.test_processes import free_port
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+SERVICE = (ROOT / "service" / "README.md").read_text()
 
 PATIENCE = 4  # times that one waits, where a worker compiles its kernels first
 
@@ -105,7 +107,7 @@ def test_the_first_ten_minutes_go_as_they_are_written(
         hours = [hour for hour in life["quantiles"].values() if hour is not None]
         assert hours == sorted(hours)
         assert 0.0 < life["passed"][-1] < 1.0
-        gateway = re.search(r"```sh\n(curl [^`]*sensorthings\+json[^`]*)```", README)
+        gateway = re.search(r"```sh\n(curl [^`]*sensorthings\+json[^`]*)```", SERVICE)
         assert gateway is not None
         assert json.loads(run(gateway[1], shell, tmp_path, port))["head_seq"] == 3
         glance = re.search(r"In a terminal: `([^`]+)`", README)
