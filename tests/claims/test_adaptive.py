@@ -10,6 +10,7 @@ import pytest
 
 from core.validation.adaptive import Study
 from core.validation.adaptive_counts import Point, ratios, summary
+from tests.claims.words import WORDS
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -46,7 +47,7 @@ def test_adaptive_designs_need_at_most_seventy_percent_of_the_runs_over_five_see
 
 
 def test_the_readme_has_the_kept_figures(kept: Any) -> None:
-    text = " ".join(Path(__file__).with_name("README.md").read_text().split())
+    text = " ".join(WORDS.split())
     at = kept["summary"]["ratios"]["at_size"]
     assert f"needs {at['26']:.2f}, {at['40']:.2f} and {at['54']:.2f} of them" in text
     mean, sd = (kept["summary"]["ratios"][key] for key in ("mean", "sd"))

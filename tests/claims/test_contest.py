@@ -21,6 +21,7 @@ from core.surrogate.contest.regressors import MEAN, PLAIN, UNSCALED
 from core.surrogate.contest.score import rank_of
 from core.surrogate.contest.table import ALONE, PAPER
 from service.cli import app
+from tests.claims.words import WORDS
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
@@ -96,8 +97,7 @@ def test_the_kept_files_tell_no_folder_and_are_named_in_the_readme() -> None:
         assert "/work" not in text
         assert "/tmp" not in text
         assert "--archive rotor-blade-archive" in text
-    readme = Path(__file__).with_name("README.md").read_text()
-    assert "tests/claims/results/contest" in readme
+    assert "tests/claims/results/contest" in WORDS
     assert {"tip.png", "errors.png"} <= {file.name for file in FOLDER.iterdir()}
 
 

@@ -11,7 +11,8 @@ import pytest
 from core.validation import slips
 from core.validation.effect_plans import plan
 from core.validation.effect_sets import conditions
-from tests.claims.test_fleet_later import TEXT, kept
+from tests.claims.test_fleet_later import kept
+from tests.claims.words import WORDS
 
 NAMES = {"exchanged": 60, "exchanged-effects": 75, "exchanged-fleet": 12}
 
@@ -37,11 +38,11 @@ def test_blades_that_differ_are_told_and_no_sound_ones() -> None:
     assert [told(cases, *size) for size in ((6, np.inf), (3, 6), (0, 3))] == [
         (32, 32), (6, 14), (0, 14),
     ]  # fmt: skip
-    assert "**32 of 32**" in TEXT
-    assert "6 of 14 of three to six, none of 14 closer ones" in TEXT
+    assert "**32 of 32**" in WORDS
+    assert "6 of 14 of three to six, none of 14 closer ones" in WORDS
     assert not any(one["exchanges before"] or one["contradicted"] for one in cases)
     assert round(max(abs(one["moved"]) for one in cases), 1) == 3.0
-    assert "moves by up to 3.0 sd by the exchange" in TEXT
+    assert "moves by up to 3.0 sd by the exchange" in WORDS
 
 
 def test_an_effect_that_the_model_lacks_is_no_exchange_and_hides_none() -> None:
@@ -52,7 +53,7 @@ def test_an_effect_that_the_model_lacks_is_no_exchange_and_hides_none() -> None:
     assert [told(cases, *size) for size in ((6, np.inf), (3, 6), (0, 3))] == [
         (42, 44), (5, 12), (0, 19),
     ]  # fmt: skip
-    assert "42 of 44 pairs of six noises and more, 5 of 12 of three to six, none of 19" in TEXT
+    assert "42 of 44 pairs of six noises and more, 5 of 12 of three to six, none of 19" in WORDS
     before = [one["condition"] for one in cases if one["exchanges before"]]
     assert before == ["clean, heavy tails"]
 
@@ -60,6 +61,6 @@ def test_an_effect_that_the_model_lacks_is_no_exchange_and_hides_none() -> None:
 def test_in_fleets_too() -> None:
     cases = kept("exchanged-fleet")["cases"]
     assert (told(cases, 6, np.inf), told(cases, 0, 6)) == ((4, 5), (1, 7))
-    assert "4 of 5 pairs of six noises and more and 1 of 7 closer ones are told" in TEXT
+    assert "4 of 5 pairs of six noises and more and 1 of 7 closer ones are told" in WORDS
     assert not any(one["exchanges before"] for one in cases)
     assert round(max(abs(one["moved"]) for one in cases), 2) == 0.12

@@ -11,6 +11,7 @@ import pytest
 from core.validation import effects_study as study
 from core.validation.effect_gains import improvement
 from core.validation.effect_sets import PHYSICS, SENSORS
+from tests.claims.words import WORDS
 
 HERE = Path(__file__).parent
 KEPT: dict[str, Any] = json.loads((HERE / "results" / "effects-fleet" / "result.json").read_text())
@@ -33,11 +34,10 @@ def test_the_seed_comes_from_the_commit_so_that_nothing_was_chosen_by_it() -> No
 
 
 def test_the_words_of_the_readme_are_its_numbers() -> None:
-    text = (HERE / "README.md").read_text()
     for condition, row in TABLE.items():
         sets = int(row["sets"])
         cells = [round(sets * row[w]) for w in ("alarms", "right", "in the set", "silent", "wrong")]
-        assert f"| {condition} | {sets} | {' | '.join(map(str, cells))} |" in text
+        assert f"| {condition} | {sets} | {' | '.join(map(str, cells))} |" in WORDS
 
 
 def test_what_holds() -> None:
@@ -61,11 +61,10 @@ def test_the_fleets_forecast_with_wear_in_the_model_is_seven_tenths_nearer_at_le
 
 
 def test_what_is_missed_is_said() -> None:
-    text = (HERE / "README.md").read_text()
     assert MARKS["named, right"] < 0.85
-    assert "36 of 96" in text
+    assert "36 of 96" in WORDS
     assert {c for c in PHYSICS if TABLE[c]["alarms"] < 0.90} == {"worn lot", "fouling"}
     assert KEPT["improvement"]["step"]["forecast"] > 1.0
     assert KEPT["improvement"]["worn lot"]["forecast"] > 1.0
-    assert "84 % farther" in text
-    assert "a fifth farther" in text
+    assert "84 % farther" in WORDS
+    assert "a fifth farther" in WORDS

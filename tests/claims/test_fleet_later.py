@@ -11,9 +11,9 @@ import pytest
 from core.validation import effects_study as study
 from core.validation.effect_gains import improvement
 from core.validation.effect_sets import CLEAN, CONDITIONS, NAMED, PHYSICS
+from tests.claims.words import WORDS
 
 RESULTS = Path(__file__).parent / "results"
-TEXT = (Path(__file__).parent / "README.md").read_text()
 
 
 def kept(name: str) -> dict[str, Any]:
@@ -61,8 +61,8 @@ def test_clean_sets_alarm_as_seldom_as_asked_and_those_of_heavy_tails_too_often(
     assert list(alarms.values()) == [4, 14, 6]
     assert found["marks"]["clean, alarms"] <= 0.075
     assert found["table"]["clean, heavy tails"]["alarms"] > 0.075, "missed, and said"
-    assert "24 of 402" in TEXT
-    assert "14 of 134" in TEXT
+    assert "24 of 402" in WORDS
+    assert "14 of 134" in WORDS
     names = [one["names"] for one in found["sets"] if one["outcome"] == "wrong"]
     assert all(len(one) == 1 and one[0].startswith("tip rub (blade") for one in names)
     assert len(names) == 4
@@ -73,11 +73,11 @@ def test_by_todays_rules_heavy_tails_alarm_as_seldom_as_asked_and_one_false_clai
     alarms = [round(134 * found["table"][kind]["alarms"]) for kind in CLEAN]
     assert alarms == [4, 8, 10]
     assert max(alarms) / 134 <= 0.075
-    assert "22 of 402" in TEXT
+    assert "22 of 402" in WORDS
     claimed = [one for one in found["sets"] if one["word"] == "effect"]
     said = [(one["condition"], one["names"]) for one in claimed]
     assert said == [(CLEAN[2], ["gas temperature"])]
-    assert "one set with bursts is called an effect" in TEXT
+    assert "one set with bursts is called an effect" in WORDS
     assert kept("effects-scans-clean")["table"]["clean"]["alarms"] == 0.0
 
 
@@ -85,7 +85,7 @@ def test_with_control_variates_clean_sets_alarm_as_seldom_as_asked() -> None:
     found = kept("effects-clean-3")
     alarms = [round(24 * found["table"][kind]["alarms"]) for kind in CLEAN]
     assert alarms == [0, 0, 3]
-    assert "3 of 72" in TEXT
+    assert "3 of 72" in WORDS
     assert found["marks"]["clean, alarms"] < 0.075
     assert all(one["word"] != "effect" for one in found["sets"])
 
@@ -100,7 +100,7 @@ def test_physics_of_two_noises_is_noticed_and_not_named_and_never_wrongly() -> N
     assert rows == {
         "wear": [6, 3], "worn lot": [3, 0], "fouling": [4, 0], "step": [6, 4], "tertiary": [6, 2]
     }  # fmt: skip
-    assert "9 of 30" in TEXT
+    assert "9 of 30" in WORDS
     for one in found["sets"]:
         if "rivals" in one:
             assert abs(one["rivals"]["z"]) < 1.0
@@ -113,7 +113,7 @@ def test_in_scans_physics_is_named_where_elongations_left_it_open() -> None:
     count = {w: sum(one["outcome"] == w for one in named) for w in ("right", "in the set", "wrong")}
     assert count == {"right": 8, "in the set": 1, "wrong": 0}
     assert all(one["alarm"] for one in named)
-    assert "**8 of 10**" in TEXT
+    assert "**8 of 10**" in WORDS
     assert found["table"]["pulse"]["right"] == found["table"]["clean"]["right"] == 1.0
     errors = [[abs(one[when]["forecast_error"]) for one in named] for when in ("before", "after")]
     assert sum(errors[1]) < 0.3 * sum(errors[0])
@@ -132,8 +132,8 @@ def test_the_bias_of_readings_falls_where_an_effect_moves_all_blades() -> None:
     }  # fmt: skip
     assert min(v for k, v in falls.items() if k != "tertiary") >= 70
     assert {k for k in whole if k not in falls} == {"instrument", "gain", "worn lot"}
-    assert "falls by 91 % with a campaign's offset" in TEXT
-    assert "78 with fouling and 58 with accelerating creep" in TEXT
+    assert "falls by 91 % with a campaign's offset" in WORDS
+    assert "78 with fouling and 58 with accelerating creep" in WORDS
 
 
 def test_in_scans_most_names_are_right_and_what_is_missed_is_said() -> None:
@@ -145,8 +145,8 @@ def test_in_scans_most_names_are_right_and_what_is_missed_is_said() -> None:
     assert marks["named, right"] == 28 / 32 > 0.85
     assert marks["named, wrong"] == 1 / 32 < 0.05
     assert marks["outside, no name"] == pytest.approx(11 / 12)
-    assert "**28 of 32**" in TEXT
-    assert "11 of 12" in TEXT
+    assert "**28 of 32**" in WORDS
+    assert "11 of 12" in WORDS
     right = {kind: found["table"][kind]["right"] for kind in NAMED}
     assert [kind for kind, share in right.items() if share < 0.7] == ["fouling"], "missed, and said"
     wrong = [(one["condition"], one["names"]) for one in found["sets"] if one["outcome"] == "wrong"]
@@ -171,23 +171,23 @@ def test_on_a_second_scanned_rotor_most_names_are_right_too_and_what_is_missed_i
     sets = [one for found in (first, second) for one in found["sets"]]
     named = [one["outcome"] for one in sets if one["condition"] in NAMED]
     assert (len(named), named.count("right"), named.count("wrong")) == (40, 35, 1)
-    assert "35 of 40" in TEXT
+    assert "35 of 40" in WORDS
     rest = {"pulse", "alternating", "some blades late"}
     free = [one["outcome"] for one in sets if one["condition"] in rest]
     assert (len(free), free.count("right")) == (15, 13), "missed, and said"
-    assert "13 of 15" in TEXT
+    assert "13 of 15" in WORDS
     nearer = {kind: 1 - second["improvement"][kind]["forecast"] for kind in PHYSICS}
     assert {kind for kind, share in nearer.items() if share >= 0.7} == {"fouling"}
-    assert "80 % with fouling, 67 with wear, 66 with accelerating creep, 61 with a step" in TEXT
+    assert "80 % with fouling, 67 with wear, 66 with accelerating creep, 61 with a step" in WORDS
 
 
 def test_a_third_of_the_blades_late_is_hardly_called_an_offset_of_all() -> None:
     sets = [s for name in ("effects-late", "effects-late-second") for s in kept(name)["sets"]]
     assert [one["outcome"] for one in sets].count("right") == 11
     assert 11 / len(sets) >= 0.9
-    assert "**11 of 12** sets with a third of the blades late get no name" in TEXT
+    assert "**11 of 12** sets with a third of the blades late get no name" in WORDS
     (wrong,) = (one for one in sets if one["outcome"] == "wrong")
-    assert f"an offset of that visit ({wrong['gained_nat']:.1f} nat)" in TEXT
+    assert f"an offset of that visit ({wrong['gained_nat']:.1f} nat)" in WORDS
     refused = [one["reasons"][0] for one in sets if one["effects"] and one is not wrong]
     assert sum("is open" in why for why in refused) == 2
     assert sum("not in all 100 blades" in why and "about 40%" in why for why in refused) == 1
@@ -199,14 +199,14 @@ def test_a_third_of_the_blades_late_is_hardly_called_an_offset_of_all() -> None:
         if one["condition"] in ("pulse", "alternating")
     ]
     assert (len(rest), rest.count("right")) == (10, 10)
-    assert "21 of 22 of what is outside" in TEXT
+    assert "21 of 22 of what is outside" in WORDS
 
 
 def test_what_has_a_name_keeps_it_beside_the_rival_of_some_blades() -> None:
     both = [kept(name) for name in ("effects-scans-named", "effects-scans-named-second")]
     sets = [one for found in both for one in found["sets"]]
     assert [one["outcome"] for one in sets].count("right") == 14
-    assert "**14 of 16** get it alone" in TEXT
+    assert "**14 of 16** get it alone" in WORDS
     silent = {one["condition"] for one in sets if one["outcome"] == "silent"}
     assert silent == {"fouling", "tertiary"}
     assert len(sets) == 16
@@ -216,7 +216,7 @@ def test_what_has_a_name_keeps_it_beside_the_rival_of_some_blades() -> None:
     assert [nearer[k] for k in ("wear", "fouling", "step", "tertiary", "worn lot")] == [
         74, 71, 84, 82, 58,
     ]  # fmt: skip
-    assert "74 % with wear, 71 with fouling, 84 with a step, 82 with accelerating creep" in TEXT
+    assert "74 % with wear, 71 with fouling, 84 with a step, 82 with accelerating creep" in WORDS
     first = both[0]["improvement"]
     assert [round(100 * (1 - first[k]["forecast"])) for k in ("wear", "worn lot")] == [54, 86]
     better = sum(found["improvement"][kind]["better"] for found in both for kind in NAMED)
@@ -225,7 +225,7 @@ def test_what_has_a_name_keeps_it_beside_the_rival_of_some_blades() -> None:
     older = [one for name in known for one in kept(name)["sets"] if one["condition"] in NAMED]
     right = [one["outcome"] for one in (*sets, *older)].count("right")
     assert (right, len(sets) + len(older)) == (49, 56)
-    assert "49 of 56 right names (87.5 %), 1 of 56 wrong" in TEXT
+    assert "49 of 56 right names (87.5 %), 1 of 56 wrong" in WORDS
 
 
 def test_by_todays_rules_sensors_are_named_in_fleets_and_physics_is_not() -> None:
@@ -238,16 +238,16 @@ def test_by_todays_rules_sensors_are_named_in_fleets_and_physics_is_not() -> Non
     assert named == set(NAMED) - set(PHYSICS)
     assert sum(outcomes[kind].count("right") for kind in PHYSICS) == 0
     alarms = sum(one["alarm"] for one in found["sets"] if one["condition"] in PHYSICS)
-    assert f"Physics alarms in {alarms} of 20 and none is named" in TEXT
+    assert f"Physics alarms in {alarms} of 20 and none is named" in WORDS
     assert found["marks"]["named, right"] == 0.375, "missed, and said"
-    assert "12 of 32 get their name, 38 %" in TEXT
+    assert "12 of 32 get their name, 38 %" in WORDS
     assert sum(outcomes[kind].count("wrong") for kind in NAMED) == 1
     assert found["marks"]["named, wrong"] <= 0.05
     assert found["marks"]["outside, no name"] == found["marks"]["alike, not separable"] == 1.0
     better = found["improvement"]
-    assert f"nearer by {100 * (1 - better['wear']['forecast']):.0f} % with wear" in TEXT
-    assert f"{100 * (1 - better['tertiary']['forecast']):.0f} % with accelerating creep" in TEXT
-    assert f"{100 * (better['step']['forecast'] - 1):.0f} % farther with a step" in TEXT
+    assert f"nearer by {100 * (1 - better['wear']['forecast']):.0f} % with wear" in WORDS
+    assert f"{100 * (1 - better['tertiary']['forecast']):.0f} % with accelerating creep" in WORDS
+    assert f"{100 * (better['step']['forecast'] - 1):.0f} % farther with a step" in WORDS
 
 
 def test_two_courses_in_the_model_cost_forecasts_of_scanned_fleets_nothing() -> None:
@@ -265,4 +265,4 @@ def test_two_courses_in_the_model_cost_forecasts_of_scanned_fleets_nothing() -> 
         tuple(of[kind] for kind in ("wear", "worn lot", "fouling", "step", "tertiary"))
         for of in nearer
     ] == [(93, 90, 71, 95, 71), (92, 93, 66, 95, 72)]
-    assert "nearer by 93 % with wear (before 92), 90 with a worn lot (93)" in TEXT
+    assert "nearer by 93 % with wear (before 92), 90 with a worn lot (93)" in WORDS

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 
 from core.diagnosis.noticed import PROBABILITY
 from tests.claims.make_noticed import CELLS, FILE
+from tests.claims.words import WORDS
 
 KEPT = json.loads(FILE.read_text())
-TEXT = Path(__file__).with_name("README.md").read_text()
 RECORDS = KEPT["records"]
 PLANTED = [one for one in RECORDS if "alarms" in one]
 
@@ -36,4 +35,4 @@ def test_effects_of_the_told_size_are_noticed_as_often_as_is_told_and_half_of_it
     assert half < PROBABILITY - 2.0 * error
     told = f"{sum(one['alarms'] for one in PLANTED)} of {len(PLANTED)}"
     control = f"{sum(one['half'] for one in PLANTED)} of {len(PLANTED)}"
-    assert f"**{told}** are noticed, of those half as large {control}" in TEXT
+    assert f"**{told}** are noticed, of those half as large {control}" in WORDS

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from tests.claims.words import WORDS
+
 HERE = Path(__file__).parent
 KEPT, LATER, TODAY = (
     json.loads((HERE / f"results/{name}/result.json").read_text())
@@ -18,7 +20,6 @@ ASKED = 0.90
 
 @pytest.mark.parametrize("kept", [KEPT, LATER, TODAY], ids=["before", "later", "today"])
 def test_alarms_are_told_as_they_are_kept(kept: dict[str, Any]) -> None:
-    words = (HERE / "README.md").read_text()
     alarms = {}
     for condition in ("fouling", "worn lot", "clean"):
         own = [one for one in kept["sets"] if one["condition"] == condition]
@@ -28,32 +29,30 @@ def test_alarms_are_told_as_they_are_kept(kept: dict[str, Any]) -> None:
         alarms[condition] = sum(one["alarm"] for one in own)
     fouling, worn, clean = alarms.values()
     said = f"fouling {fouling} of 24, a worn lot {worn} of 24, clean sets {clean} of 24"
-    assert said in words
+    assert said in WORDS
     assert max(fouling, worn) / 24 < ASKED
     assert clean / 24 <= 0.075
-    assert str(kept["seed"]) in words
+    assert str(kept["seed"]) in WORDS
     assert int(kept["commit"][:6], 16) == kept["seed"]
 
 
 @pytest.mark.parametrize("kept", [KEPT, LATER, TODAY], ids=["before", "later", "today"])
 def test_the_oracles_are_told(kept: dict[str, Any]) -> None:
-    words = (HERE / "README.md").read_text()
     told = {name: rows[0] for name, rows in kept["possible"].items()}
     searched, alone = (
         [round(100 * told[name][what]) for name in ("fouling", "worn lot")]
         for what in ("searched", "alarm")
     )
-    assert f"would notice {searched[0]} and {searched[1]} %" in words
-    assert f"looks for nothing else {alone[0]} and {alone[1]}." in words
+    assert f"would notice {searched[0]} and {searched[1]} %" in WORDS
+    assert f"looks for nothing else {alone[0]} and {alone[1]}." in WORDS
 
 
 def test_alarms_at_other_sizes_are_told_and_no_set_is_lost() -> None:
     """Fouling and a worn lot where they are noticed; all others at one noise."""
-    words = (HERE / "README.md").read_text()
     for name, sets, clean in (("effects-power-large", 12, 24), ("effects-power-small", 8, 8)):
         found = json.loads((HERE / "results" / name / "result.json").read_text())
         assert found["errors"] == 0
-        assert str(found["seed"]) in words
+        assert str(found["seed"]) in WORDS
         assert int(found["commit"][:6], 16) == found["seed"]
         for condition, rows in found["curves"].items():
             own = [one for one in found["sets"] if one["condition"] == condition]
@@ -62,11 +61,10 @@ def test_alarms_at_other_sizes_are_told_and_no_set_is_lost() -> None:
                 alarms = sum(one["alarm"] for one in own if one["size"] == row["size"])
                 assert row["alarms"] == alarms / row["sets"]
                 at = "clean" if condition == "clean" else f"{condition} {row['size']:g}"
-                assert f"{at}: {alarms} of {row['sets']}" in words
+                assert f"{at}: {alarms} of {row['sets']}" in WORDS
 
 
 def test_the_whole_curve_is_told_as_it_is_kept() -> None:
-    words = (HERE / "README.md").read_text()
     found = json.loads((HERE / "results/effects-power-curve/result.json").read_text())
     assert found["errors"] == 0
     assert int(found["commit"][:6], 16) == found["seed"]
@@ -84,16 +82,15 @@ def test_the_whole_curve_is_told_as_it_is_kept() -> None:
             alarms = sum(one["alarm"] for one in own)
             cells.append(f"{alarms} ({searched[size]})" if own else "")
             at_two += [alarms] if size == 2.0 else []
-        assert f"| {condition} | {' | '.join(cells)} |" in words
+        assert f"| {condition} | {' | '.join(cells)} |" in WORDS
     clean = [one for one in found["sets"] if one["condition"] == "clean"]
-    assert f"of {len(clean)} clean sets {sum(one['alarm'] for one in clean)} alarms" in words
-    assert f"{sum(at_two)} of 64 are noticed, six of eight" in words
+    assert f"of {len(clean)} clean sets {sum(one['alarm'] for one in clean)} alarms" in WORDS
+    assert f"{sum(at_two)} of 64 are noticed, six of eight" in WORDS
     assert sum(n / 8 >= ASKED for n in at_two) == 6
 
 
 def test_what_residuals_notice_by_themselves_is_told_as_it_is_kept() -> None:
     """Faults of sensors and hardly any physics: why a rotor may ask without an alarm."""
-    words = (HERE / "README.md").read_text()
     found = json.loads((HERE / "results/effects-residuals/result.json").read_text())
     assert (found["by"], found["errors"]) == ("residuals", 0)
     assert int(found["commit"][:6], 16) == found["seed"]
@@ -105,7 +102,7 @@ def test_what_residuals_notice_by_themselves_is_told_as_it_is_kept() -> None:
         alarms[condition] = sum(one["alarm"] for one in own)
         assert rows[0]["alarms"] == alarms[condition] / 12
     said = [f"{name} {alarms[name]} of 12" for name in ("campaign", "instrument", "gain", "step")]
-    assert ", ".join(said) in words
-    assert f"tertiary {alarms['tertiary']} of 12" in words
+    assert ", ".join(said) in WORDS
+    assert f"tertiary {alarms['tertiary']} of 12" in WORDS
     assert alarms["wear"] == alarms["worn lot"] == alarms["fouling"] == alarms["clean"] == 0
-    assert "wear, worn lot and fouling 0 of 12, clean 0 of 12" in words
+    assert "wear, worn lot and fouling 0 of 12, clean 0 of 12" in WORDS
