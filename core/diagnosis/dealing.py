@@ -16,6 +16,7 @@ measured by their scatter about it, so that its size does not matter.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,55 +67,123 @@ class Columns:
 
 def dealt_sets(seen: Scores, count: int, seed: int) -> Array:
     """q (count, B, n) of `count` dealt sets."""
-    rng, (root, back) = stream(seed, "dealt"), _roots(seen)
-    white = _standard(seen, root, back)
-    sets = _dealt(white, seen.real.sum(axis=1), rng, count)
-    return seen.refitted(np.einsum("bij,kbj->kbi", root, sets), rng)
+    return Deck.of(seen, count, seed).sets(seen.q)
 
 
-def _dealt(white: Array, rows: NDArray[np.int64], rng: np.random.Generator, count: int) -> Array:
-    """`count` sets of whitened blades (B, n), (count, B, n); rows: of each blade, (B,)."""
-    norm = np.linalg.norm(white, axis=1)
-    if len(rows) < FEW:
-        size = max(1.0, float(np.sqrt(np.sum(norm**2) / np.sum(rows))))
-        there = np.arange(white.shape[1]) < rows[:, None]
-        return np.asarray(size * rng.standard_normal((count, *white.shape)) * there)
-    if len(rows) >= LEAST_BLADES:
-        usual = float(np.median(norm / np.sqrt(np.maximum(rows, 1))))
-        most = usual * float(student.ppf(1.0 - 0.5 * ODD / rows.sum(), TAIL))
-        white = white * np.minimum(1.0, most / np.maximum(norm, 1e-300))[:, None]
-    alike = [np.flatnonzero(rows == n) for n in np.unique(rows)]
-    lonely = [int(b) for own in alike if len(own) < FEW for b in own]
-    dealt = np.empty((count, *white.shape))
-    for k in range(count):
-        order = np.arange(len(rows))
-        for own in alike:
-            order[own] = rng.choice(own, len(own))
-        dealt[k] = white[order] * rng.choice([-1.0, 1.0], len(rows))[:, None]
-        for b in lonely:
-            dealt[k, b, : rows[b]] = _patched(white, rows, int(rows[b]), rng)
-    return dealt
+@dataclass(frozen=True)
+class Deck:
+    """What is drawn for dealt sets, so that other residuals of the same rotor are dealt alike.
+
+    root, back    Q^½ and Q^−½ of the blades, (B, n, n)
+    vector, held  eigenvectors (B, n, n) of what the shared parameters leave of whitened residuals,
+                  and the roots of their eigenvalues, (B, n)
+    deal          which blades are dealt to which
+    shared        where the shared parameters lie, in prior sds, (count, S)
+    """
+
+    seen: Scores
+    root: Array
+    back: Array
+    vector: Array
+    held: Array
+    deal: Deal
+    shared: Array
+
+    @staticmethod
+    def of(seen: Scores, count: int, seed: int) -> Deck:
+        """Of `count` sets; `seen` tells the readings' rows and information, not the residuals."""
+        rng, (root, back) = stream(seed, "dealt"), _roots(seen)
+        deal = Deal.of(seen.real.sum(axis=1), seen.q.shape[1], rng, count)
+        shared = rng.standard_normal((count, len(seen.prior)))
+        return Deck(seen, root, back, *_left(root @ seen.imitated), deal, shared)
+
+    def sets(self, q: Array) -> Array:
+        """q (count, B, n) of the sets that are dealt from residuals q (B, n)."""
+        dealt = self.deal.sets(self._standard(q))
+        whole = (self.root @ dealt.transpose(1, 2, 0)).transpose(2, 0, 1)
+        return self.seen.refitted(whole, self.shared)
+
+    def _standard(self, q: Array) -> Array:
+        """Whitened residuals (B, n) without the pull of the shared parameters on them."""
+        along = np.swapaxes(self.vector, 1, 2) @ (self.back @ q[:, :, None]) / self.held[:, :, None]
+        return np.asarray((self.vector @ along)[:, :, 0])
 
 
-def _patched(white: Array, rows: NDArray[np.int64], count: int, rng: np.random.Generator) -> Array:
-    """So many whitened rows, of blades drawn one after the other."""
-    found = np.empty(0)
-    while len(found) < count:
+@dataclass(frozen=True)
+class Deal:
+    """Which of the whitened blades each set has, and with which signs.
+
+    rows     of each blade, (B,)
+    order    the blade whose rows are dealt to each, (count, B); signs, (count, B)
+    patched  of a blade with few companions of as many rows: blade, row and sign of each of its own,
+             (count, rows) each
+    normal   standard normal ones in place of dealt ones, (count, B, n); none: they are dealt
+    """
+
+    rows: NDArray[np.int64]
+    order: NDArray[np.intp]
+    signs: Array
+    patched: Mapping[int, tuple[NDArray[np.intp], NDArray[np.intp], Array]]
+    normal: Array | None = None
+
+    @staticmethod
+    def of(rows: NDArray[np.int64], width: int, rng: np.random.Generator, count: int) -> Deal:
+        """Drawn for `count` sets of blades that have so many rows, (B,), of `width` at most."""
+        order, signs = np.tile(np.arange(len(rows)), (count, 1)), np.ones((count, len(rows)))
+        if len(rows) < FEW:
+            return Deal(rows, order, signs, {}, rng.standard_normal((count, len(rows), width)))
+        alike = [np.flatnonzero(rows == n) for n in np.unique(rows)]
+        lonely = [int(b) for own in alike if len(own) < FEW for b in own]
+        taken: dict[int, list[tuple[list[int], list[int], list[float]]]] = {b: [] for b in lonely}
+        for k in range(count):
+            for own in alike:
+                order[k, own] = rng.choice(own, len(own))
+            signs[k] = rng.choice([-1.0, 1.0], len(rows))
+            for b in lonely:
+                taken[b].append(_patch(rows, int(rows[b]), rng))
+        patched = {}
+        for b, each in taken.items():
+            blades, places, along = zip(*each, strict=True)
+            patched[b] = np.array(blades), np.array(places), np.array(along)
+        return Deal(rows, order, signs, patched)
+
+    def sets(self, white: Array) -> Array:
+        """The sets (count, B, n) of whitened blades (B, n)."""
+        norm = np.linalg.norm(white, axis=1)
+        if self.normal is not None:
+            size = max(1.0, float(np.sqrt(np.sum(norm**2) / np.sum(self.rows))))
+            return np.asarray(size * self.normal * (np.arange(white.shape[1]) < self.rows[:, None]))
+        if len(self.rows) >= LEAST_BLADES:
+            usual = float(np.median(norm / np.sqrt(np.maximum(self.rows, 1))))
+            most = usual * float(student.ppf(1.0 - 0.5 * ODD / self.rows.sum(), TAIL))
+            white = white * np.minimum(1.0, most / np.maximum(norm, 1e-300))[:, None]
+        dealt = white[self.order] * self.signs[:, :, None]
+        for b, (blades, places, signs) in self.patched.items():
+            dealt[:, b, : self.rows[b]] = signs * white[blades, places]
+        return np.asarray(dealt)
+
+
+def _patch(
+    rows: NDArray[np.int64], count: int, rng: np.random.Generator
+) -> tuple[list[int], list[int], list[float]]:
+    """So many rows of blades that are drawn one after the other: blades, rows and signs."""
+    blades, places, signs = list[int](), list[int](), list[float]()
+    while len(blades) < count:
         b = int(rng.integers(len(rows)))
-        found = np.r_[found, rng.choice([-1.0, 1.0]) * white[b, : rows[b]]]
-    return found[:count]
+        sign, own = float(rng.choice([-1.0, 1.0])), int(rows[b])
+        blades += [b] * own
+        places += range(own)
+        signs += [sign] * own
+    return blades[:count], places[:count], signs[:count]
 
 
-def _standard(seen: Scores, root: Array, back: Array) -> Array:
-    """Whitened residuals (B, n) without the pull of the shared parameters on them.
+def _left(w: Array) -> tuple[Array, Array]:
+    """What the shared parameters leave of whitened residuals: eigenvectors, roots of eigenvalues.
 
     Cov[Q^−½ q] = 1 − W Wᵀ, W = Q^½ Z; where less than `PULLED` is left, that counts as left.
     """
-    w = np.einsum("bij,bjs->bis", root, seen.imitated)
-    value, vector = np.linalg.eigh(np.eye(w.shape[1]) - np.einsum("bis,bjs->bij", w, w))
-    along = np.einsum("bij,bi->bj", vector, np.einsum("bij,bj->bi", back, seen.q))
-    held = along / np.sqrt(np.clip(value, PULLED, 1.0))
-    return np.asarray(np.einsum("bij,bj->bi", vector, held))
+    value, vector = np.linalg.eigh(np.eye(w.shape[1]) - w @ np.swapaxes(w, 1, 2))
+    return vector, np.sqrt(np.clip(value, PULLED, 1.0))
 
 
 def _roots(seen: Scores) -> tuple[Array, Array]:
@@ -123,7 +192,5 @@ def _roots(seen: Scores) -> tuple[Array, Array]:
     top = np.maximum(value.max(axis=1, keepdims=True), 1e-300)
     root = np.where(value > 1e-8 * top, np.sqrt(np.maximum(value, 0.0)), 0.0)
     back = np.where(root > 0, 1.0 / np.where(root > 0, root, 1.0), 0.0)
-    return (
-        np.einsum("bik,bk,bjk->bij", vector, root, vector),
-        np.einsum("bik,bk,bjk->bij", vector, back, vector),
-    )
+    turned = np.swapaxes(vector, 1, 2)
+    return (vector * root[:, None]) @ turned, (vector * back[:, None]) @ turned

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from core.calibration.message import POOL
 from core.diagnosis.adopt import WIDTH, amplitude_of, expected
-from core.diagnosis.dealing import dealt_sets
+from core.diagnosis.dealing import Deck, dealt_sets
 from core.diagnosis.densities import amplitude_unit
 from core.diagnosis.grammar import Cell
 from core.diagnosis.scan import Scan
@@ -116,12 +116,13 @@ class Trial:
     """The test of a scan without cells of one blade, on sets with an effect.
 
     share  of its families among all, and so of the false alarms
-    sets   dealt ones, to be planted in; level: of the readings as they are; few: of `DEALS` of them
+    sets   dealt ones, to be planted in; level: of the readings as they are; few: of those of `deck`
+    deck   `DEALS` sets, dealt from readings with an effect
     """
 
     scan: Scan
     share: float
-    seed: int
+    deck: Deck
     sets: Array
     level: float
     few: float
@@ -130,9 +131,9 @@ class Trial:
     def of(scan: Scan, seed: int, dealt: int = DEALT) -> Trial:
         """Of the scan of a rotor with several blades' families, or of any."""
         scan, share = _of_several(scan), float(np.mean(~scan.of_one_blade))
-        sets, deals = (dealt_sets(scan.seen, count, seed) for count in (dealt, DEALS))
-        level, few = (_level(scan, of, share) for of in (sets, deals))
-        return Trial(scan, share, seed, sets[:PLANTED], level, few)
+        sets, deck = dealt_sets(scan.seen, dealt, seed), Deck.of(scan.seen, DEALS, seed)
+        level, few = (_level(scan, of, share) for of in (sets, deck.sets(scan.seen.q)))
+        return Trial(scan, share, deck, sets[:PLANTED], level, few)
 
     def size(self, i: int, noise: Mapping[str, float]) -> float | None:
         """The amplitude of a cell, by its place, that is noticed in `ENOUGH` of the sets."""
@@ -155,8 +156,8 @@ class Trial:
 
     def alarms(self, moved: Array) -> bool:
         """Whether `ENOUGH` of the sets alarm with an effect that moves scores (B, n)."""
-        seen = replace(self.scan.seen, q=self.scan.seen.q + moved)
-        higher = _level(self.scan, dealt_sets(seen, DEALS, self.seed), self.share) - self.few
+        deals = self.deck.sets(self.scan.seen.q + moved)
+        higher = _level(self.scan, deals, self.share) - self.few
         left = math.floor((1.0 - ENOUGH) * len(self.sets) + 1e-9)
         for q in self.sets:  # most are done after a few
             left -= _one(self.scan, q + moved) < self.level + higher

@@ -127,7 +127,7 @@ class Scores:
     @cached_property
     def curvature(self) -> Array:
         """A (S, S)."""
-        a = np.einsum("bis,bij,bjt->st", self.slope, self.information, self.slope)
+        a = np.tensordot(self.slope, self.information @ self.slope, axes=((0, 1), (0, 1)))
         return np.asarray(np.diag(1.0 / self.prior) + a)
 
     @cached_property
@@ -136,20 +136,20 @@ class Scores:
         value, vector = np.linalg.eigh(self.curvature)
         return np.asarray(self.slope @ (vector / np.sqrt(value)))
 
-    def refitted(self, whole: Array, rng: np.random.Generator) -> Array:
+    def refitted(self, whole: Array, shared: Array) -> Array:
         """q (count, B, n) once the shared parameters are fitted to sets Q^½ e (count, B, n).
 
-        Where in their priors these lie is drawn, δ ~ N(0, P)::
+        They lie δ = P^½ `shared`, (count, S) in sds of their priors::
 
             q = Q^½ e − D (Zᵀ Q^½ e) + D A^−½ᵀ P⁻¹ δ
 
-        For e of unit covariance its covariance is Q − D Dᵀ, that of the residuals.
+        For e and `shared` of unit covariance its covariance is Q − D Dᵀ, that of the residuals.
         """
         value, vector = np.linalg.eigh(self.curvature)
-        drawn = rng.standard_normal((len(whole), len(value))) / np.sqrt(self.prior)
-        fit = np.einsum("bis,kbi->ks", self.imitated, whole)
-        moved = drawn @ (vector / np.sqrt(value)) - fit
-        return np.asarray(whole + np.einsum("bis,ks->kbi", self.deviation, moved))
+        flat, width = whole.reshape(len(whole), -1), len(value)
+        moved = shared / np.sqrt(self.prior) @ (vector / np.sqrt(value))
+        moved -= flat @ self.imitated.reshape(-1, width)
+        return np.asarray((flat + moved @ self.deviation.reshape(-1, width).T).reshape(whole.shape))
 
     @cached_property
     def deviation(self) -> Array:
@@ -198,12 +198,12 @@ class Scores:
     def imitating(self, g: Array) -> Array:
         """By how much shared parameters move for an amplitude of one of signatures g (B, n, C),
         −A⁻¹ Σ_b S_bᵀ Q_b g_b, (S, C)."""
-        across = np.einsum("bis,bij,bjc->sc", self.slope, self.information, g)
+        across = np.tensordot(self.information @ self.slope, g, axes=((0, 1), (0, 1)))
         return np.asarray(-np.linalg.solve(self.curvature, across))
 
     def efficient(self, g: Array) -> Array:
         """g⊥ (B, n, C) of signatures g (B, n, C)."""
-        weight = np.einsum("bnk,bnc->kc", self.deviation, g)
+        weight = np.tensordot(self.deviation, g, axes=((0, 1), (0, 1)))
         return np.asarray(g - self.imitated @ weight)
 
     def cross(self, g: Array, own: Array | None = None) -> Array:

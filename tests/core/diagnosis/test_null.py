@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from core.diagnosis.dealing import _dealt, dealt_sets
+from core.diagnosis.dealing import Deal, dealt_sets
 from core.diagnosis.scan import Scan
 from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
@@ -58,13 +58,18 @@ def over_information(dealt: Mapping[int, np.ndarray], g: np.ndarray) -> float:
     return float(np.mean(found))
 
 
+def of_white(white: np.ndarray, rows: np.ndarray, seed: int, count: int) -> np.ndarray:
+    """Sets of whitened blades as they are, (count, B, n)."""
+    return Deal.of(rows, white.shape[1], np.random.default_rng(seed), count).sets(white)
+
+
 def test_dealt_scores_scatter_as_their_information_says() -> None:
     """Three parameters take 3 of 16 degrees of freedom; dealt as they were the scores scattered
     by that much less than the information says, and so did those of the readings themselves."""
     g = np.random.default_rng(2).normal(size=(BLADES, ROWS))
     dealt = {s: dealt_sets(few(s), 60, s) for s in range(SETS)}
     assert over_information(dealt, g) == pytest.approx(1.0, abs=0.07)
-    raw = {s: _dealt(few(s).q, np.full(BLADES, ROWS), np.random.default_rng(s), 60) for s in dealt}
+    raw = {s: of_white(few(s).q, np.full(BLADES, ROWS), s, 60) for s in dealt}
     efficient = few(0).efficient(g[:, :, None])[:, :, 0]
     assert over_information(raw, efficient) < 0.9, "the control: dealt as they are"
 
@@ -73,7 +78,7 @@ def test_a_blade_without_companions_is_dealt_rows_of_the_others() -> None:
     white = np.ones((9, 3))
     white[0], white[1:, 2] = 50.0, 0.0
     rows = np.array([3] + 8 * [2])
-    sets = _dealt(white, rows, np.random.default_rng(1), 200)
+    sets = of_white(white, rows, 1, 200)
     assert np.mean(np.abs(sets[:, 0, 0]) > 1.5) < 0.5
     assert not np.any(sets[:, 1:, 2]), "what is beyond a blade's rows stays nothing"
 
