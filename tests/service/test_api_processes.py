@@ -116,6 +116,7 @@ def counted(client: Client) -> int:
     return sum(int(value) for name, _, value in told if name == HEALTH)
 
 
+@pytest.mark.parametrize("bare_url", ["postgresql"], indirect=True)
 def test_all_processes_answer_and_count_as_one(bare_url: str) -> None:
     settings = Settings(database_url=bare_url, science="fake", api_processes=3, diagnosers=0)
     with serving(settings) as (process, client):

@@ -56,6 +56,7 @@ def test_what_ends_in_time_is_not_overdue() -> None:
     assert over == []
 
 
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_hanging_updates_block_their_rotors_and_no_other_one(
     store: SqlStore, settings: Settings, reading: Make, post: Post
 ) -> None:
@@ -92,6 +93,7 @@ def test_hanging_updates_block_their_rotors_and_no_other_one(
         supervisor.stop()
 
 
+@pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
 def test_a_step_that_hangs_ends_its_worker_and_many_that_do_not_take_their_time(
     store: SqlStore, settings: Settings, reading: Make, post: Post
 ) -> None:

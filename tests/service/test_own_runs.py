@@ -108,6 +108,7 @@ def covered(twin: Client, truth: dict[str, np.ndarray[Any, Any]]) -> dict[str, f
     return off
 
 
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_a_table_of_runs_becomes_a_model_whose_posterior_covers_the_truth_and_predicts(
     http: httpx.Client,
     own_store: SqlStore,
@@ -221,6 +222,7 @@ def test_a_diagnosis_of_other_physics_asks_for_families_and_looks_for_those_it_g
     assert len(residuals["items"]) == 16
 
 
+@pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
 def test_every_fault_of_an_archive_is_in_the_job_that_failed_and_nothing_is_left_of_it(
     http: httpx.Client,
     own_store: SqlStore,
@@ -251,6 +253,7 @@ def test_every_fault_of_an_archive_is_in_the_job_that_failed_and_nothing_is_left
     assert "2, 7" in str(job["result"]["warnings"])
 
 
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_runs_that_would_hang_their_reader_fail_their_job_and_no_worker(
     http: httpx.Client,
     own_store: SqlStore,
@@ -301,6 +304,7 @@ def test_a_body_above_the_limit_names_the_way_for_large_archives(
     assert "bladetwin model register" in answer.json()["faults"][0]["remedy"]
 
 
+@pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
 def test_runs_outlive_a_worker_that_died_and_another_job_keeps_what_both_name(
     http: httpx.Client,
     own_store: SqlStore,
@@ -333,6 +337,7 @@ def test_runs_outlive_a_worker_that_died_and_another_job_keeps_what_both_name(
     assert not make_worker(own_store, real, settings).jobs.run_once(), "trainings are not for all"
 
 
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_a_new_upload_is_a_new_version_and_rotors_keep_theirs(
     http: httpx.Client,
     own_store: SqlStore,
@@ -374,6 +379,7 @@ def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
     make_worker(own_store, fresh, settings).warm()  # others are warmed all the same
 
 
+@pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
 def test_a_training_outlives_its_killed_worker_and_holds_nothing_up(
     store: SqlStore, settings: Settings, reading: Make, post: Post, rotor: str, tmp_path: Path
 ) -> None:
