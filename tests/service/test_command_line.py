@@ -7,7 +7,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,11 +66,13 @@ def test_every_command_but_the_studies_can_print_json() -> None:
     assert len(list(walk())) > 30
 
 
-def bladetwin(*given: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The installed command, by its entry point and under its name."""
+def bladetwin(
+    *given: str, within: Sequence[str] = (), **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """The installed command, by its entry point and under its name, called by another one."""
     code = "import sys; sys.argv[0] = 'bladetwin'; from service.cli import main; main()"
     return subprocess.run(
-        [sys.executable, "-c", code, *given], capture_output=True, text=True,
+        [*within, sys.executable, "-c", code, *given], capture_output=True, text=True,
         env=os.environ | environment, timeout=120, check=False,
     )  # fmt: skip
 
@@ -81,7 +83,8 @@ def test_a_shell_completes_commands_options_and_their_values() -> None:
     asked["COMP_CWORD"] = "5"
     values = bladetwin(COMP_WORDS="bladetwin export r1 file --format s", **asked)
     assert values.stdout.split() == ["sensorthings"]
-    shown = bladetwin("--show-completion", "bash")
+    a_shell = ("bash", "-c", '"$@"; exit $?', "bash")  # which is asked for the shell it is
+    shown = bladetwin("--show-completion", within=a_shell)
     assert "_BLADETWIN_COMPLETE" in shown.stdout + shown.stderr
 
 
