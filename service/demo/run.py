@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -30,18 +29,12 @@ from service.client import Client
 from service.demo.loop import closed
 from service.demo.result import Result, collect
 from service.demo.stream import steps
+from service.free_port import free_port
 from service.progress import bar
 from service.worker.supervise import same_code
 
 ROTOR = "demo"
 console = Console(stderr=True)
-
-
-def free_port() -> int:
-    """A port of the loopback address that nobody uses now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass(frozen=True)

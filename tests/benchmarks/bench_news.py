@@ -20,10 +20,11 @@ import numpy as np
 from playwright.sync_api import sync_playwright
 
 from service.client import Client
+from service.free_port import free_port
 from service.settings import Settings
 from service.studies.load.run import serving
 from tests.benchmarks.bench_update import NAMES, elongations
-from tests.browser.conftest import ARGS, find_chromium, free_port
+from tests.browser.conftest import ARGS, find_chromium
 
 SEEN = """([id, version]) => {
   const rows = [...document.querySelectorAll("tbody tr")];

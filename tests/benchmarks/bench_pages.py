@@ -24,6 +24,7 @@ from playwright.sync_api import sync_playwright
 from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.fake import FakeScience
+from service.free_port import free_port
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
@@ -32,7 +33,7 @@ from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.migrate import migrate
 from service.store.unit_of_work import SqlStore
-from tests.browser.conftest import ARGS, find_chromium, free_port
+from tests.browser.conftest import ARGS, find_chromium
 
 PAGES = {
     "rotors": "/",

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from service.client import Client
+from service.free_port import free_port
 from service.settings import Settings
-from service.studies.chaos.processes import free_port
 from service.studies.load.run import serving
 from service.studies.load.watch import family, processor_s
 from tests.benchmarks.bench_update import NAMES, elongations

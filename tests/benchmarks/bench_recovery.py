@@ -29,11 +29,11 @@ from sqlalchemy import select
 
 from service.bootstrap import make_store
 from service.client import Client
+from service.free_port import free_port
 from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
-from service.studies.chaos.processes import free_port
 from service.studies.load.run import serving
 from service.studies.load.watch import family
 from service.worker.supervise import HEALTHY_S

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -25,6 +24,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from sqlalchemy import text
 
 from core.model import rotor_blade
+from service.free_port import free_port
 from service.store.engine import open_engine, transaction
 from tests.service.told import told
 
@@ -61,12 +61,6 @@ class Running:
             engine.dispose()
             if not last:
                 yield
-
-
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
 
 
 def scan() -> dict[str, Any]:

@@ -12,7 +12,6 @@ import os
 import re
 import shlex
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ import yaml
 from sqlalchemy import create_engine, make_url, text
 
 from service.client import Client, read_webhook
+from service.free_port import free_port
 from tests.docker.dockerfile import FILE, ROOT, faults, ignored, stages, visible
 from tests.service.receiver import receiving
 
@@ -298,12 +298,6 @@ def until(what: str, true: Callable[[], bool]) -> None:
         time.sleep(0.2)
 
 
-def free_port() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return str(probe.getsockname()[1])
-
-
 def test_the_image_has_neither_installer_nor_builder(image: Image) -> None:
     programs = {path.name for path in (image.root / "opt/bladetwin/bin").iterdir()}
     assert "bladetwin" in programs
@@ -314,7 +308,7 @@ def test_the_whole_of_compose_runs_from_the_image_and_writes_nothing_beside_its_
     image: Image, secrets: Path
 ) -> None:
     before = image.code()
-    port = free_port()
+    port = str(free_port())
     near = {"BLADETWIN_WEBHOOK_NETWORKS": "127.0.0.0/8, ::1"}
     environ = given("api", secrets, BLADETWIN_PORT=port, BLADETWIN_KEYS="always", **near)
     health = stages(TEXT)[-1].argv("HEALTHCHECK")[1:]

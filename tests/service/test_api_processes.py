@@ -22,6 +22,7 @@ from service.api.metrics import Requests
 from service.api.sockets import beside, first
 from service.api.together import Together, files
 from service.client import Client
+from service.free_port import free_port
 from service.settings import Settings
 from tests.service.test_metrics import parse
 from tests.service.test_processes import (
@@ -30,7 +31,6 @@ from tests.service.test_processes import (
     alive,
     body,
     children,
-    free_port,
     serving,
     until,
 )

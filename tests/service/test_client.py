@@ -16,9 +16,10 @@ from core.observation import Inspection
 from service.client import AsyncClient, BlockedError, Client, MissingError, ProblemError
 from service.client.steps import Blocking, Call, Walk, call, pages, stream
 from service.client.table import Calls
+from service.free_port import free_port
 from service.settings import Settings
 from service.worker.loop import Worker
-from tests.service.test_processes import free_port, serving
+from tests.service.test_processes import serving
 
 Json = dict[str, Any]
 CSV = "id,blade,quantity,time_h,value\na,B1,elongation,8000,0.11\nb,B2,elongation,9000,0.13\n"

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from service.cli import app
 from service.client import Client, ProblemError
-from service.demo.run import free_port
+from service.free_port import free_port
 from service.worker.supervise import same_code
 
 

@@ -6,7 +6,6 @@ import json
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -25,6 +24,7 @@ from core.observation import Inspection
 from service.bootstrap import make_store, make_worker
 from service.client import Client
 from service.fake import FakeScience
+from service.free_port import free_port
 from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.inspections import retract
 from service.handlers.models import register_builtins
@@ -320,12 +320,6 @@ def test_a_diagnosis_outlives_its_killed_worker_and_holds_nothing_up(
 def sealed(store: SqlStore, rotor: str, seq: int) -> bool:
     view = view_rotor(store, rotor)
     return view.state is not None and view.state.sealed and view.rotor.applied_seq >= seq
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @contextmanager

@@ -20,8 +20,9 @@ from core.archive import Archive
 from core.errors import InputError, ModelError
 from service import sampling
 from service.cli import app
+from service.free_port import free_port
 from tests.exchanger import BOTH, NETWORK, TIME_H, drop, network, transfer
-from tests.service.test_processes import ROOT, free_port
+from tests.service.test_processes import ROOT
 
 HOURS = ",".join(f"{t:g}" for t in TIME_H)
 

@@ -30,10 +30,10 @@ from service import tracing
 from service.client import Client
 from service.errors import NotInstalledError
 from service.fake import FakeScience
+from service.free_port import free_port
 from service.otel import OtelTracer
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
-from service.studies.chaos.processes import free_port
 from service.telemetry import JsonLines
 from service.worker.loop import Worker
 from service.worker.supervise import same_code

@@ -24,6 +24,7 @@ from core.calibration.state import blade_posterior
 from core.observation import Inspection
 from core.prediction import predict
 from service.bootstrap import make_worker
+from service.free_port import free_port
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.reads import Basis, basis
@@ -36,7 +37,7 @@ from service.umbridge.app import umbridge_app
 from service.umbridge.models import served
 from service.umbridge.protocol import answer
 from tests.service.smooth import elongation, formula_science
-from tests.service.test_processes import ROOT, free_port
+from tests.service.test_processes import ROOT
 
 PSI = [1.1, 0.87, 0.4, -0.5]
 

@@ -16,12 +16,13 @@ from sqlalchemy import select
 
 from service.client import Client
 from service.errors import StoreAwayError
+from service.free_port import free_port
 from service.ports import Json
 from service.store import tables as t
 from service.store.engine import transaction
 from service.studies.chaos import traps
 from service.studies.chaos.bench import LEASE_S, Bench
-from service.studies.chaos.processes import Child, Kind, forked, free_port
+from service.studies.chaos.processes import Child, Kind, forked
 from service.studies.chaos.traps import Point
 
 DIES_WITHIN_S = 60.0

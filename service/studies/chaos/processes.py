@@ -14,7 +14,6 @@ import multiprocessing
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -27,6 +26,7 @@ from typing import Any, Literal, Self
 
 from service.client import Client
 from service.environment import PREFIX
+from service.free_port import free_port
 from service.settings import Settings
 from service.worker.claiming import Role
 from service.worker.loop import owner_name
@@ -107,13 +107,6 @@ def _run(main: Callable[..., None], environ: Mapping[str, str], *arguments: Any)
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
     main(*arguments)
-
-
-def free_port() -> int:
-    """A port of the loopback that nobody listens on at the moment."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Processes:

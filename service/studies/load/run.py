@@ -17,9 +17,9 @@ import numpy as np
 
 from service.client import Client
 from service.environment import PREFIX
+from service.free_port import free_port
 from service.ports import Json
 from service.settings import Settings
-from service.studies.chaos.processes import free_port
 from service.studies.load import demand, watch
 from service.studies.load.crowd import Answered, Crowd
 from service.studies.load.trend import summary, trends
