@@ -9,8 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from service.worker.heartbeat import heartbeats, rest
+from tests.patience import PATIENCE_S, until
 
-PATIENCE_S = 60.0
 LONG_S = 3 * PATIENCE_S
 
 
@@ -118,10 +118,7 @@ def test_the_thread_ends_where_nothing_is_under_way_and_another_one_begins() -> 
             beaten = threading.Event()
             with heartbeats(beats(beaten), 0.03):
                 assert beaten.wait(PATIENCE_S)
-            end = time.monotonic() + PATIENCE_S
-            while beating():
-                assert time.monotonic() < end
-                time.sleep(0.01)
+            until("its end", lambda: not beating())
 
     in_thread(works)
 
@@ -129,13 +126,16 @@ def test_the_thread_ends_where_nothing_is_under_way_and_another_one_begins() -> 
 def test_a_beat_that_fails_ends_its_own_work_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[threading.ExceptHookArgs] = []
     monkeypatch.setattr(threading, "excepthook", told.append)
+    seen = threading.Event()
 
     def failing() -> bool:
+        assert seen.wait(PATIENCE_S)
         raise RuntimeError("a beat")
 
     def works() -> None:
         with heartbeats(failing, 0.03):
             (heart,) = beating()
+            seen.set()
             heart.join(PATIENCE_S)
             assert not heart.is_alive()
         assert [str(args.exc_value) for args in told] == ["a beat"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import httpx
@@ -13,7 +13,9 @@ import psycopg
 import pytest
 from sqlalchemy import Engine, event, text
 
+from core.observation import Inspection
 from service.api import waiting
+from service.api.routers import rotors
 from service.api.waiting import Changes
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
@@ -22,6 +24,7 @@ from service.store.outbox import post as note
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 from service.worker.wake import PostgresWake, open_wake
+from tests.patience import AGES_S, PATIENCE_S, until
 from tests.postgres import Databases
 
 CHANNEL = "bladetwin_applied"
@@ -48,6 +51,12 @@ def told(engine: Engine, lots: int) -> None:
             connection.execute(TELL, {"channel": CHANNEL, "lot": f"rotor-{lot}-"})
 
 
+def listens(engine: Engine) -> bool:
+    """Whether there is a listener."""
+    with transaction(engine, write=False) as connection:
+        return bool(connection.execute(LISTENER).all())
+
+
 def reads(engine: Engine) -> bool:
     """Whether the listener's server waits to be asked, not for the listener to read."""
     with transaction(engine, write=False) as connection:
@@ -63,9 +72,9 @@ def test_what_is_told_while_nobody_waits_is_read_all_the_same(
     async def idle() -> bool:
         changes = Changes(lambda: open_wake(engine, CHANNEL, 5.0))
         changes.start()
-        await asyncio.sleep(0.2)
+        await asyncio.to_thread(until, "the listener", lambda: listens(engine))
         await asyncio.to_thread(told, engine, 10)
-        end, in_a_row = time.monotonic() + 10.0, 0
+        end, in_a_row = time.monotonic() + PATIENCE_S, 0
         while in_a_row < 5 and time.monotonic() < end:
             await asyncio.sleep(0.05)
             in_a_row = in_a_row + 1 if await asyncio.to_thread(reads, engine) else 0
@@ -87,7 +96,7 @@ class Skipping:
 
     def skip(self) -> None:
         self.skips.set()
-        self.goes_on.wait(10.0)
+        self.goes_on.wait(PATIENCE_S)
 
     def close(self) -> None: ...
 
@@ -97,12 +106,12 @@ def test_who_comes_while_hints_are_skipped_misses_none() -> None:
         watcher = Skipping()
         changes = Changes(lambda: watcher)
         changes.start()
-        await asyncio.to_thread(watcher.skips.wait, 10.0)
+        await asyncio.to_thread(watcher.skips.wait, PATIENCE_S)
         async with changes.waiting():
             event = changes.event()
             watcher.goes_on.set()
             woken = asyncio.create_task(event.wait())
-            done, _ = await asyncio.wait([woken], timeout=5.0)
+            done, _ = await asyncio.wait([woken], timeout=PATIENCE_S)
             woken.cancel()
         changes.close()
         return bool(done)
@@ -130,35 +139,43 @@ def test_a_standby_is_listened_to_once_it_takes_over(
     assert wake.wait(0.01), "it listens now, and what was before gave no hint"
     assert not wake.wait(0.01)
     told(engine, 1)
-    assert wake.wait(5.0)
+    assert wake.wait(PATIENCE_S)
     wake.close()
 
 
 def test_who_waits_looks_at_little_when_other_rotors_move_on(
-    api: httpx.Client, store: SqlStore, worker: Worker, rotor: str
+    api: httpx.Client,
+    store: SqlStore,
+    worker: Worker,
+    rotor: str,
+    reading: Callable[..., Inspection],
+    post: Callable[..., int],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Each commit wakes all who wait; a rotor with all of its blades is read at the ends alone."""
     create_rotor(store, "r2", "rotor-blade", [BladeRecord("B1")], 64, 7)
     worker.drain()
+    monkeypatch.setattr(rotors, "LOOK_AGAIN_S", AGES_S)
     looks = {"rotor": 0, "blades": 0}
+    here = threading.current_thread()
 
     def said(_c: object, _cursor: object, statement: str, *_: object) -> None:
-        if "FROM rotor JOIN cursor" in statement:
+        if "FROM rotor JOIN cursor" in statement and threading.current_thread() is not here:
             looks["blades" if "FROM blade" in statement else "rotor"] += 1
 
     answers: list[httpx.Response] = []
-    url = f"/v1/rotors/{rotor}?wait_for=99&timeout=2"
+    url = f"/v1/rotors/{rotor}?wait_for=1&timeout=50"
     waits = threading.Thread(target=lambda: answers.append(api.get(url)))
     event.listen(store.engine, "after_cursor_execute", said)
     waits.start()
-    while not looks["blades"]:
-        time.sleep(0.01)
-    for number in range(10):
+    until("its first look", lambda: looks["blades"])
+    for number in range(5):
         with transaction(store.engine, write=True) as connection:
             note(connection, "r2", "blocked", {"error": str(number), "event": None})
-        time.sleep(0.05)
+        until("that it is woken all the same", lambda number=number: looks["rotor"] > number)
+    post(rotor, reading("a"))
+    worker.drain()
     waits.join()
     event.remove(store.engine, "after_cursor_execute", said)
-    assert answers[0].json()["id"] == rotor
-    assert looks["rotor"] >= 5, "it is woken all the same"
+    assert answers[0].json()["applied_seq"] == 1
     assert looks["blades"] <= 2
