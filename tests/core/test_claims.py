@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 from threading import Event
@@ -21,6 +20,7 @@ from core.archive.claims import Claims, ended, exclusive, owner, started
 from core.archive.disk import link_file
 from core.archive.shared import SharedRuns
 from core.errors import ModelError
+from tests.patience import PATIENCE_S, until
 
 RUNS = 12
 WORKER = """
@@ -31,27 +31,42 @@ import core.archive.claims as claims
 from core.archive import Archive, Run
 from core.archive.shared import SharedRuns
 
-folder, go, kind = map(Path, sys.argv[1:4])
+folder, kind = map(Path, sys.argv[1:3])
 log = os.open(folder / "log", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
 def note(*words):
     os.write(log, (" ".join(map(str, words)) + "\\n").encode())
-real = claims.exclusive
+def both(word):  # goes on when the other one has come here, too
+    note(word)
+    while (folder / "log").read_text().split().count(word) < 2:
+        time.sleep(0.002)
+def alone(name):  # for one of the two
+    try:
+        return bool(os.open(folder / name, os.O_CREAT | os.O_EXCL))
+    except FileExistsError:
+        return False
+real, looks = claims.exclusive, []
 def slow(path, text):  # both have looked before one of them writes
-    time.sleep(0.05)
+    looks.append(path)
+    if len(looks) == 1:
+        both("looked")
     return bool(path.write_text(text)) if kind.name == "not-exclusive" else real(path, text)
 claims.exclusive = slow
 archive = Archive.open(folder)
 shared = SharedRuns(archive, range(12), every_s=0.2)
-note("ready", os.getpid())
-while not go.exists():
-    time.sleep(0.002)
+begun = 0
 with shared.claims.beating():
     while shared.waiting():
         if (index := shared.take()) is None:
             time.sleep(0.02)
             continue
         note("begin", index, os.getpid())
-        time.sleep(0.12)
+        begun += 1
+        if begun == 1:
+            both("computes")  # neither takes all
+        if begun == 2 and kind.name == "killed" and alone("doomed"):
+            note("waits", index, os.getpid())
+            time.sleep(3600)
+        time.sleep(0.02)
         run = Run({"x": index / 12}, {"y": np.full(4, float(os.getpid()))})
         note("first" if shared.add(index, run) else "second", index, os.getpid())
 """
@@ -79,30 +94,23 @@ def lines(archive: Archive) -> list[list[str]]:
     return [line.split() for line in file.read_text().splitlines()] if file.exists() else []
 
 
-def wait_for(count: int, word: str, archive: Archive) -> list[list[str]]:
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        if len(found := [line for line in lines(archive) if line[0] == word]) >= count:
-            return found
-        time.sleep(0.01)
-    raise AssertionError(f"{word} was not seen {count} times: {lines(archive)}")
-
-
-def two_workers(archive: Archive, kind: str, kill: bool) -> tuple[Counter[int], Counter[int], int]:
+def two_workers(archive: Archive, kind: str) -> tuple[Counter[int], Counter[int], int]:
     """How often each run was begun and was published first; the run whose worker was killed."""
-    go = archive.path / "go"
-    words = [sys.executable, "-c", WORKER, str(archive.path), str(go), kind]
+    words = [sys.executable, "-c", WORKER, str(archive.path), kind]
     workers = [subprocess.Popen(words) for _ in range(2)]
     lost = -1
+
+    def waits() -> list[list[str]]:
+        return [line for line in lines(archive) if line[0] == "waits"]
+
     try:
-        wait_for(2, "ready", archive)
-        go.touch()
-        if kill:
-            for _, index, pid in wait_for(3, "begin", archive)[2:3]:
-                os.kill(int(pid), signal.SIGKILL)
-                lost = int(index)
-        codes = sorted(worker.wait(timeout=60) for worker in workers)
-        assert codes == ([-9, 0] if kill else [0, 0])
+        if kind == "killed":
+            until("a worker to be killed", waits)
+            ((_, index, pid),) = waits()
+            os.kill(int(pid), signal.SIGKILL)
+            lost = int(index)
+        codes = sorted(worker.wait(timeout=PATIENCE_S) for worker in workers)
+        assert codes == ([-9, 0] if kind == "killed" else [0, 0])
     finally:
         for worker in workers:
             if worker.poll() is None:
@@ -114,7 +122,7 @@ def two_workers(archive: Archive, kind: str, kill: bool) -> tuple[Counter[int], 
 
 
 def test_two_workers_compute_each_run_once(archive: Archive) -> None:
-    begun, first, _ = two_workers(archive, "sound", kill=False)
+    begun, first, _ = two_workers(archive, "sound")
     assert begun == first == Counter(range(RUNS))
     assert archive.done() == tuple(range(RUNS))
     pids = {float(archive.read(k).values["y"][0]) for k in range(RUNS)}
@@ -125,13 +133,13 @@ def test_two_workers_compute_each_run_once(archive: Archive) -> None:
 
 def test_claims_that_are_not_exclusive_let_two_workers_compute_one_run(archive: Archive) -> None:
     """Negative control: the same test, with a claim that overwrites another's."""
-    begun, first, _ = two_workers(archive, "not-exclusive", kill=False)
+    begun, first, _ = two_workers(archive, "not-exclusive")
     assert max(begun.values()) == 2
     assert first == Counter(range(RUNS))  # publishing is exclusive by itself: nothing is rewritten
 
 
 def test_a_worker_killed_with_9_loses_the_run_in_its_hands_and_no_other(archive: Archive) -> None:
-    begun, first, lost = two_workers(archive, "sound", kill=True)
+    begun, first, lost = two_workers(archive, "killed")
     assert begun == Counter(range(RUNS)) + Counter([lost])
     assert first == Counter(range(RUNS))
     assert archive.done() == tuple(range(RUNS))
@@ -192,7 +200,7 @@ def test_an_owner_that_was_only_asleep_does_not_replace_the_run(archive: Archive
 
 
 def test_an_ended_process_of_this_machine_is_known_at_once_and_a_namesake_is_not_it() -> None:
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"])
     named = owner() | {"pid": child.pid, "started": started(child.pid)}
     assert not ended(named)
     assert ended(named | {"started": "17"})
@@ -235,9 +243,7 @@ def test_a_beat_goes_on_while_a_run_is_computed(tmp_path: Path) -> None:
     claims = Claims(tmp_path, every_s=0.01)
     with claims.beating():
         assert claims.take(3, None) == "taken"
-        until = time.monotonic() + 30
-        while claims.newest()[3].told.get("beat", 0) < 3 and time.monotonic() < until:
-            time.sleep(0.005)
+        until("three beats", lambda: claims.newest()[3].told.get("beat", 0) >= 3)
     assert claims.newest()[3].told["beat"] >= 3
     assert claims.newest()[3].state == "released"
 

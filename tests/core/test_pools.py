@@ -16,6 +16,7 @@ import pytest
 
 from core.archive.claims import started
 from core.pools import CHUNK, THREADS, both, by_rows, process_pool
+from tests.patience import PATIENCE_S
 
 ORPHANS = """
 import sys, time
@@ -26,8 +27,8 @@ def main():
     with pools.process_pool(1) as pool:
         import os
         print(pool.submit(os.getpid).result(), flush=True)
-        pool.submit(time.sleep, 60)
-        time.sleep(60)
+        pool.submit(time.sleep, 3600)
+        time.sleep(3600)
 if __name__ == "__main__":
     main()
 """
@@ -44,7 +45,7 @@ def test_a_process_ends_when_its_parent_is_killed(tmp_path: Path, kind: str) -> 
     parent.kill()
     parent.wait()
     parent.stdout.close()
-    until = time.monotonic() + (20 if kind == "watched" else 2)
+    until = time.monotonic() + (PATIENCE_S if kind == "watched" else 1)
     while (alive := started(child) is not None) and time.monotonic() < until:
         time.sleep(0.05)
     if alive:
@@ -69,17 +70,17 @@ def test_what_waits_is_dropped_where_the_caller_fails() -> None:
 
     def failing() -> None:
         with process_pool(1) as made:
-            waiting.extend(made.submit(time.sleep, 0.2) for _ in range(40))
+            waiting.extend(made.submit(time.sleep, 0.2) for _ in range(400))
             raise KeyError("the caller's own")
 
     with pytest.raises(KeyError):
         failing()
-    assert sum(one.cancelled() for one in waiting) > 30
+    assert sum(one.cancelled() for one in waiting) > 300
 
 
 def test_both_run_side_by_side_and_share_their_rows_out() -> None:
     """Each waits for the other to be there: one after the other would never end."""
-    meet = threading.Barrier(2, timeout=20)
+    meet = threading.Barrier(2, timeout=PATIENCE_S)
     big = np.arange(3.0 * CHUNK)
 
     def doubled(sign: float) -> float:

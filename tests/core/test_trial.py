@@ -7,8 +7,6 @@ import signal
 import struct
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -22,9 +20,15 @@ from core.archive.table import convert_table
 from core.archive.trial import read_all, tried
 from core.errors import ModelError
 from tests.exchanger import points, write_table
+from tests.patience import until
 
 ROOT = Path(__file__).parents[2]
-OPEN = "import sys; from core.archive.opening import opened; opened(sys.argv[1]).__enter__()"
+OPEN = """
+import sys
+from core.archive.opening import opened
+print("there", flush=True)
+opened(sys.argv[1]).__enter__()
+"""
 
 
 @pytest.fixture
@@ -60,8 +64,15 @@ def test_opened_without_a_trial_it_would_hang(runs: Path) -> None:
     """The control."""
     damaged = endless(runs)
     command = [sys.executable, "-c", OPEN, str(damaged)]
-    with pytest.raises(subprocess.TimeoutExpired):
-        subprocess.run(command, cwd=ROOT, timeout=10, check=True)
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as opening:
+        try:
+            assert opening.stdout is not None
+            assert opening.stdout.readline() == b"there\n"
+            begun = processor_s(opening.pid)
+            until("as much work", lambda: processor_s(opening.pid) > begun + 3.0)
+            assert opening.poll() is None
+        finally:
+            opening.kill()
 
 
 @pytest.mark.parametrize("how", ["dies", "waits"])
@@ -90,13 +101,13 @@ def test_no_child_outlives_its_parent(runs: Path) -> None:
     code = "import sys; from core.archive.trial import tried; tried(sys.argv[1], 300.0)"
     parent = subprocess.Popen([sys.executable, "-c", code, str(damaged)], cwd=ROOT)
     try:
-        until(lambda: trial_of(parent.pid))
+        until("the trial", lambda: trial_of(parent.pid))
         child = trial_of(parent.pid)
-        until(lambda: processor_s(child) > 4.0)  # long past its imports
+        until("its work", lambda: processor_s(child) > 4.0)  # long past its imports
     finally:
         parent.kill()
         parent.wait()
-    until(lambda: not Path(f"/proc/{child}").exists())
+    until("its end", lambda: not Path(f"/proc/{child}").exists())
 
 
 def trial_of(parent: int) -> int:
@@ -112,13 +123,6 @@ def trial_of(parent: int) -> int:
 def processor_s(process: int) -> float:
     told = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def until(true: Callable[[], object], patience_s: float = 60.0) -> None:
-    end = time.monotonic() + patience_s
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 def test_what_is_wrong_in_words_is_not_its_business(tmp_path: Path) -> None:

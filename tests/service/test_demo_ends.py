@@ -9,13 +9,15 @@ import sys
 import time
 from pathlib import Path
 
+from tests.patience import PATIENCE_S
+
 SCRIPT = """
 import sys, time
 from pathlib import Path
 from service.demo.run import service
 with service(Path(sys.argv[1])) as running:
     print(running.process.pid, flush=True)
-    time.sleep(60)
+    time.sleep(3600)
 """
 
 
@@ -28,7 +30,7 @@ def test_a_main_job_that_is_terminated_leaves_no_service(tmp_path: Path) -> None
         assert Path(f"/proc/{server}").exists()
         time.sleep(0.5)
         job.send_signal(signal.SIGTERM)
-        assert job.wait(40) == 143
+        assert job.wait(PATIENCE_S) == 143
     try:
         os.kill(server, 0)
     except ProcessLookupError:

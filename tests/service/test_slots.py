@@ -17,6 +17,7 @@ from service.store.log import SqlLog
 from service.store.records import SqlRecords
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
+from tests.patience import PATIENCE_S
 
 ROTOR: dict[str, Any] = {
     "id": "r1",
@@ -88,16 +89,17 @@ def test_a_rotor_that_has_two_in_one_slot_already_is_created_again_as_it_was(
 
 
 class Both:
-    """Two blades that join one slot at once; each waits after its look at the rotor."""
+    """Two blades that join one slot at once; each waits so long for the other after its look at
+    the rotor."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, patience_s: float) -> None:
         looked = threading.Barrier(2)
         asked = SqlRecords.blades
 
         def slowly(own: SqlRecords, rotor_id: str) -> list[BladeRecord]:
             found = asked(own, rotor_id)
             with suppress(threading.BrokenBarrierError):  # the other one waits for a commit
-                looked.wait(1.0)
+                looked.wait(patience_s)
             return found
 
         monkeypatch.setattr(SqlRecords, "blades", slowly)
@@ -122,7 +124,7 @@ class Both:
 def test_of_two_that_join_one_slot_at_once_one_is_refused(
     store: SqlStore, rotor: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    both = Both(monkeypatch)
+    both = Both(monkeypatch, 0.5)
     both.join(store, rotor)
     assert len(both.joined) == len(both.refused) == 1
     assert f"blade {both.joined[0]} (slot 7)" in str(both.refused[0])
@@ -145,6 +147,6 @@ def test_without_the_rotor_s_lock_both_would_join(
 
     monkeypatch.setattr(SqlLog, "lock", head)
     monkeypatch.setattr(SqlLog, "append", locking)
-    both = Both(monkeypatch)
+    both = Both(monkeypatch, PATIENCE_S)
     both.join(store, rotor)
     assert sorted(both.joined) == ["X", "Y"]

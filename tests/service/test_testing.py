@@ -22,6 +22,7 @@ from service.client.errors import MissingError
 from service.fake import FakeScience
 from service.testing import WorkerDiedError, in_memory, in_memory_async
 from service.worker.update import Updater
+from tests.patience import PATIENCE_S, until
 
 Json = dict[str, Any]
 CSV = "id,blade,quantity,time_h,value\na,B01,elongation,8000,0.11\n"
@@ -56,13 +57,22 @@ def test_a_user_s_test_is_these_lines() -> None:
 
 
 def test_it_is_asynchronous_as_the_service_is() -> None:
-    with in_memory(FakeScience(delay_s=1.0)) as twin:
+    gate = threading.Event()
+
+    class Gated(FakeScience):
+        def update(self, *given: Any, **more: Any) -> Any:
+            if given[2]:  # readings
+                assert gate.wait(PATIENCE_S)
+            return super().update(*given, **more)
+
+    with in_memory(Gated()) as twin:
         twin.create_rotor("r1", blades=["B01"])
         twin.wait_for("r1", 0)
         seq = twin.post_csv("r1", CSV)
         assert twin.rotor("r1")["status"] == "pending"
         with pytest.raises(TimeoutError, match=r"r1: 1 was not applied within 0\.05 s"):
             twin.wait_for("r1", seq, patience_s=0.05)
+        gate.set()
         assert twin.wait_for("r1", seq)["applied_seq"] == seq
 
 
@@ -122,9 +132,8 @@ def test_who_waits_for_a_stream_is_let_go_at_the_end() -> None:
         twin.wait_for("r1", 0)
         listener = threading.Thread(target=lambda: ended.extend(twin.events("r1", after=0)))
         listener.start()
-        while not ended:
-            time.sleep(0.01)
-    listener.join(5.0)
+        until("its first event", lambda: ended)
+    listener.join(PATIENCE_S)
     assert not listener.is_alive()
     assert [one["event"] for one in ended] == ["applied"]
 
@@ -171,13 +180,8 @@ def test_diagnoses_and_residuals_are_made() -> None:
         twin.create_rotor("r1", blades=["B01"])
         twin.wait_for("r1", twin.post_csv("r1", CSV + rows))
         asked = twin.diagnose("r1")
-        until = time.monotonic() + 60
-        while (
-            twin.diagnosis("r1", asked["id"])["status"] != "done"
-            or (twin.residuals("r1")["pending"])
-        ):
-            assert time.monotonic() < until
-            time.sleep(0.02)
+        until("the diagnosis", lambda: twin.diagnosis("r1", asked["id"])["status"] == "done")
+        until("residuals", lambda: not twin.residuals("r1")["pending"])
         assert len(twin.residuals("r1")["items"]) == 6
 
 
@@ -220,7 +224,7 @@ def test_a_worker_that_died_is_heard_at_once_and_at_the_end(
     began = time.monotonic()
     with pytest.raises(WorkerDiedError, match="RuntimeError: the disk melted") as first:
         waits()
-    assert time.monotonic() - began < 30, "the wait is not sat out"
+    assert time.monotonic() - began < 60, "the wait is not sat out"
     assert isinstance(first.value.__cause__, RuntimeError)
     with pytest.raises(WorkerDiedError):
         waits(caught=True)
