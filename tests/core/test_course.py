@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.course import Course, pieces
@@ -45,6 +45,7 @@ def test_pieces_end_where_any_course_has_a_point_and_hold_means() -> None:
     assert pieces({"c": Course.of(1.0)}, 10.0, 4) == [(0.0, 10.0)]
 
 
+@settings(deadline=None)
 @given(
     st.lists(
         st.tuples(st.integers(0, 100_000), st.floats(-10, 10)),

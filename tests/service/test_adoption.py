@@ -769,7 +769,7 @@ def test_the_commands_adopt_and_back_out_and_say_so(
     twin = Client(http=api)
     (first,) = twin.adoptions("r1")
     name = first["diagnosis"]
-    done = command(worker, diagnoser, "adopt", "r1", name, "--back-out", "--wait", "30", *url)
+    done = command(worker, diagnoser, "adopt", "r1", name, "--back-out", "--wait", "120", *url)
     assert done.exit_code == 0, done.output
     assert "backed out with entry 14" in done.stdout
     assert f"{NAME}: " in done.stdout

@@ -20,6 +20,7 @@ from service.fake import FakeScience, FakeState
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
+from tests.patience import PATIENCE_S
 
 Json = dict[str, Any]
 ROTOR: Json = {
@@ -608,7 +609,7 @@ def test_who_waits_is_answered_when_the_entry_is_applied(
     time.sleep(0.3)
     assert answers == []
     worker.drain()
-    waiting.join(30)
+    waiting.join(PATIENCE_S)
     assert answers[0]["applied_seq"] == seq
     late = created.get(f"/v1/rotors/r1?wait_for={seq + 1}&timeout=0.05").json()
     assert late["applied_seq"] == seq

@@ -30,6 +30,7 @@ from service.worker import asking
 from service.worker.asking import Asking
 from service.worker.loop import Worker
 from service.worker.residuals import Residuals
+from tests.patience import PATIENCE_S
 from tests.service.adopting import Offsets
 
 Make = Callable[..., Inspection]
@@ -337,7 +338,7 @@ def test_what_somebody_backed_out_stays_out_whatever_was_adopted_since(
 
 def both_at_once(store: SqlStore, monkeypatch: pytest.MonkeyPatch) -> int:
     """How many diagnoses are asked for by two workers that have seen the same alarms."""
-    seen = threading.Barrier(2, timeout=20)
+    seen = threading.Barrier(2, timeout=PATIENCE_S)
     found = Asking.found
 
     def looked(tx: object, rotor_id: str) -> object:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import logging
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from copy import copy
@@ -24,6 +23,7 @@ from service.store.trail import SqlAudit
 from service.store.unit_of_work import SqlStore
 from service.telemetry import JsonLines
 from service.worker.loop import Worker
+from tests.patience import until
 
 Json = dict[str, Any]
 Headers = dict[str, str]
@@ -265,10 +265,7 @@ def test_lines_of_a_request_carry_its_id_and_its_key(
     header = key("read")
     locked.get("/v1/rotors/r1", headers=header | {"X-Request-Id": "plant-7:42"})
     made = locked.get("/v1/rotors/r1", headers=header | {"X-Request-Id": "no id, 7"})
-    end = time.monotonic() + 30
-    while lines.getvalue().count("\n") < 2:
-        assert time.monotonic() < end, "a line comes just after its answer"
-        time.sleep(0.01)
+    until("a line just after its answer", lambda: lines.getvalue().count("\n") >= 2)
     found = [json.loads(line) for line in lines.getvalue().splitlines()]
     (line,) = [line for line in found if line.get("request_id") == "plant-7:42"]
     assert line["message"].startswith("GET /v1/rotors/r1 200 ")

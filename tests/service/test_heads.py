@@ -14,6 +14,7 @@ from service.api import heads
 from service.api.feed import Feed
 from service.api.scopes import RULES
 from service.worker.loop import Worker
+from tests.patience import PATIENCE_S
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
@@ -103,7 +104,7 @@ def test_the_head_of_a_stream_of_events_opens_none(
     monkeypatch.setattr(Feed, "listening", watched)
     path = f"/v1/rotors/{rotor}/events"
     with serving(heartbeat_s=0.05) as client:
-        head = client.head(path, timeout=5)
+        head = client.head(path, timeout=PATIENCE_S)
         assert (head.status_code, head.content, opened) == (200, b"", [])
         with client.stream("GET", path) as stream:
             assert told(stream, path) == told(head, path)

@@ -18,6 +18,7 @@ from service.cli import app
 from service.client import Client, ProblemError
 from service.free_port import free_port
 from service.worker.supervise import same_code
+from tests.patience import PATIENCE_S
 
 
 @pytest.fixture
@@ -94,17 +95,21 @@ def test_a_real_server_asks_for_keys_and_tells_no_secret(
     try:
         url = f"http://127.0.0.1:{port}"
         with Client(url, key=token) as twin, Client(url) as stranger:
-            twin.ready(60)
+            twin.ready(PATIENCE_S)
             twin.create_rotor("r1", blades=["B1"])
             assert twin.rotor("r1")["id"] == "r1"
             with pytest.raises(ProblemError, match="401"):
                 stranger.rotor("r1")
-        answer = httpx.get(f"{url}/v1/rotors/{token}", headers={"Authorization": f"Bearer {token}"})
+        answer = httpx.get(
+            f"{url}/v1/rotors/{token}",
+            headers={"Authorization": f"Bearer {token}"},
+            timeout=PATIENCE_S,
+        )
         assert (answer.status_code, answer.headers.get_list("server")) == (404, ["bladetwin"])
         assert answer.headers["ratelimit-policy"] == '"key";q=200;w=4'
     finally:
         server.send_signal(signal.SIGTERM)
-        assert server.wait(30) is not None
+        assert server.wait(PATIENCE_S) is not None
     lines = [json.loads(line) for line in log.read_text().splitlines() if line.startswith("{")]
     told = [line for line in lines if line["logger"] == "bladetwin.http"]
     assert {line["who"] for line in told if "who" in line} == {token.split("_")[1]}

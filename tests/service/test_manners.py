@@ -29,6 +29,7 @@ from service.handlers.inspections import _event as event_of
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
+from tests.patience import PATIENCE_S
 
 Headers = dict[str, str]
 Key = Callable[..., Headers]
@@ -122,7 +123,7 @@ def test_of_two_at_once_one_is_done_and_one_is_told_to_wait(
 
     def slow(*args: Any) -> Any:
         entered.set()
-        assert leave.wait(30)
+        assert leave.wait(PATIENCE_S)
         job = true(*args)
         done.append(job.id)
         return job
@@ -136,7 +137,7 @@ def test_of_two_at_once_one_is_done_and_one_is_told_to_wait(
 
     thread = threading.Thread(target=first)
     thread.start()
-    assert entered.wait(30)
+    assert entered.wait(PATIENCE_S)
     second = api.post("/v1/models", json=BUILTIN, headers=repeat("k"))
     other = api.post("/v1/models", json={"builtin": "other"}, headers=repeat("k"))
     leave.set()
@@ -346,7 +347,7 @@ def test_a_precondition_is_judged_inside_the_transaction(
         thread.start()
         time.sleep(0.5)
         assert answers == [], "it waits for the rotor"
-    thread.join(30)
+    thread.join(PATIENCE_S)
     assert answers[0].status_code == status
     assert api.get("/v1/rotors/r1").json()["head_seq"] == head
 

@@ -28,6 +28,7 @@ from service.store import postgres
 from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.schema import metadata
 from service.store.unit_of_work import SqlStore
+from tests.patience import PATIENCE_S, behind_a_lock, until
 
 
 def test_a_migrated_database_differs_in_nothing_from_the_declared_tables(bare_url: str) -> None:
@@ -146,9 +147,10 @@ def test_who_comes_second_waits_for_a_long_migration(
         connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": migrations.LOCK})
         waiting = threading.Thread(target=lambda: done.append(migrations.migrate(second)))
         waiting.start()
-        time.sleep(1.5)
+        until("its turn to wait", lambda: behind_a_lock(second))
+        time.sleep(0.8)
         assert waiting.is_alive()
-    waiting.join(60)
+    waiting.join(PATIENCE_S)
     assert done == [migrations.newest()]
     for engine in (first, second):
         engine.dispose()

@@ -6,7 +6,6 @@ It waits for the rotor's row, so that its view of the database is from before th
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -21,7 +20,6 @@ from sqlalchemy import (
     literal,
     or_,
     select,
-    text,
     update,
 )
 
@@ -40,9 +38,8 @@ from service.store.unit_of_work import SqlStore
 from service.worker.claiming import claim
 from service.worker.lease import advance
 from service.worker.wake import open_wake
+from tests.patience import PATIENCE_S, behind_a_lock, until
 from tests.postgres import Databases
-
-WAITING = text("SELECT count(*) FROM pg_locks WHERE NOT granted")
 
 
 @pytest.fixture
@@ -100,12 +97,9 @@ def meanwhile(engine: Engine, theirs: Callable[[Connection], None], *own: NewEve
         theirs(connection)
         thread = threading.Thread(target=post)
         thread.start()
-        with engine.connect() as other:
-            until = time.monotonic() + 30
-            while not other.execute(WAITING).scalar() and time.monotonic() < until:
-                time.sleep(0.005)
+        until("that they wait", lambda: behind_a_lock(engine))
         assert not told
-    thread.join(30)
+    thread.join(PATIENCE_S)
     (answer,) = told
     return answer
 
@@ -193,12 +187,11 @@ def test_a_reading_wakes_workers_where_none_was_pending(engine: Engine) -> None:
     with transaction(engine, write=True) as connection:
         applied(engine, connection)
     wake = open_wake(engine, "bladetwin_work", 5.0)
-    told = []
-    for name in ("a", "b"):
-        posted(engine, reading(name))
-        told.append(wake.wait(1.0))
+    posted(engine, reading("a"))
+    assert wake.wait(PATIENCE_S)
+    posted(engine, reading("b"))
+    assert not wake.wait(0.5)
     wake.close()
-    assert told == [True, False]
 
 
 def item(name: str, value: float = 0.1, blade: str = "B1") -> list[Item]:

@@ -32,6 +32,7 @@ from service.store.unit_of_work import SqlStore
 from service.worker import claiming, new_version
 from service.worker import lease as leases
 from service.worker import update as updates
+from tests.patience import PATIENCE_S
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
@@ -285,10 +286,16 @@ def test_a_rotor_is_claimed_by_one_of_many(race: Race) -> None:
 
 
 def two_writers(
-    store: SqlStore, rotor: str, reading: Make, post: Post, monkeypatch: pytest.MonkeyPatch
+    store: SqlStore,
+    rotor: str,
+    reading: Make,
+    post: Post,
+    monkeypatch: pytest.MonkeyPatch,
+    patience_s: float = 0.5,
 ) -> None:
     """Two writers meet between the reading of head_seq and the insert, if anything lets them.
 
+    Each waits so long for the other; where nothing keeps them apart they have all the time.
     Of two readings each: one alone is a single statement on PostgreSQL (`test_postgres_posts`).
     """
     meet = threading.Barrier(2)
@@ -297,7 +304,7 @@ def two_writers(
 
     def known(self: SqlLog, rotor_id: str, ids: list[str]) -> Any:
         with suppress(threading.BrokenBarrierError):
-            meet.wait(0.5)
+            meet.wait(patience_s)
         return real(self, rotor_id, ids)
 
     monkeypatch.setattr(SqlLog, "_known", known)
@@ -335,7 +342,7 @@ def test_two_writers_that_do_not_lock_head_seq_are_noticed(
     # SQLite's lock is that of BEGIN IMMEDIATE.
     monkeypatch.setattr(SqlStore, "write", SqlStore.read)
     with pytest.raises(AssertionError, match="a writer failed"):
-        two_writers(store, rotor, reading, post, monkeypatch)
+        two_writers(store, rotor, reading, post, monkeypatch, PATIENCE_S)
 
 
 def test_an_entry_that_comes_during_an_update_is_not_lost(

@@ -22,6 +22,7 @@ from service import sampling
 from service.cli import app
 from service.free_port import free_port
 from tests.exchanger import BOTH, NETWORK, TIME_H, drop, network, transfer
+from tests.patience import PATIENCE_S
 from tests.service.test_processes import ROOT
 
 HOURS = ",".join(f"{t:g}" for t in TIME_H)
@@ -40,7 +41,7 @@ def serving(limit: float, log: Path) -> Iterator[str]:
             env={**os.environ, "PYTHONPATH": path},
         )  # fmt: skip
         try:
-            end = time.monotonic() + 60.0
+            end = time.monotonic() + PATIENCE_S
             while True:
                 assert process.poll() is None
                 assert time.monotonic() < end
@@ -92,7 +93,7 @@ def test_a_served_model_is_run_at_maximin_points_and_a_sampling_that_was_cut_goe
 
 
 def test_a_served_model_that_does_not_fit_is_refused_by_name(tmp_path: Path) -> None:
-    with serving(99.0, tmp_path / "log") as url, httpx.Client(base_url=url) as http:
+    with serving(99.0, tmp_path / "log") as url, httpx.Client(base_url=url, timeout=60) as http:
         with pytest.raises(InputError, match="use one of \\['exchanger'\\]"):
             sampling.Served(http, "pump", {})
         served = sampling.Served(http, None, {})

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from sqlalchemy import create_engine, event, func, select, text
 from sqlalchemy.exc import DBAPIError
@@ -178,6 +178,7 @@ def test_thinning_keeps_new_versions_checkpoints_and_all_that_they_need(
         tx.states.get(rotor, 13)
 
 
+@settings(deadline=None)
 @given(
     rows=st.lists(st.tuples(st.sampled_from("ab"), st.integers(1, 9)), unique=True),
     kept=st.lists(st.integers(1, 9), unique=True),

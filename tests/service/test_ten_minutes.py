@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 SERVICE = (ROOT / "service" / "README.md").read_text()
 
-PATIENCE = 4  # times that one waits, where a worker compiles its kernels first
+PATIENCE = 12  # times that one waits, where a worker compiles its kernels first
 
 
 def blocks() -> list[str]:
@@ -56,7 +56,7 @@ def shell(tmp_path: Path) -> dict[str, str]:
 def run(line: str, shell: dict[str, str], folder: Path, port: int) -> str:
     told = line.replace("localhost:8000", f"127.0.0.1:{port}")
     done = subprocess.run(
-        ["sh", "-c", told], env=shell, cwd=folder, capture_output=True, text=True, timeout=300,
+        ["sh", "-c", told], env=shell, cwd=folder, capture_output=True, text=True, timeout=600,
         check=False,
     )  # fmt: skip
     assert done.returncode == 0, (told, done.stderr)
@@ -85,7 +85,7 @@ def test_the_first_ten_minutes_go_as_they_are_written(
             except httpx.TransportError:
                 pass
             assert server.poll() is None, (tmp_path / "log").read_text()[-2000:]
-            assert time.monotonic() - begun < 240, (tmp_path / "log").read_text()[-2000:]
+            assert time.monotonic() - begun < 600, (tmp_path / "log").read_text()[-2000:]
             time.sleep(0.2)
         create, post, wait, predict, limit = lines
         made, posted = (json.loads(run(one, shell, tmp_path, port)) for one in (create, post))
@@ -119,10 +119,14 @@ def test_the_first_ten_minutes_go_as_they_are_written(
         secret = re.search(r"btk_\S+", run(key, shell, tmp_path, port))
         assert secret is not None
         asked = {"Authorization": f"Bearer {secret[0]}"}
-        answer = httpx.get(f"{url}/v1/rotors/r1", headers=asked | {"X-Forwarded-For": "192.0.2.1"})
+        answer = httpx.get(
+            f"{url}/v1/rotors/r1", headers=asked | {"X-Forwarded-For": "192.0.2.1"}, timeout=60
+        )
         assert answer.status_code == 200, answer.text
-        bare = httpx.get(f"{url}/v1/rotors/r1", headers={"X-Forwarded-For": "192.0.2.1"})
+        bare = httpx.get(
+            f"{url}/v1/rotors/r1", headers={"X-Forwarded-For": "192.0.2.1"}, timeout=60
+        )
         assert bare.status_code == 401, "negative control: through a proxy it needs the key"
     finally:
         os.killpg(server.pid, signal.SIGTERM)
-        server.wait(60)
+        server.wait(600)

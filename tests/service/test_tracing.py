@@ -37,6 +37,7 @@ from service.store.unit_of_work import SqlStore
 from service.telemetry import JsonLines
 from service.worker.loop import Worker
 from service.worker.supervise import same_code
+from tests.patience import PATIENCE_S, until
 from tests.service.test_contract import READING
 
 Post = Callable[..., int]
@@ -57,7 +58,7 @@ def spans() -> Iterator[InMemorySpanExporter]:
 
 def named(spans: InMemorySpanExporter, name: str, count: int = 0) -> list[Any]:
     """Spans by the beginning of their name; one of a request ends right after its answer."""
-    end = time.monotonic() + 10
+    end = time.monotonic() + PATIENCE_S
     while True:
         found = [one for one in spans.get_finished_spans() if one.name.startswith(name)]
         if len(found) >= count or time.monotonic() > end:
@@ -243,9 +244,7 @@ def test_lines_of_the_log_name_the_trace(api: httpx.Client, spans: InMemorySpanE
     try:
         api.get("/v1/rotors", headers={"traceparent": PARENT})
         named(spans, "GET /v1/rotors", 1)
-        end = time.monotonic() + 10
-        while not lines and time.monotonic() < end:
-            time.sleep(0.01)
+        until("its line", lambda: lines)
     finally:
         logger.removeHandler(handler)
     assert [line["trace_id"] for line in lines] == [MINE]
@@ -327,19 +326,20 @@ def serve_once(folder: Path, **environ: str) -> str:
     )
     try:
         with Client(f"http://127.0.0.1:{port}") as client:
-            client.ready(60)
+            client.ready(PATIENCE_S)
             client.create_rotor("r1", blades=["B1"])
             told = httpx.post(
                 f"http://127.0.0.1:{port}/v1/rotors/r1/inspections",
                 json=readings("i1"),
                 headers={"traceparent": PARENT},
+                timeout=PATIENCE_S,
             )
             assert told.status_code == 202
             client.wait_for("r1", 1)
             client.wait_sealed("r1")
     finally:
         child.send_signal(signal.SIGTERM)
-        _, errors = child.communicate(timeout=60)
+        _, errors = child.communicate(timeout=PATIENCE_S)
     assert child.returncode == 0, errors
     return errors
 

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from service.store.unit_of_work import SqlStore
 from service.umbridge.app import umbridge_app
 from service.umbridge.models import served
 from service.umbridge.protocol import answer
+from tests.patience import PATIENCE_S, until
 from tests.service.smooth import elongation, formula_science
 from tests.service.test_processes import ROOT
 
@@ -200,12 +202,13 @@ def test_the_command_serves_what_the_service_says(
         of = f"rotor r1, blade B1, version {version}"
         assert lines[0] == f"UM-Bridge at http://127.0.0.1:{port}: {of}\n"
         assert lines[1:3] == ["  elongation\n", "  elongation.posterior\n"]
-        for _ in range(600):
-            try:
-                httpx.get(f"http://127.0.0.1:{port}/Info")
-                break
-            except httpx.TransportError:
-                time.sleep(0.05)
+
+        def answers() -> bool:
+            with suppress(httpx.TransportError):
+                return httpx.get(f"http://127.0.0.1:{port}/Info").is_success
+            return False
+
+        until("an answer", answers)
         model = umbridge.HTTPModel(f"http://127.0.0.1:{port}", "deformation.posterior")
         told = model([[16_000.0]], {"node": 17})
         path = "/v1/rotors/r1/blades/B1/prediction?quantity=deformation&node=17&times=16000"
@@ -214,7 +217,7 @@ def test_the_command_serves_what_the_service_says(
         assert told[4] == said["upper"][0]
     finally:
         process.send_signal(signal.SIGTERM)
-        process.wait(30)
+        process.wait(PATIENCE_S)
         process.stdout.close()
 
 

@@ -27,6 +27,7 @@ from service.store.unit_of_work import SqlStore
 from service.store.webhooks import prune
 from service.worker.deliver import Deliverer
 from service.worker.hook_lease import claim_webhook
+from tests.patience import PATIENCE_S, behind_a_lock, until
 from tests.service.receiver import Receiver, receiving, then
 
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
@@ -49,7 +50,9 @@ def settings(settings: Settings, tmp_path: Path) -> Settings:
     file = tmp_path / "webhook_key"
     file.write_text("7d" * 32 + "\n")
     given = {"webhook_key_file": str(file), "webhook_networks": "127.0.0.0/8, ::1"}
-    return settings.model_copy(update=given | {"webhook_timeout_s": 5.0, "webhook_max_attempts": 9})
+    return settings.model_copy(
+        update=given | {"webhook_timeout_s": PATIENCE_S, "webhook_max_attempts": 9}
+    )
 
 
 @pytest.fixture
@@ -241,8 +244,8 @@ def sent_meanwhile(store: SqlStore, settings: Settings, after: str, act: Callabl
     def note(_c: object, _cursor: object, statement: str, *_: object) -> None:
         if after in statement and threads:
             begun.append(threads.pop())
-            begun[0].start()
-            begun[0].join(0.5)  # it may have to wait for who drops
+            begun[0].start()  # it may have to wait for who drops
+            until("that", lambda: not begun[0].is_alive() or behind_a_lock(store.engine))
 
     event.listen(store.engine, "after_cursor_execute", note)
     try:
