@@ -21,7 +21,7 @@ from service.settings import Settings
 from service.worker.claiming import Role
 from service.worker.loop import end_with_parent, run_worker
 
-STEP_S = 0.7  # of a diagnosis
+STEP_S = 0.6  # of a diagnosis
 
 
 class Hanging(FakeScience):

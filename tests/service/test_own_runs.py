@@ -38,9 +38,10 @@ from service.worker.claiming import Role
 from service.worker.supervise import Supervisor
 from tests import exchanger
 from tests.core.test_trial import endless
+from tests.patience import until
 from tests.service.conftest import RunningServer, served
 from tests.service.test_api import refuse
-from tests.service.test_processes import ROOT, Make, Post, until
+from tests.service.test_processes import ROOT, Make, Post
 
 ROUGH = {"E1": 2.6, "E2": 4.1, "E3": 6.2, "E4": 7.7}
 RATE = 8.3e-5

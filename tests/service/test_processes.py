@@ -41,19 +41,11 @@ from service.worker import supervise
 from service.worker.claiming import Role, claim
 from service.worker.job_lease import claim_job
 from service.worker.supervise import Supervisor
+from tests.patience import AGES_S, PATIENCE_S, until
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 120.0
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
-
-
-def until(what: str, true: Callable[[], bool]) -> None:
-    """Wait for something that must come; the limit only ends a test that hangs."""
-    end = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < end, f"{what} did not come"
-        time.sleep(0.02)
 
 
 def alive(pid: int) -> bool:
@@ -87,6 +79,7 @@ def test_no_entry_is_lost_or_applied_twice_while_workers_are_killed(
     killed: set[int] = set()
     try:
         for i in range(90):
+            before = {name: view_rotor(store, name).rotor.version for name in rotors}
             post(
                 chosen.choice(rotors),
                 reading(
@@ -97,7 +90,6 @@ def test_no_entry_is_lost_or_applied_twice_while_workers_are_killed(
                 ),
             )
             if i % 15 == 14:
-                before = {name: view_rotor(store, name).rotor.version for name in rotors}
                 until(
                     "a commit",
                     lambda before=before: any(
@@ -155,9 +147,8 @@ def test_a_worker_that_ends_again_and_again_holds_up_no_other_one(
     store: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It waits before it is started again; another one that is killed meanwhile does not."""
-    monkeypatch.setattr(supervise, "SHORTEST_PAUSE_S", 60.0)
-    monkeypatch.setattr(supervise, "LONGEST_PAUSE_S", 120.0)
-    monkeypatch.setattr(supervise, "HEALTHY_S", 0.3)
+    for name in ("SHORTEST_PAUSE_S", "LONGEST_PAUSE_S", "HEALTHY_S"):
+        monkeypatch.setattr(supervise, name, AGES_S)
     words = {"seal": "pass", "apply": "import sys; sys.stdin.read()"}
     supervisor = Supervisor(
         store.engine, ["seal", "apply"], lambda owner, role: [sys.executable, "-c", words[role]], {}
@@ -165,7 +156,7 @@ def test_a_worker_that_ends_again_and_again_holds_up_no_other_one(
     supervisor.start()
     try:
         until("the one that ends", lambda: len(supervisor.pids()) == 1 and 0 in supervisor._due)
-        time.sleep(0.5)
+        supervisor._children[1].started -= AGES_S  # it has lived
         (before,) = supervisor.pids()
         os.kill(before, signal.SIGKILL)
         until("another worker", lambda: supervisor.pids() not in ([], [before]))
@@ -428,7 +419,7 @@ def test_a_worker_that_begins_while_the_database_is_away_waits_for_it() -> None:
         running = threading.Thread(target=worker.run)
         running.start()
         try:
-            time.sleep(2.5)  # it has looked in vain by then, more than once
+            time.sleep(1.5)  # it has looked in vain by then, more than once
             assert running.is_alive()
             server.start()
             until("its work", lambda: view_rotor(store, "r1").rotor.version > 0)
@@ -446,7 +437,9 @@ def test_a_server_that_is_told_to_stop_lets_those_who_wait_go(tmp_path: Path) ->
         netloc = client._http.base_url.netloc.decode()
         with closing(HTTPConnection(netloc, timeout=PATIENCE_S)) as waiting:
             waiting.request("GET", "/v1/rotors/r1?wait_for=9&timeout=55")
-            time.sleep(1.5)  # sent, so it waits in the server by then
+            for _ in range(5):  # sent before these, so it waits in the server after them
+                client.rotor("r1")
+            time.sleep(0.3)
             process.send_signal(signal.SIGINT)
             answer = waiting.getresponse()
             assert answer.status == 200
@@ -468,7 +461,7 @@ def test_the_address_is_told_when_requests_are_answered(tmp_path: Path) -> None:
         assert process.stdout is not None
         told = json.loads(process.stdout.readline())
         assert told == {"url": f"http://127.0.0.1:{port}", "workers": 0}
-        assert httpx.get(f"{told['url']}/healthz").status_code == 200
+        assert httpx.get(f"{told['url']}/healthz", timeout=PATIENCE_S).status_code == 200
     finally:
         process.terminate()
         process.communicate(timeout=PATIENCE_S)
