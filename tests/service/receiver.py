@@ -45,19 +45,15 @@ def then(*statuses: int) -> Answer:
     return lambda got: left.pop(0) if left else 204
 
 
-def after(seconds: float) -> Answer:
-    """204, late."""
-
-    def answer(got: Got) -> int:
-        time.sleep(seconds)
-        return 204
-
-    return answer
+def too_late(got: Got) -> int:
+    """204, once the sender has left."""
+    got.handler.rfile.read(1)
+    return 204
 
 
 def drop_by_drop(got: Got) -> int:
     """An answer whose every byte comes in time and whose whole does not."""
-    for byte in b"HTTP/1.1 204 No Content\r\nX: " + b"x" * 200:
+    for byte in b"HTTP/1.1 204 No Content\r\nX: " + b"x" * 20_000:
         got.handler.wfile.write(bytes([byte]))
         got.handler.wfile.flush()
         time.sleep(0.05)
