@@ -29,11 +29,13 @@ from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.store.unit_of_work import SqlStore, SqlTransaction
-from service.worker import job_lease
+from service.worker import job_lease, jobs
+from service.worker.heartbeat import heartbeats
 from service.worker.job_lease import beat_job, claim_job
 from service.worker.jobs import Jobs
 from service.worker.lease import release
 from service.worker.loop import Worker
+from tests.patience import until
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
@@ -296,18 +298,30 @@ def test_a_heartbeat_prolongs_the_lease_of_its_own_claim_alone(
 
 
 def test_a_long_step_keeps_its_lease_by_the_heartbeat(
-    store: SqlStore, settings: Settings, straight: str, science: FakeScience
+    store: SqlStore,
+    settings: Settings,
+    straight: str,
+    science: FakeScience,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The lease is over, and a beat prolongs it."""
+    often = lambda beat, lease_s, *more: heartbeats(beat, 0.03, *more)  # noqa: E731
+    monkeypatch.setattr(jobs, "heartbeats", often)
     request_diagnosis(store, science, "r1", (), compare=True, horizon_h=None)
-    short = settings.model_copy(update={"lease_s": 1.5})
     claims: list[object] = []
+
+    def lease_runs() -> bool:
+        with store.read() as tx:
+            return bool(tx.connection.execute(select(t.job.c.lease_until > 1.0)).scalar_one())
 
     def at(done: int) -> None:
         if done == 0:
-            threading.Event().wait(3.0)
+            with transaction(store.engine, write=True) as connection:
+                connection.execute(update(t.job).values(lease_until=1.0))
+            until("a beat", lease_runs)
             claims.append(claim_job(store.engine, "second", 30.0, "diagnose"))
 
-    make_worker(store, stepped(at), short, "first", "diagnose").drain()
+    make_worker(store, stepped(at), settings, "first", "diagnose").drain()
     assert claims == [None]
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import signal
-import time
 from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
-from sqlalchemy import select
+from sqlalchemy import select, update
 
 from core.errors import CalibrationError
 from core.observation import Inspection
@@ -24,10 +23,14 @@ from service.ports import BladeRecord, ModelCard, RotorSpec
 from service.settings import Settings
 from service.store import creation, log, named, outbox, versions, webhooks, whole
 from service.store import tables as t
+from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import claiming, lease, new_version, task
+from service.worker import update as updates
 from service.worker.claiming import Role
+from service.worker.heartbeat import heartbeats
 from service.worker.loop import Worker
+from tests.patience import until
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
@@ -485,18 +488,31 @@ def test_an_entry_that_is_no_reading_is_named_as_well(
 
 
 def test_nobody_takes_a_rotor_while_its_culprit_is_looked_for(
-    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+    store: SqlStore,
+    settings: Settings,
+    rotor: str,
+    reading: Make,
+    post: Post,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """However long it takes: each time the lease is over, and a beat prolongs it."""
+    often = lambda beat, lease_s, *more: heartbeats(beat, 0.03, *more)  # noqa: E731
+    monkeypatch.setattr(updates, "heartbeats", often)
     taken: list[object] = []
+
+    def lease_runs() -> bool:
+        with store.read() as tx:
+            return bool(tx.connection.execute(select(t.cursor.c.lease_until > 1.0)).scalar_one())
 
     class Slow(Choosy):
         def update(self, *given: Any, **more: Any) -> FakeState:
-            if taken:
-                time.sleep(0.9)
-            taken.append(claiming.claim(store.engine, "other", 0.6))
+            with transaction(store.engine, write=True) as connection:
+                connection.execute(update(t.cursor).values(lease_until=1.0))
+            until("a beat", lease_runs)
+            taken.append(claiming.claim(store.engine, "other", 30.0))
             return super().update(*given, **more)
 
-    once = settings.model_copy(update={"max_attempts": 1, "lease_s": 0.6})
+    once = settings.model_copy(update={"max_attempts": 1})
     post(rotor, *[reading(f"i{i}") for i in range(3)], reading("culprit", campaign="bad"))
     make_worker(store, Slow(), once).drain()
     assert view_rotor(store, rotor).rotor.last_error_event == "culprit"
