@@ -4,12 +4,14 @@ migration beside ingest."""
 from __future__ import annotations
 
 import random
+import re
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -17,7 +19,7 @@ import pytest
 from alembic import command
 from alembic.config import Config
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, text
+from sqlalchemy import Connection, Engine, event, text
 from typer.testing import CliRunner
 
 from service.bootstrap import prepare
@@ -29,6 +31,7 @@ from service.store import postgres, standstill
 from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
+from tests.patience import AGES_S, PATIENCE_S, until
 
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
 NEXT = '''
@@ -181,13 +184,6 @@ def waiting_for_locks(engine: Engine) -> int:
         return int(connection.execute(text(query)).scalar_one())
 
 
-def until(condition: Callable[[], bool], patience_s: float = 60.0) -> None:
-    end = time.monotonic() + patience_s
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
-
-
 @pytest.fixture
 def bare(url: str) -> Iterator[Engine]:
     engine = open_engine(url)
@@ -226,11 +222,11 @@ def test_a_post_that_has_its_rotor_and_a_migration_do_not_wait_for_each_other(
 
         def between() -> None:
             began.append(migrating(busy))
-            until(lambda: waiting_for_locks(busy) > 0)
+            until("its turn to wait", lambda: waiting_for_locks(busy) > 0)
 
         posted(connection, "i1", between)
     thread, told = began[0]
-    thread.join(60)
+    thread.join(PATIENCE_S)
     assert told == [migrations.newest()]
     with transaction(busy, write=False) as connection:
         assert connection.execute(text("SELECT count(*) FROM event")).scalar() == 1
@@ -248,13 +244,13 @@ def test_table_by_table_one_of_the_two_is_ended(
 
             def between() -> None:
                 began.append(migrating(busy))
-                until(lambda: waiting_for_locks(busy) > 0)
+                until("its turn to wait", lambda: waiting_for_locks(busy) > 0)
 
             posted(connection, "i1", between)
     except StoreAwayError as error:
         told.append(error.cause)
     thread, of_migration = began[0]
-    thread.join(60)
+    thread.join(PATIENCE_S)
     told += [one.cause for one in of_migration if isinstance(one, StoreAwayError)]
     assert told == ["DeadlockDetected"]
 
@@ -296,15 +292,15 @@ def test_ingest_goes_on_while_a_database_is_migrated(
     threads = [threading.Thread(target=keep, args=(work, name)) for name, work in works]
     for thread in threads:
         thread.start()
-    until(lambda: len(done) > 20)
+    until("some", lambda: len(done) > 20)
     try:
-        assert migrations.migrate(engine) == migrations.newest()
+        assert migrations.migrate(engine, AGES_S) == migrations.newest()
         so_far = len(done)
-        until(lambda: len(done) > so_far + 20)
+        until("more", lambda: len(done) > so_far + 20)
     finally:
         stop.set()
         for thread in threads:
-            thread.join(60)
+            thread.join(PATIENCE_S)
     assert faults == []
     with transaction(engine, write=False) as connection:
         kept = {row[0] for row in connection.execute(text("SELECT event_id FROM event"))}
@@ -312,7 +308,7 @@ def test_ingest_goes_on_while_a_database_is_migrated(
 
 
 def test_who_holds_a_table_for_too_long_is_named_and_nothing_is_changed(
-    busy: Engine, url: str
+    busy: Engine, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A backup, say; meanwhile posts go through, and the next attempt after it does as well.
 
@@ -322,8 +318,21 @@ def test_who_holds_a_table_for_too_long_is_named_and_nothing_is_changed(
         connection.execute(text("SET LOCAL application_name = 'nightly backup'"))
         connection.execute(text("LOCK TABLE blade IN ACCESS SHARE MODE"))
         pid = connection.execute(text("SELECT pg_backend_pid()")).scalar()
-        thread, told = migrating(busy, patience_s=3.0)
         names: list[str] = []
+        attempts: list[int] = []
+        real = migrations.lock_all
+
+        def lock_all(connection: Connection, order: Sequence[str], attempt: int) -> None:
+            attempts.append(attempt)
+            real(connection, order, attempt)
+
+        def clock() -> float:
+            over = len(attempts) >= 4 and len(names) >= 4
+            return time.monotonic() + (AGES_S if over else 0.0)
+
+        monkeypatch.setattr(migrations, "lock_all", lock_all)
+        monkeypatch.setattr(migrations, "time", SimpleNamespace(monotonic=clock, sleep=time.sleep))
+        thread, told = migrating(busy, patience_s=PATIENCE_S)
         while thread.is_alive():
             names.append(f"i{len(names)}")
             with transaction(busy, write=True) as other:
@@ -346,18 +355,29 @@ def test_who_holds_a_table_for_too_long_is_named_and_nothing_is_changed(
 def test_an_attempt_that_holds_a_table_ends_before_deadlocks_are_looked_for(busy: Engine) -> None:
     """And the table that it could not have is waited for, by who holds nothing, next time."""
     order = standstill.first_order()
+    limits: list[int] = []
+
+    def note(_c: object, _cursor: object, statement: str, *_: object) -> None:
+        if found := re.fullmatch(r"SET LOCAL lock_timeout = (\d+)", statement):
+            limits.append(int(found[1]))
+
+    event.listen(busy, "before_cursor_execute", note)
     with transaction(busy, write=False) as connection:
         assert connection.execute(text("SHOW deadlock_timeout")).scalar() == "1s"
     with transaction(busy, write=True) as other:
         other.execute(text("LOCK TABLE state IN ACCESS SHARE MODE"))
-        times = []
+        times, asked_for = [], []
         for attempt, asked in [(1, order), (1, ["state"]), (5, ["state"])]:
+            limits.clear()
             begun = time.monotonic()
             with pytest.raises(standstill.InUseError) as told, transaction(busy, write=True) as own:
                 standstill.lock_all(own, asked, attempt)
             assert told.value.table == "state"
             times.append(time.monotonic() - begun)
-    assert times[0] < 0.9
+            asked_for.append([*limits])
+    assert max(asked_for[0][1:]) <= 50, "of one that holds a table; it is half a second in all"
+    assert len(asked_for[0]) > 5
+    assert asked_for[1:] == [[500], [2000]]
     assert times[1] >= 0.5
     assert times[2] >= 2.0, "for an autovacuum to be ended"
 
@@ -371,20 +391,21 @@ def test_a_post_that_waits_too_long_for_a_migration_is_told_to_come_again(
         pytest.skip("SQLite has one writer, who is waited for 30 s")
     monkeypatch.setattr(postgres, "LOCKED_S", 1.0)
     store.engine.dispose()
-    upgrade = command.upgrade
+    upgrade, answered = command.upgrade, threading.Event()
 
     def slowly(config: Config, revision: str) -> None:
         upgrade(config, revision)
-        config.attributes["connection"].execute(text("SELECT pg_sleep(2.5)"))
+        assert answered.wait(PATIENCE_S)
 
     monkeypatch.setattr(command, "upgrade", slowly)
     with serving() as client, later(MAY):
         engine = open_engine(settings.database_url)
         thread, told = migrating(engine)
-        until(lambda: locked(engine))
+        until("the migration", lambda: locked(engine))
         answer = client.post(f"/v1/rotors/{rotor}/inspections", json=one("i1"))
+        answered.set()
         assert (answer.status_code, answer.headers["retry-after"]) == (503, "1")
-        thread.join(60)
+        thread.join(PATIENCE_S)
         assert told == ["9999"]
         answer = client.post(f"/v1/rotors/{rotor}/inspections", json=one("i1"))
         assert answer.status_code == 202
