@@ -24,9 +24,9 @@ from sqlalchemy.exc import DBAPIError
 
 from service.store.engine import open_engine
 from service.store.migrate import migrate
+from tests.patience import PATIENCE_S
 
 NUMBER = count(1)
-PATIENCE_S = 20.0
 # What a migration leaves: columns, indexes, constraints, triggers, functions, sequences, settings
 # and the rows of its own table.
 SHAPE = """
@@ -105,12 +105,13 @@ def system_server(folder: Path) -> Iterator[str]:
             yield url
         finally:
             server.send_signal(2)
-            server.wait(30)
+            server.wait(PATIENCE_S)
 
 
 def _await_server(url: str, server: subprocess.Popen[bytes], log: Path) -> None:
     engine = create_engine(url)
-    for _ in range(600):
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
         try:
             with engine.connect() as connection:
                 connection.execute(text("SELECT 1"))

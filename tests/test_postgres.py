@@ -16,6 +16,7 @@ from service.ports import BladeRecord
 from service.store.engine import open_engine
 from service.store.schema import metadata
 from service.store.unit_of_work import SqlStore
+from tests.patience import PATIENCE_S
 from tests.postgres import Databases
 
 
@@ -76,10 +77,10 @@ def test_whoever_connects_again_and_again_holds_nothing_up(databases: Databases)
     for other in others:
         other.start()
     databases.give(name)
-    assert turned_away.wait(30)
+    assert turned_away.wait(PATIENCE_S)
     stop.set()
     for other in others:
-        other.join(30)
+        other.join(PATIENCE_S)
     following = databases.take()
     assert following != name
     databases.give(following)

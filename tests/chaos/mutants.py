@@ -36,7 +36,7 @@ def acknowledged_early(put: Put) -> None:
     def early(store: Any, rotor_id: str, items: Sequence[Any]) -> list[Appended]:
         with store.read() as tx:
             head = tx.records.rotor(rotor_id).head_seq
-        threading.Timer(1.0, real, (store, rotor_id, items)).start()
+        threading.Timer(3.0, real, (store, rotor_id, items)).start()
         return [Appended(item.reading.id, head + i, True) for i, item in enumerate(items, start=1)]
 
     put(inspections, "post_inspections", early)

@@ -14,7 +14,7 @@ from service.studies.chaos.processes import forked
 from tests.chaos import mutants
 
 SEED = 20310504
-PLAN = chaos.Plan(traffic.make(3, 240, 4, SEED), kills=8, clients=4, seed=SEED, settle_s=60.0)
+PLAN = chaos.Plan(traffic.make(3, 240, 4, SEED), kills=8, clients=4, seed=SEED)
 
 
 def shown(done: int) -> None:

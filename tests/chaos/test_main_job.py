@@ -6,7 +6,6 @@ import importlib
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from core.builtin import inspection_plan
 from service.client import Client
 from service.demo.stream import Step, steps
 from service.settings import Settings
+from tests.patience import until
 from tests.service.test_processes import serving
 
 demo = importlib.import_module("service.demo.run")
@@ -46,7 +46,7 @@ def main_job(client: Client) -> tuple[dict[str, Any], dict[str, Any]]:
     """Stream the plan; rotor and posterior."""
     plan = inspection_plan.load()
     read = tuple(one for one in plan.inspections if int(one["blade"][1:4]) <= READ)
-    client.ready(180)
+    client.ready(600)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo, "steps", lambda plan, seed: one_outage(steps(plan, seed)))
         patch.setattr(inspection_plan, "blades", lambda: BLADES)
@@ -65,11 +65,10 @@ def deadly(client: Client, pid: int, kills: int) -> list[list[int]]:
     def posting(rotor: str, inspections: Any) -> int:
         seq = post(rotor, inspections)
         if len(killed) < kills and seq > 2 * (len(killed) + 1):
-            end, dying = time.monotonic() + 60, {one for victims in killed for one in victims}
-            while not (victims := [one for one in workers_of(pid) if one not in dying]):
-                assert time.monotonic() < end, "no worker came back"
-                time.sleep(0.05)
-            for victim in victims:
+            dying = {one for victims in killed for one in victims}
+            there = lambda: [one for one in workers_of(pid) if one not in dying]  # noqa: E731
+            until("a worker that comes back", there)
+            for victim in (victims := there()):
                 os.kill(victim, signal.SIGKILL)
             killed.append(victims)
         return seq

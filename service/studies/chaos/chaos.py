@@ -25,7 +25,7 @@ from service.store.engine import open_engine
 from service.store.unit_of_work import SqlStore
 from service.studies.chaos.check import Again, Findings, by_physics, by_twin, check
 from service.studies.chaos.clients import Crowd, Ledger, create
-from service.studies.chaos.processes import Processes, Start, as_shipped, forked
+from service.studies.chaos.processes import READY_S, Processes, Start, as_shipped, forked
 from service.studies.chaos.traffic import Traffic
 from service.studies.chaos.twin import main
 
@@ -180,7 +180,7 @@ def settle(
     """
     end = time.monotonic() + patience_s
     with Client(url) as client:
-        client.ready()
+        client.ready(READY_S)
         names = sorted(rotors or {rotor for rotor, _ in ledger.acknowledged})
         while names and time.monotonic() < end:
             told = client.rotor(names[0])

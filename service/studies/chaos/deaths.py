@@ -25,7 +25,7 @@ from service.studies.chaos.bench import LEASE_S, Bench
 from service.studies.chaos.processes import Child, Kind, forked
 from service.studies.chaos.traps import Point
 
-DIES_WITHIN_S = 60.0
+DIES_WITHIN_S = 120.0
 GRACE_S = 2.0  # asked of a takeover, beyond the lease
 LONG_S = 10.0  # so that no other worker comes between the claim and the commit
 NOWHERE = Point("executed", "nothing says this")

@@ -24,7 +24,7 @@ SAFE = ("fsync=off", "synchronous_commit=on", "full_page_writes=off")
 QUICK = ("fsync=off", "synchronous_commit=off", "full_page_writes=off")
 INITDB = ("-U", "postgres", "-A", "trust", "-E", "UTF8", "--no-sync")
 ALWAYS = ("max_connections=300", "listen_addresses=")
-READY_S = 30.0
+READY_S = 120.0
 
 
 class NoServerError(BladetwinError):
@@ -115,7 +115,7 @@ class Server:
         """SIGINT: fast; SIGQUIT: at once, without a checkpoint, as after a crash."""
         if self._process is not None and self.runs:
             self._process.send_signal(signum)
-            self._process.wait(60)
+            self._process.wait(READY_S)
 
     def run(self, *statements: str) -> None:
         """Run statements outside a transaction."""
