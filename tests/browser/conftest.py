@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +26,7 @@ from sqlalchemy import text
 from core.model import rotor_blade
 from service.free_port import free_port
 from service.store.engine import open_engine, transaction
+from tests.patience import PATIENCE_S
 from tests.service.told import told
 
 ARGS = (
@@ -33,7 +34,8 @@ ARGS = (
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-expect.set_options(timeout=30_000)  # others may keep the machine busy
+PATIENCE_MS = 1e3 * PATIENCE_S  # others may keep the machine busy
+expect.set_options(timeout=PATIENCE_MS)
 HOSTILE = '<img src=x onerror="alert(1)">'
 
 
@@ -100,7 +102,7 @@ def fill(client: httpx.Client) -> None:
 
 
 def sealed(client: httpx.Client, seq: int, rotor: str = "r1") -> None:
-    end = time.monotonic() + 240
+    end = time.monotonic() + 2 * PATIENCE_S
     while time.monotonic() < end:
         now = client.get(f"/v1/rotors/{rotor}", params={"wait_for": seq, "timeout": 20}).json()
         if now["applied_seq"] >= seq and now["posterior"] and now["posterior"]["sealed"]:
@@ -126,7 +128,7 @@ def serving(folder: Path, workers: int = 1) -> Iterator[Running]:
     url = f"http://127.0.0.1:{port}"
     try:
         with httpx.Client(base_url=url, timeout=60, verify=False) as client:
-            end = time.monotonic() + 60
+            end = time.monotonic() + PATIENCE_S
             while True:
                 try:
                     if client.get("/readyz").status_code == 200:
@@ -139,7 +141,7 @@ def serving(folder: Path, workers: int = 1) -> Iterator[Running]:
             yield Running(url, database, client)
     finally:
         server.terminate()
-        server.wait(30)
+        server.wait(PATIENCE_S)
 
 
 @pytest.fixture(scope="module")
@@ -174,9 +176,19 @@ def browser() -> Iterator[Browser]:
     if path is None:
         pytest.skip("no chromium on this system: apt-get install chromium, or BLADETWIN_CHROMIUM")
     with sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=path, args=list(ARGS))
+        opened = playwright.chromium.launch(
+            executable_path=path, args=list(ARGS), timeout=PATIENCE_MS
+        )
         yield opened
         opened.close()
+
+
+def comes(page: Page, true: Callable[[], object]) -> bool:
+    """Whether something comes, for which the page, and what listens to it, has its time."""
+    end = time.monotonic() + PATIENCE_S
+    while not (there := true()) and time.monotonic() < end:
+        page.wait_for_timeout(20)
+    return bool(there)
 
 
 @dataclass
@@ -207,6 +219,7 @@ def watched(browser: Browser, service: Running) -> Iterator[Watched]:
 def watching(browser: Browser, service: Running) -> Iterator[Watched]:
     """A page of its own on a service, until the test ends."""
     context = browser.new_context(viewport={"width": 1280, "height": 800})
+    context.set_default_timeout(PATIENCE_MS)
     page = context.new_page()
     seen = Watched(page, service)
     page.on("pageerror", lambda error: seen.errors.append(str(error)))

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.browser.conftest import HOSTILE, Running, Watched, ended, reading, scan, sealed
+from tests.browser.conftest import HOSTILE, Running, Watched, comes, ended, reading, scan, sealed
 from tests.service.told import told
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text()
@@ -166,9 +166,7 @@ def test_what_is_wrong_with_a_page_is_seen(watched: Watched) -> None:
           console.error("said");
         }"""
     )
-    page.wait_for_timeout(100)
-    assert watched.errors
-    assert "said" in watched.errors[-1] or "said" in watched.errors[0]
+    assert comes(page, lambda: any("said" in one for one in watched.errors))
     assert any("image-alt" in one for one in serious(page))
 
 
@@ -322,15 +320,16 @@ def test_each_residual_is_a_point_and_each_test_a_row(watched: Watched) -> None:
 def test_the_blade_in_space_has_colours_and_turns_by_key(watched: Watched) -> None:
     page = watched.open("/rotors/r1/blades/B2/3d")
     canvas = page.locator(".space canvas")
+    assert comes(page, lambda: canvas.evaluate(COLOURS)[0] > 0.03), "the blade fills some of it"
     page.wait_for_timeout(300)
     share, colours = canvas.evaluate(COLOURS)
-    assert share > 0.03, "the blade fills some of the view"
+    assert share > 0.03
     assert colours > 20, "and has many colours, not black or one"
     before = canvas.evaluate("c => c.toDataURL()")
     canvas.focus()
     page.keyboard.press("ArrowLeft")
+    assert comes(page, lambda: canvas.evaluate("c => c.toDataURL()") != before)
     page.wait_for_timeout(300)
-    assert canvas.evaluate("c => c.toDataURL()") != before
     canvas.evaluate("c => c.getContext('webgl2').clear(16384)")
     assert canvas.evaluate(COLOURS)[0] < 0.001, "negative control: an empty view has none"
     expect(page.get_by_text("scan", exact=True)).to_be_visible()
@@ -340,7 +339,7 @@ def test_the_field_is_played_over_the_hours_in_the_same_colours(watched: Watched
     page = watched.open("/rotors/r1/blades/B2/3d")
     canvas = page.locator(".space canvas")
     page.get_by_role("button", name="Play over the hours").click()
-    expect(page.get_by_text("instant 3 of 11, version")).to_be_visible(timeout=60_000)
+    expect(page.get_by_text("instant 3 of 11, version")).to_be_visible()
     bar = page.locator("svg.bar").first
     legend, picture = bar.get_attribute("aria-label"), canvas.evaluate("c => c.toDataURL()")
     expect(page.get_by_text("instant 9 of 11, version")).to_be_visible()
@@ -360,7 +359,7 @@ def test_news_do_not_end_the_film(watched: Watched, service: Running) -> None:
     expect(page.locator("#live")).to_have_text("live")
     page.get_by_role("button", name="Play over the hours").click()
     before = service.client.get("/v1/rotors/r1").json()["version"]
-    expect(page.get_by_text(f"of 11, version {before}")).to_be_visible(timeout=60_000)
+    expect(page.get_by_text(f"of 11, version {before}")).to_be_visible()
     with page.expect_response(lambda answer: answer.url.endswith("/v1/rotors/r1")):
         sent = reading(f"late-{time.time_ns()}", "B2", 21000, 0.26)
         head = service.client.post("/v1/rotors/r1/inspections", json=sent).json()["head_seq"]
@@ -400,8 +399,7 @@ def test_a_scan_s_misfit_is_shown_at_its_nodes_and_its_hour(
     assert serious(page) == []
     page.get_by_role("button", name="Hide").click()
     expect(page.get_by_text("root mean square")).to_have_count(0)
-    page.wait_for_timeout(300)
-    assert canvas.evaluate("c => c.toDataURL()") != shown
+    assert comes(page, lambda: canvas.evaluate("c => c.toDataURL()") != shown)
     assert watched.errors == []
 
 
