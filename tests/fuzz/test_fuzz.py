@@ -37,11 +37,12 @@ from service.store.unit_of_work import SqlStore
 from service.studies.result import commit
 from service.worker.loop import Worker
 from tests.exchanger import network, points, write_table
+from tests.patience import PATIENCE_S
 from tests.service.test_contract import READING, answered
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "1"))
 SEED = 20310504
-HANGS_S = 20.0  # of a file of 12 kB
+HANGS_S = PATIENCE_S  # of a file of 12 kB
 BUSY_S = 3.0  # the same of a processor's time, which other processes take nothing of
 Serving = Callable[..., AbstractContextManager[httpx.Client]]
 FRAGMENTS = (

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ from tests.service.smooth import elongation, formula_science
 from tests.service.test_processes import ROOT
 
 PSI = [1.1, 0.87, 0.4, -0.5]
+GET, POST = (partial(ask, timeout=PATIENCE_S) for ask in (httpx.get, httpx.post))
 
 
 @pytest.fixture
@@ -100,7 +102,7 @@ def test_the_model_at_given_parameters_is_that_of_core(url: str) -> None:
     assert sd == [0.0, 0.0]
     other = model([[1.1, 0.88, 0.4, -0.5]], config)[0]
     assert other != truth, "negative control"
-    told = httpx.post(f"{url}/ModelFacts", json={"name": "elongation"}).json()
+    told = POST(f"{url}/ModelFacts", json={"name": "elongation"}).json()
     names = ["tbc_thickness", "t1t_rate", "creep_transient", "creep_steady"]
     assert [one["name"] for one in told["parameters"]] == names
     assert told["parameters"][1] == {"name": "t1t_rate", "unit": "1", "low": 0.8, "high": 1.0}
@@ -126,7 +128,7 @@ def test_the_posterior_model_is_the_prediction_of_core(
     assert told[3:] == [truth.lower.tolist(), truth.upper.tolist()]
     noise = np.array(told[2]) ** 2 - np.array(told[1]) ** 2
     assert noise == pytest.approx(truth.sd["noise"] ** 2)
-    info = httpx.post(f"{url}/ModelFacts", json={"name": "elongation.posterior"}).json()
+    info = POST(f"{url}/ModelFacts", json={"name": "elongation.posterior"}).json()
     assert info["rests_on"]["state_digest"] == here.state.digest
     assert info["health"]["status"] == "ok"
 
@@ -152,12 +154,12 @@ REFUSED: list[tuple[str, Any, str, str]] = [
 
 def test_what_cannot_be_answered_is_refused_in_the_protocol_s_words(url: str) -> None:
     for path, body, kind, word in REFUSED:
-        told = httpx.post(f"{url}{path}", json=body)
+        told = POST(f"{url}{path}", json=body)
         error = told.json()["error"]
         assert (error["type"], told.status_code < 500) == (kind, True), (path, body, error)
         assert word in error["message"], (path, body, error)
-    assert httpx.post(f"{url}/ModelInfo", content=b"{").json()["error"]["type"] == "InvalidInput"
-    assert httpx.get(f"{url}/Evaluate").status_code == 405
+    assert POST(f"{url}/ModelInfo", content=b"{").json()["error"]["type"] == "InvalidInput"
+    assert GET(f"{url}/Evaluate").status_code == 405
     model = umbridge.HTTPModel(url, "elongation")
     with pytest.raises(Exception, match=r"InvalidInput: .*training runs"):
         model([[1.1, 0.5, 0.4, -0.5]])
@@ -166,8 +168,8 @@ def test_what_cannot_be_answered_is_refused_in_the_protocol_s_words(url: str) ->
 def test_others_than_programs_of_this_machine_are_not_answered(url: str) -> None:
     for headers in ({"host": "evil.example"}, {"origin": "http://evil.example"},
                     {"x-forwarded-for": "192.0.2.1"}):  # fmt: skip
-        assert httpx.get(f"{url}/Info", headers=headers).status_code == 403
-    large = httpx.post(f"{url}/Evaluate", content=b" " * (2**22 + 1))
+        assert GET(f"{url}/Info", headers=headers).status_code == 403
+    large = POST(f"{url}/Evaluate", content=b" " * (2**22 + 1))
     assert large.status_code == 413
 
 
@@ -205,7 +207,7 @@ def test_the_command_serves_what_the_service_says(
 
         def answers() -> bool:
             with suppress(httpx.TransportError):
-                return httpx.get(f"http://127.0.0.1:{port}/Info").is_success
+                return GET(f"http://127.0.0.1:{port}/Info").is_success
             return False
 
         until("an answer", answers)
