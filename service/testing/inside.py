@@ -14,7 +14,7 @@ from starlette.types import ASGIApp, Message, Scope
 log = logging.getLogger("bladetwin.testing")
 T = TypeVar("T")
 AHEAD = 16  # pieces that are made before they are fetched
-CLOSE_S, MOMENT_S = 2.0, 0.1
+CLOSE_S, MOMENT_S = 10.0, 0.1
 ENDED = "the service in memory has ended"
 CALLER = ("127.0.0.1", 50_000)
 

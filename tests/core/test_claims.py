@@ -52,7 +52,7 @@ def slow(path, text):  # both have looked before one of them writes
     return bool(path.write_text(text)) if kind.name == "not-exclusive" else real(path, text)
 claims.exclusive = slow
 archive = Archive.open(folder)
-shared = SharedRuns(archive, range(12), every_s=0.2)
+shared = SharedRuns(archive, range(12))
 begun = 0
 with shared.claims.beating():
     while shared.waiting():

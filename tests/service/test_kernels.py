@@ -129,7 +129,7 @@ def sealed_by_a_worker(url: str, cache: Path) -> str:
         raise AssertionError("nothing was sealed")
     finally:
         child.terminate()
-        child.wait(60)
+        child.wait(600)
         store.close()
 
 

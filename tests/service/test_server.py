@@ -17,6 +17,7 @@ from service.bootstrap import make_app
 from service.fake import FakeScience
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
+from tests.patience import PATIENCE_S
 from tests.service.conftest import RunningServer
 
 GET = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
@@ -32,7 +33,7 @@ ENDLESS = {
 
 @contextmanager
 def connected(running: RunningServer) -> Iterator[socket.socket]:
-    with socket.create_connection(("127.0.0.1", running.port), timeout=20) as one:
+    with socket.create_connection(("127.0.0.1", running.port), timeout=PATIENCE_S) as one:
         yield one
 
 

