@@ -128,7 +128,7 @@ def serving(folder: Path, workers: int = 1) -> Iterator[Running]:
     url = f"http://127.0.0.1:{port}"
     try:
         with httpx.Client(base_url=url, timeout=60, verify=False) as client:
-            end = time.monotonic() + PATIENCE_S
+            end = time.monotonic() + 3 * PATIENCE_S
             while True:
                 try:
                     if client.get("/readyz").status_code == 200:
