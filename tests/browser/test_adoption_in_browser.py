@@ -343,3 +343,50 @@ def test_what_a_rotor_does_by_itself_is_decided_on_its_page(
     expect(adopts).to_have_value("never")
     assert not serious(page)
     assert (seen.errors, seen.outside) == ([], [])
+
+
+def test_amplitudes_are_shown_with_the_unit_and_the_bounds_that_were_adopted(
+    seen: Watched,
+) -> None:
+    """Of what is added to an input or a reading the unit is theirs, of a share it is none."""
+
+    def normal(low: float, high: float, mean: float, sd: float) -> Json:
+        return {"kind": "normal", "low": low, "high": high, "mean": mean, "sd": sd}
+
+    names = {"fouling": (0.0, 40.0), "wear": (0.0, 0.8), "off": (-0.2, 0.2)}
+    effects = {
+        "parameters": [
+            *({"name": n, "level": "shared", "unit": "1", "prior": normal(*ends, 0.0, 0.1)}
+              for n, ends in names.items()),
+            {"name": "leak", "level": "shared", "unit": "kg/s", "prior": normal(0, 3, 0, 1)},
+        ],
+        "drifts": [{"name": "fouling", "input": "gas", "how": "plus"},
+                   {"name": "wear", "input": "gas", "how": "times"}],
+        "biases": [{"name": "off", "quantity": "drop", "how": "plus"}],
+    }  # fmt: skip
+    asleep = {"name": "leak", "level": "dormant", "unit": "kg/s", "prior": normal(-3, 3, 0, 1)}
+    gas = {"name": "gas", "level": "shared", "unit": "K", "prior": normal(900, 1100, 1000, 50)}
+    network = {"parameters": [gas, asleep], "quantities": [{"name": "drop", "unit": "kPa"}]}
+    page = seen.open("/rotors/r1/blades/B1")
+    table = page.evaluate(
+        """async ([network, effects]) => {
+            const { withEffects } = await import("/assets/effects.js");
+            const { marginals } = await import("/assets/corner.js");
+            const names = ["gas", "fouling", "wear", "off", "leak"];
+            const values = [[990, 1, 0.1, 0, 1], [1010, 2, 0.2, 0.1, 2]];
+            const place = document.createElement("div");
+            marginals(place, { names, values, of: 2 }, withEffects(network, effects));
+            const rows = [...place.querySelectorAll("tbody tr")];
+            return rows.map((row) => [...row.cells].slice(0, 4).map((cell) => cell.textContent));
+        }""",
+        [network, effects],
+    )
+    assert [(name, level, unit) for name, level, unit, _ in table] == [
+        ("gas", "shared", "K"),
+        ("fouling", "shared, adopted", "K"),
+        ("wear", "shared, adopted", "1"),
+        ("off", "shared, adopted", "kPa"),
+        ("leak", "shared, adopted", "kg/s"),
+    ]
+    assert table[-1][-1] == "normal 0 ± 1.00, 0 … 3.00", "cut as it was adopted"
+    assert (seen.errors, seen.outside) == ([], [])

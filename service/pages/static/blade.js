@@ -5,6 +5,7 @@ import { get, pages, path } from "./api.js";
 import { chart, legend, numbers } from "./chart.js";
 import { corner, marginals } from "./corner.js";
 import { $, asked, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
+import { withEffects } from "./effects.js";
 import { fixed, hours, hoursOf, inUnit, number, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { since } from "./since.js";
@@ -175,19 +176,9 @@ async function draw() {
   drawBands(found, readings, await lifeOf(found));
   show(list, readings.length ? readingsTable(rotor, readings.slice(-ROWS), { blade: false }) : h("p", { class: "soft" }, "None yet."),
     readings.length > ROWS ? h("p", { class: "small" }, `The last ${ROWS} to arrive of ${all.more ? "more than " : ""}${fixed(readings.length, 0)}. `, h("a", { href: `${path`/rotors/${rotor}/readings`}?blade=${encodeURIComponent(blade)}` }, "All of them, page by page")) : null);
-  marginals(prior, draws, withEffects(now));
+  marginals(prior, draws, withEffects(model.network, now.network?.effects));
   corner(pairs, draws);
   await drawHistory(found, kept, came, adoptions, me?.added_seq ?? 0);
-}
-
-/** The model's network with what was adopted: an offset has its quantity's unit, all else is a share. */
-function withEffects(now) {
-  const { parameters = [], biases = [] } = now.network?.effects ?? {};
-  const unitOf = (name) => {
-    const bias = biases.find((b) => b.name === name && b.how === "plus");
-    return bias ? model.outputs[bias.quantity].unit : "1";
-  };
-  return { ...model.network, parameters: [...model.network.parameters, ...parameters.map((p) => ({ ...p, level: `${p.level}, adopted`, unit: unitOf(p.name) }))] };
 }
 
 show($("page"),
