@@ -95,7 +95,7 @@ def life(
 
     def share(at: Array) -> Array:
         one = curves(model, thin, quantity, at, node, component, known)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             z = side * (one.mean - limit) / one.width
         beyond = side * (one.mean - limit) >= 0
         z = np.where(one.width > 0, z, np.where(beyond, np.inf, -np.inf))

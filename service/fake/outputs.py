@@ -114,7 +114,7 @@ def life_of(
     part = along(card, quantity, node)[0 if component is None else component]
     time_h = np.unique(np.asarray(times, float))
     h = time_h / HORIZON_H * part
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         z = np.where(h > 0, (rate * h - limit) / (sd * h), np.where(limit <= 0, np.inf, -np.inf))
     passed = np.maximum.accumulate(ndtr(z))
     hours: dict[float, float | None] = {}

@@ -114,6 +114,18 @@ def test_a_limit_far_off_is_never_passed_and_one_below_was_at_once() -> None:
     assert at_once.passed[0] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("limit", [1e308, -1e308, 1e-320, -1e-320])
+def test_a_limit_at_the_ends_of_all_numbers_is_a_limit(limit: float) -> None:
+    """Many sds off is more than a number can be; a warning became the server's error."""
+    model = rotor_blade()
+    names = (*model.input_names, "sigma_obs.elongation")
+    middle = 0.5 * (model.surrogate.low + model.surrogate.high)  # type: ignore[union-attr]
+    own = Posterior(names, Particles(np.tile([*middle, 0.05], (9, 1)), np.zeros(9)))
+    found = life(model, own, "elongation", limit, [0.0, HORIZON])
+    assert found.passed[0] == (1.0 if limit < 0.0 else 0.0)
+    assert found.passed[1] == (0.0 if limit > 1.0 else 1.0)
+
+
 def test_what_was_passed_stays_passed_where_a_quantity_shrinks() -> None:
     found = of(np.ones(50), 1.0, growing(shrinks=True))
     assert found.quantiles[0.5] == pytest.approx(1e4, abs=1.0)

@@ -74,6 +74,18 @@ def test_the_time_to_a_limit_is_the_exact_one(api: httpx.Client, read: str) -> N
     assert body["health"]["trusted"]
 
 
+def test_a_limit_may_be_any_number(api: httpx.Client, read: str) -> None:
+    told = {
+        limit: api.get(f"{BLADE}/life", params={"limit": limit, "times": "0,50000"}).json()
+        for limit in ("1e308", "-1e308", "1e-320", "-1e-320")
+    }
+    passed = {limit: body["passed"] for limit, body in told.items()}
+    assert passed["-1e308"] == passed["-1e-320"] == [1.0, 1.0]
+    assert passed["1e308"] == [0.0, 0.0]
+    assert passed["1e-320"] == [0.0, pytest.approx(1.0)]
+    refuse(api.get(f"{BLADE}/life?limit=1e309"), 422, "limit")
+
+
 def test_an_answer_has_an_etag_and_is_not_sent_twice(api: httpx.Client, read: str) -> None:
     first = api.get(f"{BLADE}/life?limit=0.3")
     tag = {"If-None-Match": first.headers["etag"]}
