@@ -10,9 +10,11 @@ which is no bell: where a blade may run hot or cool it is skewed, and its early 
 on an outage, lies elsewhere than mean ± sd of the curves would have it. Where the sum falls again
 (a quantity that shrinks for a while) what was passed stays passed: its running maximum counts.
 
-Of a quantity that is above the limit at hour 0 and lower at the model's horizon (a heat transfer
-that fouls away) the limit is passed from above: P(y(t) <= L) takes the place of P(y(t) >= L). One
-that is above it and does not fall has passed it at hour 0.
+Of a quantity that is at or above the limit at hour 0 and lower at the model's horizon (a heat
+transfer that fouls away) the limit is passed from above: P(y(t) <= L) takes the place of
+P(y(t) >= L). One that is above it and does not fall has passed it at hour 0, and so has one that
+begins exactly at the limit, whether it rises, falls or stays: with the probability with which it is
+there, or beyond it, at hour 0.
 
 The hour at which the sum reaches p is the p-quantile of the time to the limit. What lies beyond the
 model's hours has none: the model says nothing of it.
@@ -39,6 +41,7 @@ EVEN = 51  # hours of a model without runs
 TURNS = 30  # between two of the hours; three or four where the share is smooth
 EXACT = 1e-5  # of a probit
 NARROW_H = 0.1  # or so near in hours
+ROUNDING = 1e-9  # of a mean at hour 0: so near it is at the limit, and so little is no fall
 LEAST = 1e-12  # shares are kept this far from 0 and 1 where their probits are taken
 
 
@@ -90,7 +93,8 @@ def life(
         return float(w @ one.mean[:, 0] / w.sum())
 
     begun = middle(0.0)
-    falls = begun > limit and middle(model.part(quantity).horizon_h) < begun
+    little = ROUNDING * abs(begun)
+    falls = begun + little >= limit and middle(model.part(quantity).horizon_h) < begun - little
     side = -1.0 if falls else 1.0
 
     def share(at: Array) -> Array:
@@ -157,6 +161,8 @@ def crossings(time: Array, passed: Array, levels: Array, share: Callable[[Array]
         if not len(left):
             break
     out[inside] = found
+    order = np.argsort(levels)
+    out[order] = np.maximum.accumulate(out[order])  # where levels lie nearer than `NARROW_H`
     return out
 
 

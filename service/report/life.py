@@ -2,8 +2,9 @@
 
 As permanent elongation and creep strain never fall, the hour T at which a blade passes a limit has
 P(T ≤ t) = P(y(t) ≥ limit). So the quantiles of T are where the quantiles of the course pass: its
-97.5 % passes first, at the 2.5 % of T. Of a quantity that is above the limit at hour 0 and lower at
-the model's last hour the limit is passed from above, as of `core.life`, and its 2.5 % passes first.
+97.5 % passes first, at the 2.5 % of T. Of a quantity that is at or above the limit at hour 0 and
+lower at the model's last hour the limit is passed from above, as of `core.life`, and its 2.5 %
+passes first.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def lives(courses: Json, readings: Sequence[Json], limit: float) -> list[Lives]:
 
     def life(course: Json, i: int) -> Life:
         mean, order, side = course["mean"][i], ("high", "median", "low"), 1.0
-        if mean[0] > limit and mean[-1] < mean[0]:
+        if mean[0] >= limit and mean[-1] < mean[0]:
             order, side = ("low", "median", "high"), -1.0
         early, median, late = (
             passing(hours, [side * y for y in course[k][i]], side * limit) for k in order

@@ -162,6 +162,43 @@ def test_one_that_begins_above_its_limit_and_does_not_fall_has_passed_it() -> No
         assert set(found.quantiles.values()) == {0.0}
 
 
+def about(start: float, slope: float, sd: float, limit: float) -> Life:
+    """y = start + slope t / 10,000 h, where the start is normal over the particles."""
+    model = growing()
+    formula = {"y": lambda x, t: start + x[:, 0] - 25.0 + slope * t / 1e4}
+    inputs = (FormulaInput("rate", 0.0, 50.0),)
+    surrogate = FormulaModel(inputs, formula, "about", horizon_h=HORIZON)
+    starts = 25.0 + sd * ndtri((np.arange(1000) + 0.5) / 1000)
+    return of(starts, limit, Model(model.network, surrogate))
+
+
+@pytest.mark.parametrize("slope", [5.0, -5.0, 0.0])
+@pytest.mark.parametrize("off", [0.0, 1e-13, -1e-13])
+def test_what_begins_at_its_limit_has_passed_it_at_hour_0(slope: float, off: float) -> None:
+    """To rounding, which decided whether a quantity that falls had passed it, or never would."""
+    found = about(30.0, slope, 0.0, 30.0 + off)
+    assert found.passed[1:].tolist() == pytest.approx([1.0] * (len(HOURS) - 1)) or slope == 0.0
+    if off == 0.0:
+        assert found.passed[0] == 1.0
+        assert set(found.quantiles.values()) == {0.0}
+    if slope:
+        hours = [*found.quantiles.values()]
+        assert all(hour is not None and hour <= 0.1 for hour in hours)
+        assert hours == sorted(hours)  # type: ignore[type-var]
+
+
+@pytest.mark.parametrize("slope", [5.0, -5.0])
+def test_what_begins_at_its_limit_on_average_passes_it_with_the_half_that_has_not(
+    slope: float,
+) -> None:
+    """One that falls stayed at the half of hour 0 for ever, as if it had to rise to the limit."""
+    found = about(30.0, slope, 1.0, 30.0 + 1e-10)
+    assert found.passed[0] == pytest.approx(0.5, abs=1e-3)
+    assert found.passed == pytest.approx(ndtr(5.0 * HOURS / 1e4), abs=2e-3)
+    hour = found.quantiles[0.84]
+    assert hour == pytest.approx(1e4 * float(ndtri(0.84)) / 5.0, rel=0.02)
+
+
 def test_the_order_and_number_of_the_hours_do_not_matter() -> None:
     rates = np.exp(0.5 * ndtri((np.arange(777) + 0.5) / 777))
     one = of(rates, 1.5)

@@ -291,6 +291,8 @@ def test_a_limit_is_passed_from_above_by_what_falls() -> None:
     (one,) = lives(courses, [], 800.0)
     assert (one.before.early, one.before.median, one.before.late) == (12_000.0, 14_000.0, 16_000.0)
     (above,) = lives(courses, [], 1550.0)
+    (begun,) = lives(courses, [], 1500.0)
+    assert (begun.before.early, begun.before.median, begun.before.late) == (0.0, 0.0, 2_000.0)
     assert above.before.median is None, "it is below from the first hour on, and never rises to it"
     course["mean"] = course["median"] = [[1500.0, 1600.0, 1700.0]]
     (rises,) = lives(courses, [], 800.0)

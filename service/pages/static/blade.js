@@ -90,7 +90,7 @@ function drawFigures(found, mean, sd, bladeSd, life) {
     const at = (share) => (life.quantiles[share] === null ? `beyond ${end}` : hoursOf(life.quantiles[share], last));
     parts.push(figure(at("0.5"), `median time to ${inUnit(plain(life.limit), life.unit)}`),
       h("p", { class: "small" }, `5 %: ${at("0.05")}; 95 %: ${at("0.95")}. Chance to have passed it by ${end}: ${fixed(100 * life.passed.at(-1), 1)} %.`),
-      h("p", { class: "small soft" }, "From all particles of the blade at each hour, without a reading's noise, for a quantity that does not shrink."));
+      h("p", { class: "small soft" }, "From all particles of the blade at each hour, without a reading's noise. What falls passes a limit from above; what begins at it has passed it at hour 0."));
   }
   show(figures, parts);
 }
