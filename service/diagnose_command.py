@@ -8,6 +8,7 @@ interrupted command leaves the diagnosis running; the same command finds it agai
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -213,6 +214,8 @@ def diagnose(
     own = [] if families is None else read_families(families)
     if limit is not None and html is None:
         raise InputError("--limit", limit, "is for the report", "give --html FILE as well")
+    if limit is not None and not math.isfinite(limit):
+        raise InputError("--limit", limit, "is no number", "give it in the quantity's unit")
     if html is not None and not html.absolute().parent.is_dir():
         raise InputError("--html", str(html), "lies in no folder", "make the folder first")
     with reached(url, key) as twin, shown(quiet=as_json) as show:

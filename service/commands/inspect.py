@@ -10,6 +10,7 @@ noise, as on the rotor's page: (limit − mean) / sd.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -121,6 +122,8 @@ def inspect(
     State and health, shared parameters, every blade. With --file: exit status 0: it can be posted;
     3: it would be refused, and every fault.
     """
+    if limit is not None and not math.isfinite(limit):
+        raise InputError("--limit", limit, "is no number", "give it in the quantity's unit")
     other = {"--quantity": quantity, "--time-h": time_h, "--node": node, "--limit": limit}
     odd = [name for name, value in other.items() if value is not None]
     if file is not None and odd:

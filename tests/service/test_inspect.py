@@ -192,3 +192,8 @@ def test_the_check_of_a_file_is_told_in_lines(url: str, tmp_path: Any) -> None:
         run("r1", "--file", str(tmp_path / "none.csv"), "--url", url)
     with pytest.raises(BladetwinError, match="beside a file"):
         run("r1", "--file", str(file), "--limit", "0.9", "--url", url)
+
+
+def test_a_limit_that_is_no_number_is_refused(url: str) -> None:
+    with pytest.raises(BladetwinError, match="--limit = nan is no number"):
+        run("r1", "--limit", "nan", "--url", url)

@@ -24,7 +24,7 @@ from service.report.heat import heat
 from service.report.life import lives
 from service.report.page import policy, report, style
 from service.report.residuals import groups_of
-from service.report.words import sentence
+from service.report.words import number, sentence
 from service.store import tables as t
 from service.store.engine import transaction
 from service.store.unit_of_work import SqlStore
@@ -102,7 +102,7 @@ def test_a_forecast_is_drawn_to_its_hour_and_no_further() -> None:
     assert ticks(found)[-1] == "17,500", "twice 8,000 h, and up to the next hour that is known"
 
 
-def test_what_else_the_readings_allow_is_told_beside_the_forecast() -> None:
+def test_what_else_the_readings_allow_is_itsbeside_the_forecast() -> None:
     """Rivals by what tells them apart, with shares; where there is one only, nothing is said."""
     found = told("effect")
     said = " ".join(Read(page_of(found)).said.split())
@@ -184,7 +184,7 @@ def test_what_is_known_of_an_unattributed_misfit_is_told() -> None:
     assert "What is known" not in Read(page_of(told("effect"))).said
 
 
-def test_the_inspection_that_splits_the_set_is_told_with_what_it_promises() -> None:
+def test_the_inspection_that_splits_the_set_is_itswith_what_it_promises() -> None:
     said = Read(page_of(told("not separable"))).said
     assert "Best: permanent tip elongation of blade B1 with another instrument, now" in said
     assert "from 52 % to 90 %" in said, "0.6² + 0.4² is expected of no reading"
@@ -464,8 +464,8 @@ def test_an_amplitude_has_one_unit_in_sentence_band_and_picture(
 
 def test_an_amplitude_below_zero_is_lower_unless_it_is_what_is_lost() -> None:
     """A dormant coolant flow that woke, and one that declines."""
-    told_ = {"mean": -0.04, "sd": 0.01, "of": "added to cooling_flow"}
-    woken = wears(target="cooling_flow", how="plus", shape="constant", amplitude=told_)
+    its = {"mean": -0.04, "sd": 0.01, "of": "added to cooling_flow"}
+    woken = wears(target="cooling_flow", how="plus", shape="constant", amplitude=its)
     lost = woken | {"amplitude": {"mean": 0.04, "sd": 0.01, "of": "lost from cooling_flow"}}
     for one in (woken, lost):
         assert "is 0.040 ± 0.010 lower, from the first hour on" in sentence(one, "1", "rotor-blade")
@@ -489,7 +489,7 @@ def test_only_what_is_claimed_is_said_to_lack() -> None:
     assert "With it in the model nothing is left" in Read(page_of(told("effect"))).said
 
 
-def test_what_is_sure_is_not_among_what_cannot_be_told_apart() -> None:
+def test_what_is_sure_is_not_among_what_cannot_be_itsapart() -> None:
     sure = "instrument gain (instrument g1)"
     found = told("not separable", beside=[sure])
     found["names"] = [*found["names"], sure]
@@ -501,7 +501,7 @@ def test_what_is_sure_is_not_among_what_cannot_be_told_apart() -> None:
     assert "Not among those told apart" not in said
 
 
-def test_a_cause_is_told_apart_by_its_courses() -> None:
+def test_a_cause_is_itsapart_by_its_courses() -> None:
     found = told("not separable", names=["coating loss", "root settling"])
     for rival, names in zip(
         found["separating"]["rivals"], (["coating wear"], ["root settling"]), strict=True
@@ -642,6 +642,24 @@ def test_a_report_is_served_with_its_tag_and_a_policy_of_its_own(
     assert Client(http=api).report("r1", name, limit=0.35) == limited.text
 
 
+@pytest.mark.parametrize("limit", [0.0, -0.2, -1e308, 1e-320])
+def test_a_limit_may_be_nought_or_less(
+    api: httpx.Client, finished: Callable[..., str], limit: float
+) -> None:
+    """As of `…/life`: quantities of a user's own model may be negative, or fall."""
+    found = told("effect")
+    for which in ("before", "after"):
+        its = found["pictures"]["courses"][which]
+        its |= {name: [[-y for y in own] for own in its[name]] for name in its}
+        its["low"], its["high"] = its["high"], its["low"]
+    page = Client(http=api).report("r1", finished(found), limit=limit)
+    said = Read(page).said
+    assert f"Limit: {number(limit)} mm of permanent tip elongation" in said
+    one = {one.blade: one for one in lives(found["pictures"]["courses"], [], limit)}["B1"]
+    passes = {0.0: 0.0, -0.2: 20_000.0, -1e308: None, 1e-320: None}[limit]
+    assert one.before.median == (None if passes is None else pytest.approx(passes))
+
+
 def test_a_report_that_is_not_there_says_why(
     api: httpx.Client, finished: Callable[..., str]
 ) -> None:
@@ -652,7 +670,7 @@ def test_a_report_that_is_not_there_says_why(
     answer = api.get(f"/v1/rotors/r1/diagnoses/{cancelled}/report")
     assert answer.status_code == 404
     assert "it is cancelled" in answer.json()["detail"]
-    for bad in ("0", "-1", "nan", "inf", "far"):
+    for bad in ("nan", "inf", "far"):
         answer = api.get(f"/v1/rotors/r1/diagnoses/{running}/report", params={"limit": bad})
         assert answer.status_code == 422, bad
     with pytest.raises(ProblemError, match="404"):
@@ -670,6 +688,8 @@ def test_the_command_writes_the_report(
     assert "release that did not keep" in read.said, "the exact twin keeps no pictures"
     refused = command(api, diagnoser, "--limit", "0.5")
     assert "--html" in str(refused.exception)
+    refused = command(api, diagnoser, "--html", str(file), "--limit", "nan")
+    assert "--limit = nan is no number" in str(refused.exception), "before the diagnosis is made"
     refused = command(api, diagnoser, "--html", str(tmp_path / "none" / "x.html"))
     assert "make the folder first" in str(refused.exception)
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse, Response
+from pydantic import FiniteFloat
 
 from service.api.services import Name, Wired, unchanged
 from service.api.tags import REVALIDATE
@@ -16,8 +17,8 @@ from service.report.page import policy
 
 router = APIRouter(prefix="/v1/rotors/{r}/diagnoses", tags=["diagnoses"])
 Limit = Annotated[
-    float | None,
-    Query(gt=0, allow_inf_nan=False, description="limit of the quantity that is forecast"),
+    FiniteFloat | None,
+    Query(description="of the quantity that is forecast, in its unit"),
 ]
 
 
