@@ -47,7 +47,7 @@ def concerns(effect: Json, blade: BladeRecord) -> bool:
 
 def _of_lot(effect: Json, blade: BladeRecord) -> bool:
     own = {"lot": blade.lot, "coating_lot": blade.coating_lot}
-    return effect["value"] is not None and bool(own[effect["whom"]] == effect["value"])
+    return effect.get("value") is not None and bool(own[effect["whom"]] == effect["value"])
 
 
 def by_lot(effect: Json, blade: BladeRecord) -> bool:

@@ -16,6 +16,11 @@ from service.adopted import KINDS
 from service.ports import Event
 
 READINGS, BLADES = ("inspection", "retraction"), ("blade", "retirement")
+UNREADABLE = (
+    *(ValueError, TypeError, KeyError, AttributeError),
+    *(IndexError, OverflowError, RecursionError),
+)
+"""What reading a body raises whose fields have other types than were written, or none at all."""
 SHORT = 1024  # characters of a body
 KNOWN = frozenset((*READINGS, *BLADES, *KINDS))
 
@@ -26,7 +31,7 @@ def entry_of(event: Event) -> Entry:
         try:
             reading = Inspection.from_json(_shared(json.loads(event.body)))
             found = reading.digest()
-        except (ValueError, TypeError, KeyError) as error:
+        except UNREADABLE as error:
             found = f"unreadable: {error}"
         if found != event.digest:
             raise CalibrationError(
@@ -89,7 +94,7 @@ def _reading(
         if (reading.id, reading.replaces, reading.blade, float(reading.time_h)) != columns:
             return "its body and its columns name another id, blade, time or reading replaced"
         return _other(reading.digest(), written)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except UNREADABLE as error:
         return f"its body cannot be read: {type(error).__name__}: {error}"
 
 
@@ -107,7 +112,7 @@ def _compared(event: Event) -> str | None:
                 return f"it is called {event.event_id!r}, its body says otherwise"
         else:
             return _stranger(event)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except UNREADABLE as error:
         return f"its body cannot be read: {type(error).__name__}: {error}"
     return _other(digest, event.digest)
 

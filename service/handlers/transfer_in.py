@@ -22,11 +22,13 @@ from core.errors import InputError
 from service import bundle
 from service.digests import as_created, digest_of_rotor
 from service.errors import ConflictError, NotFoundError
+from service.handlers.transfer_bodies import ManifestBody
 from service.handlers.transfer_lines import (
     CHUNK,
     NamedLine,
     RotorLine,
     checked_log,
+    held,
     parsed,
     policy_of,
     read_blades,
@@ -77,8 +79,10 @@ def import_rotor(store: Store, science: Science, path: Path, as_id: str | None =
     with open(path, "rb") as handle:
         file = bundle.opened(path, handle)
         told = parsed(file, RotorLine, next(file.rows("rotor.json"), {}), "rotor.json")
+        parsed(file, ManifestBody, file.manifest, "manifest.json")
         card = _registered(store, science, told)
-        varied = science.vary(card, told.network)
+        with held(file, "rotor.json: network"):
+            varied = science.vary(card, told.network)
         blades = read_blades(file, told, varied)
         asked = lambda network: science.vary(card, network)  # noqa: E731
         count = checked_log(file, blades, varied, told.network, asked)

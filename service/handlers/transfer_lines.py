@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints, ValidationError
@@ -17,7 +18,8 @@ from core.observation import Inspection, check
 from service.adopted import KINDS, Adopted
 from service.bundle import Bundle, BundleError
 from service.digests import as_created, digest_of_blade, digest_of_policy, digest_of_rotor
-from service.entries import body_problem
+from service.entries import UNREADABLE, body_problem
+from service.handlers.transfer_bodies import AdoptionBody, ReadingBody, first_fault
 from service.names import ID_PATTERN, TEXT_PATTERN
 from service.ports import Adopt, BladeRecord, Diagnose, Event, Json, ModelCard, Policy
 from service.variant import check_known
@@ -36,7 +38,7 @@ class Line(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-L = TypeVar("L", bound=Line)
+L = TypeVar("L", bound=BaseModel)
 
 
 class PolicyLine(Line):
@@ -95,9 +97,19 @@ def parsed(file: Bundle, kind: type[L], row: Json, where: str) -> L:
     try:
         return kind.model_validate(row)
     except ValidationError as error:
-        first = error.errors(include_input=False, include_url=False)[0]
-        field = ".".join(map(str, first["loc"]))
-        raise BundleError(file.path, f"{where}: {field}: {first['msg']}") from None
+        raise BundleError(file.path, f"{where}: {first_fault(error)}") from None
+
+
+@contextmanager
+def held(file: Bundle, where: str) -> Iterator[None]:
+    """What comes of fields of another type, deep inside what the science reads, is told as damage.
+
+    BundleError: the science cannot read it.
+    """
+    try:
+        yield
+    except UNREADABLE as error:
+        raise BundleError(file.path, f"{where}: {type(error).__name__}: {error}") from None
 
 
 def read_events(file: Bundle) -> Iterator[Event]:
@@ -171,9 +183,12 @@ def _changed(
 ) -> tuple[Adopted, str | None]:
     """What is in the model after an entry that adopts or backs out, and why it cannot stand."""
     try:
+        AdoptionBody.model_validate(json.loads(event.body))
         after = adopted.after(event)
         vary(after.network)
-    except (ValueError, KeyError, TypeError, BladetwinError) as error:
+    except ValidationError as error:
+        return adopted, f"its body cannot be read: {first_fault(error)}"
+    except (*UNREADABLE, BladetwinError) as error:
         return adopted, f"{type(error).__name__}: {error}"
     return after, None
 
@@ -196,13 +211,13 @@ def _unfit(
         return None if blade.retired_seq == event.seq else "blades.jsonl says otherwise"
     if blade.added_seq > event.seq:
         return f"its blade joined later, with entry {blade.added_seq}"
-    reading = Inspection.from_json(json.loads(event.body))
-    texts = (reading.unit, reading.instrument, reading.campaign, reading.observed_at)
-    if not all(text is None or isinstance(text, str) for text in texts):
-        return "unit, instrument, campaign and observed_at are texts"
     try:
-        NamedLine(id=reading.id)
-        check(reading, card.network, card)
-    except (InputError, ValidationError) as error:
+        body = json.loads(event.body)
+        ReadingBody.model_validate(body)
+        NamedLine(id=body["id"])
+        check(Inspection.from_json(body), card.network, card)
+    except ValidationError as error:
+        return f"its body cannot be read: {first_fault(error)}"
+    except InputError as error:
         return str(error)
     return None
