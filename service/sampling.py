@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive import Archive, Input, Mesh, Quantity, Run
+from core.archive.changes import discrepancy_faults
 from core.archive.check import DEFORMATION, DISPLACEMENT, KINDS
 from core.design import maximin_lhs
-from core.errors import InputError, ModelError
+from core.errors import FaultsError, InputError, ModelError
 from core.network import Network, Parameter
 from core.rng import seed_of
 
@@ -188,7 +189,11 @@ def archive_of(
     seed: int,
     command: str,
 ) -> Archive:
-    """An archive of a network's inputs and quantities, on `nodes` nodes without a known mesh."""
+    """An archive of a network's inputs and quantities, on `nodes` nodes without a known mesh.
+
+    FaultsError: a discrepancy that no runs of these hours could have (`check_hours`).
+    """
+    check_hours(network, max(time_h, default=0.0))
     shape = np.full((nodes, 3), np.nan), np.zeros((0, 0), np.int64), np.zeros((nodes, 3))
     return Archive.create(
         archive_dir,
@@ -199,6 +204,12 @@ def archive_of(
         command=command,
         quantities=quantities_of(network),
     )
+
+
+def check_hours(network: Network, horizon_h: float) -> None:
+    """Refuse, before a run is made, what training refuses of any runs that end at this hour."""
+    if horizon_h > 0 and (found := list(discrepancy_faults(network, horizon_h))):
+        raise FaultsError(found)
 
 
 def run_one(served: Served, archive: Archive, index: int, x: Array) -> None:

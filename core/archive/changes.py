@@ -3,7 +3,7 @@ discrepancy over the runs' hours."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,17 +49,23 @@ class Seen:
         return float(np.sqrt(self.square.max() / max(self.count - 1, 1)))
 
 
-def check_changes(
-    seen: Mapping[str, Seen], network: Network, horizon_h: float, found: Findings
-) -> None:
-    """Quantities that never change, that leave what readings may be, or drown in their noise; and
-    whose discrepancy does not go with the runs' hours."""
+def discrepancy_faults(network: Network, horizon_h: float) -> Iterator[InputError]:
+    """Of each ``gp`` that cannot be calibrated over the runs' hours: needs no run to be known."""
     for q in network.quantities:
         if q.discrepancy.kind == "gp":
             try:
                 modes_over(q, horizon_h)
             except InputError as error:
-                found.add(error)
+                yield error
+
+
+def check_changes(
+    seen: Mapping[str, Seen], network: Network, horizon_h: float, found: Findings
+) -> None:
+    """Quantities that never change, that leave what readings may be, or drown in their noise; and
+    whose discrepancy does not go with the runs' hours."""
+    for error in discrepancy_faults(network, horizon_h):
+        found.add(error)
     by_name = {q.name: q for q in network.quantities}
     if "displacement" in seen and "deformation" in by_name:
         by_name["displacement"] = by_name["deformation"]

@@ -102,6 +102,25 @@ def test_a_served_model_goes_on_and_falls_short_by_a_number(own: Path, tmp_path:
     assert (tmp_path / "log").read_text().count("[") == 13, "no run is made twice"
 
 
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_discrepancy_that_cannot_be_calibrated_is_refused_before_a_run(
+    own: Path, begun: bool
+) -> None:
+    """Nine runs or more were made before training told it."""
+    if begun:
+        run(own / "runs", *words(own), "--accuracy", "0.5", "--most", "9", "--hours", "500")
+    gp = "high: 2}, discrepancy: {kind: gp, length_h: 10}}"
+    (own / "net.yaml").write_text(NETWORK.replace("high: 2}}", gp))
+    asked = run(own / "runs", *words(own), "--accuracy", "1e-9", "--most", "12")
+    said = "discrepancy length_h of drop = 10.0 needs 96 modes up to 16000 h, more than 6"
+    assert asked.exit_code == 1
+    assert said in asked.output
+    if begun:
+        assert len(Archive.open(own / "runs").done()) == 9
+    else:
+        assert not (own / "runs").exists()
+
+
 def test_runs_that_fail_are_told_and_tried_again(own: Path) -> None:
     asked = ["--accuracy", "1e-6", "--most", "13"]
     few = run(own / "few", *words(own, "8.2"), *asked)
