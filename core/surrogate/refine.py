@@ -61,13 +61,19 @@ def refine(
     """Add runs to the archive until every goal is met, or `plan.most` runs are there.
 
     seen   called after each round, before its runs
-    Raises InputError for a plan that makes no sense, RangeError for hours beyond the runs',
-    ModelError where too few runs succeed.
+    Raises InputError for a plan that makes no sense, RangeError for hours beyond the runs' or at
+    their start alone, ModelError where too few runs succeed.
     """
     plan.check()
     if not goals:
         raise InputError("accuracy", "", "names no quantity", "name one at least")
     declared = archive.declaration
+    for goal in goals:
+        if goal.times_h and not any(goal.times_h):
+            problem = (
+                "is where runs begin: nothing has happened by then, and nothing is learnt of it"
+            )
+            raise RangeError("hours", 0.0, problem, "name a later one, alone or beside it")
     for hour in (one for goal in goals for one in goal.times_h):
         if not 0 <= hour <= declared.time_h[-1]:
             problem = f"lies outside 0 … {declared.time_h[-1]:g} h, which the runs cover"

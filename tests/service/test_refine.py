@@ -102,6 +102,28 @@ def test_a_served_model_goes_on_and_falls_short_by_a_number(own: Path, tmp_path:
     assert (tmp_path / "log").read_text().count("[") == 13, "no run is made twice"
 
 
+@pytest.mark.parametrize(
+    ("hours", "said"),
+    [
+        ("0", "hours = 0.0 is where runs begin"),
+        ("0,0.0", "is where runs begin"),
+        ("-1", "lies outside 0 … 16000 h"),
+        ("nan", "lies outside"),
+        ("16001", "lies outside"),
+    ],
+)
+def test_hours_at_which_nothing_can_be_told_are_refused_before_a_run(
+    own: Path, hours: str, said: str
+) -> None:
+    """At hour 0 alone the accuracy was reached at once, 0 %, whatever the runs were."""
+    done = run(own / "runs", *words(own), "--accuracy", "0.01", "--most", "9", "--hours", hours)
+    assert isinstance(done.exception, InputError)
+    assert said in str(done.exception)
+    assert len(Archive.open(own / "runs").done()) == 0
+    beside = run(own / "runs", *words(own), "--accuracy", "0.5", "--most", "9", "--hours", "0,500")
+    assert "accuracy reached after 9 runs" in beside.stdout
+
+
 @pytest.mark.parametrize("begun", [False, True])
 def test_a_discrepancy_that_cannot_be_calibrated_is_refused_before_a_run(
     own: Path, begun: bool
