@@ -91,7 +91,8 @@ def read_table(path: str | Path) -> Table:
                 cells[name].append(_number(f"line {number}: {name}", cell, found))
     found.end()
     labels = tuple(dict.fromkeys(texts["run"]))
-    run = np.array([labels.index(label) for label in texts["run"]])
+    place = {label: k for k, label in enumerate(labels)}
+    run = np.array([place[label] for label in texts["run"]])
     time_h = np.array(cells.pop("time")) * factor
     for k in np.flatnonzero(~np.isfinite(time_h)):
         found.fault(f"line {lines[k + 1][0]}: time", float("nan"), "is no instant", "give it")
