@@ -6,7 +6,7 @@
     ├── InputError …          (core.errors)
     ├── FaultsError           (core.errors) a request or an archive with one or more faults
     ├── NotFoundError         something that the address or body names does not exist
-    ├── ConflictError         the same id with another content
+    ├── ConflictError         the same id with another content, or of a blade that has left
     ├── NotYetError           an answer that a worker has yet to compute
     ├── GoneError             a version that is no longer kept
     ├── AdoptionError         an effect that cannot go into a rotor's model, or out of it, as it is
@@ -45,13 +45,16 @@ class NotFoundError(BladetwinError):
 
 
 class ConflictError(BladetwinError):
-    """`what` called `name` (or several of them) exists with another content."""
+    """`what` called `name` (or several of them) exists with another content, or has left."""
 
-    def __init__(self, what: str, name: str, remedy: str) -> None:
+    def __init__(
+        self, what: str, name: str, remedy: str, problem: str = "exists with another content"
+    ) -> None:
         self.what = what
         self.name = name
+        self.problem = problem
         self.remedy = remedy
-        super().__init__(f"{what} {name!r} exists with another content. To mend it: {remedy}.")
+        super().__init__(f"{what} {name!r} {problem}. To mend it: {remedy}.")
 
 
 class NotYetError(BladetwinError):

@@ -81,13 +81,13 @@ def missing(request: Request, error: NotFoundError) -> JSONResponse:
 async def _conflict(request: Request, error: Any) -> JSONResponse:
     names = error.name.split(", ")
     faults = [
-        fault(f"{error.what}.id", name, "exists with another content", error.remedy)
+        fault(f"{error.what}.id", name, error.problem, error.remedy)
         for name in names[: MOST_FAULTS + 1]
     ]
     detail = str(error)
     if len(names) > SENTENCES:
         shown = f"{', '.join(names[:SENTENCES])} and {len(names) - SENTENCES} more"
-        detail = str(ConflictError(error.what, shown, error.remedy))
+        detail = str(ConflictError(error.what, shown, error.remedy, error.problem))
     return problem(request, 409, "conflict", detail, bounded(faults))
 
 

@@ -38,7 +38,8 @@ def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
     its, too, by an entry of its own.
 
     FaultsError: its slot is that of a blade that runs. The rotor is locked by then, so that of two
-    blades that come at once the second finds the first.
+    blades that come at once the second finds the first. ConflictError: one of its id is another, or
+    has left: a repetition that was answered as done would be believed to be in service.
     """
     body, digest = digest_of_json(told_of(blade))
     event = NewEvent(f"blade/{blade.id}", "blade", body, digest, blade=blade.id)
@@ -49,8 +50,11 @@ def add_blade(store: Store, rotor_id: str, blade: BladeRecord) -> Appended:
     with store.write() as tx:
         tx.log.lock(rotor_id)
         there = tx.records.blade(rotor_id, blade.id)
+        if there is not None and there.retired_seq is not None:
+            problem = f"has left, by entry {there.retired_seq}, and none comes back"
+            raise ConflictError("blade", blade.id, "choose a new id for the new blade", problem)
         if there is not None and there.added_seq == 0:
-            if replace(there, retired_seq=None) != blade:
+            if there != blade:
                 raise ConflictError("blade", blade.id, "choose a new id for the new blade")
             return Appended(event.event_id, 0, False)
         taken = None

@@ -495,6 +495,28 @@ def test_a_blade_joins_and_leaves(created: httpx.Client, worker: Worker) -> None
     assert created.get("/v1/rotors/r1/blades/B3/posterior").json()["names"] == ["rate", "offset"]
 
 
+def test_a_blade_that_has_left_is_not_answered_as_if_it_were_in_service(
+    created: httpx.Client,
+) -> None:
+    """It was 202, `Idempotent-Replayed`, and the blade stayed retired."""
+    url, blade = "/v1/rotors/r1/blades", {"id": "B3", "lot": "L7"}
+    key = {"Idempotency-Key": "k1"}
+    first = created.post(url, json=blade, headers=key)
+    again = created.post(url, json=blade)
+    assert (again.status_code, again.headers["idempotent-replayed"]) == (202, "true")
+    assert created.post(url, json={"id": "B2"}).json()["items"][0]["seq"] == 0, "of the creation"
+    for name in ("B2", "B3"):
+        assert created.post(f"{url}/{name}/retirement").status_code == 202
+        assert created.post(f"{url}/{name}/retirement").headers["idempotent-replayed"] == "true"
+    for sent, seq in ((blade, 3), ({"id": "B2"}, 2), ({"id": "B3", "lot": "L8"}, 3)):
+        told = refuse(created.post(url, json=sent), 409, "blade.id")
+        assert f"has left, by entry {seq}" in told["detail"]
+        assert "choose a new id for the new blade" in told["detail"]
+    same = created.post(url, json=blade, headers=key)
+    assert (same.status_code, same.json()) == (202, first.json()), "the answer of that very request"
+    assert created.get("/v1/rotors/r1").json()["head_seq"] == 3
+
+
 @pytest.mark.parametrize(
     "path",
     [

@@ -124,6 +124,8 @@ class Log(Machine):
         model = self.model.get(rotor)
         if model is None:
             assert answer.status_code == 404
+        elif model.seq(f"retirement/{blade}"):
+            self.expect(answer, (409, [], False))
         elif blade in FIRST:
             self.expect(answer, (202, [0], True) if slot is None else (409, [], False))
         else:
