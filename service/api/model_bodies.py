@@ -8,6 +8,7 @@ and says at once what is wrong; the archive is read by the job.
 
 from __future__ import annotations
 
+import csv
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -24,7 +25,7 @@ from core.network import Network
 from service.api.problems import RequestError, faults_of_validation, invalid
 from service.api.schemas import ModelIn
 from service.declared import read_network
-from service.names import ID_PATTERN
+from service.names import ID_PATTERN, unlisted
 
 FIELDS = ("id", "network", "runs", "leave_out")
 TEXT_BYTES = 2**20
@@ -52,7 +53,8 @@ BODY: dict[str, Any] = {
                         },
                         "leave_out": {
                             "type": "string",
-                            "description": "labels of runs to leave out, with commas between",
+                            "description": "labels of runs to leave out, with commas between; "
+                            "one that holds a comma in double quotes",
                         },
                     },
                 },
@@ -136,8 +138,12 @@ def _checked(form: FormData, told: dict[str, bytes]) -> Upload:
             network = read_network(told["network"])
         except FaultsError as error:
             faults += error.faults
-    text = told.get("leave_out", b"").decode("utf-8", "replace")
-    left = tuple(label for one in text.split(",") if (label := one.strip()))
+    left: tuple[str, ...] = ()
+    try:
+        left = unlisted(told.get("leave_out", b"").decode("utf-8", "replace"))
+    except csv.Error as error:
+        remedy = "write labels with commas between, one that holds a comma in double quotes"
+        faults.append(InputError("leave_out", "…", f"cannot be read: {error}", remedy))
     if len(left) > MOST_LEFT_OUT:
         problem = f"labels are more than {MOST_LEFT_OUT}"
         faults.append(InputError("leave_out", len(left), problem, "leave them out of the archive"))

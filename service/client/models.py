@@ -10,6 +10,7 @@ import httpx
 
 from service.client import answers
 from service.client.steps import Pause, Steps, ask, path, told
+from service.names import listed
 
 
 def models() -> Steps[list[answers.ModelListed]]:
@@ -68,7 +69,7 @@ def upload_model(
 
     Raises TimeoutError when it takes longer than `patience_s`.
     """
-    fields = {"id": name} | ({"leave_out": ",".join(leave_out)} if leave_out else {})
+    fields = {"id": name} | ({"leave_out": listed(leave_out)} if leave_out else {})
     text = network.encode() if isinstance(network, str) else network
     parts = {"network": ("network.yaml", text), "runs": ("runs.nc", Path(runs).read_bytes())}
     form = httpx.Request("POST", "http://service", data=fields, files=parts)

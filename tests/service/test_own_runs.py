@@ -18,7 +18,7 @@ from core.archive import trial
 from core.archive.table import convert_table
 from core.errors import ModelError
 from service.bootstrap import make_worker
-from service.client import Client
+from service.client import Client, transports
 from service.fake import FakeScience
 from service.handlers.models import (
     HDF5,
@@ -252,6 +252,31 @@ def test_every_fault_of_an_archive_is_in_the_job_that_failed_and_nothing_is_left
     job = trained(http, own_store, real, settings)
     assert job["status"] == "done", job
     assert "2, 7" in str(job["result"]["warnings"])
+
+
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+def test_a_run_whose_label_holds_a_comma_is_left_out_by_the_client(
+    http: httpx.Client,
+    own_store: SqlStore,
+    real: CoreScience,
+    settings: Settings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It was two labels, and neither was a run's."""
+    labels = ["load 1,2", 'bore 5"', *map(str, range(2, 24))]
+    data = exchanger.dataset().assign_coords(run=labels)
+    file = exchanger.stored(data, tmp_path / "runs.nc")
+    monkeypatch.setattr(
+        transports.time, "sleep", lambda s: trained(http, own_store, real, settings)
+    )
+    twin = Client(http=http)
+    job = twin.upload_model("exchanger", file, exchanger.NETWORK, leave_out=labels[:2])
+    assert job["status"] == "done", job
+    (told,) = (one for one in job["result"]["warnings"] if "are left out" in one["problem"])
+    assert told["value"] == 'load 1,2, bore 5"'
+    long = send(http, file, leave_out="x" * 200_000)
+    assert refuse(long, 422)["faults"][0]["field"] == "leave_out"
 
 
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
