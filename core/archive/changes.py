@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive.faults import Findings
+from core.archive.unfit import too_large, too_small
 from core.errors import InputError
 from core.expansion import modes_over
 from core.network import Network, Quantity
@@ -66,14 +67,20 @@ def check_changes(
     whose discrepancy does not go with the runs' hours."""
     for error in discrepancy_faults(network, horizon_h):
         found.add(error)
+    for q in network.quantities:
+        what, ends = f"sigma_obs of {q.name}", np.array([q.sigma_obs.low, q.sigma_obs.high])
+        if (odd := too_large(what, ends) or too_small(what, float(ends[0]))) is not None:
+            found.add(odd)
     by_name = {q.name: q for q in network.quantities}
     if "displacement" in seen and "deformation" in by_name:
         by_name["displacement"] = by_name["deformation"]
     for name, one in seen.items():
         if not one.count:
             continue
-        largest = max(abs(one.low), abs(one.high))
-        if one.between <= CONSTANT * max(largest, np.finfo(float).tiny):
+        largest = float(max(abs(one.low), abs(one.high)))
+        if (small := too_small(f"quantity {name}", largest)) is not None:
+            found.add(small)
+        elif one.between <= CONSTANT * max(largest, np.finfo(float).tiny):
             problem = "is the same in every run: no input moves it, and nothing is learnt"
             remedy = "check what the runs write, or take it out of the network"
             found.fault(f"quantity {name}", float(largest), problem, remedy)

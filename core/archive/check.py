@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from core.archive.declaration import Input, Kind
 from core.archive.faults import Findings
 from core.archive.source import UNKNOWN, Column, Given, Source
+from core.archive.unfit import too_large, too_small
 from core.errors import UnitError
 from core.network import Network, Parameter, Quantity
 from core.units import ratio, unit
@@ -103,11 +104,16 @@ def _input(
     if turn is None:
         return None, values
     a, b = turn
-    values = a * values + b
+    with np.errstate(over="ignore"):  # what is infinite then is told below
+        values = a * values + b
     low, high = (None if end is None else a * end + b for end in (low, high))
     for k in np.flatnonzero(~np.isfinite(values) & ~skip):
         found.fault(f"run {labels[k]}: {p.name}", float("nan"), "is no number", "give the input")
     seen = values[np.isfinite(values) & ~skip]
+    odd = too_large(what, seen) or too_small(what, float(np.abs(seen).max(initial=0.0)))
+    if odd is not None:
+        found.add(odd)
+        return None, values
     if not len(seen):
         return None, values
     least, most = float(seen.min()), float(seen.max())

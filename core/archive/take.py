@@ -9,6 +9,7 @@ NaN at a node or instant        refused: run, quantity, hour, node; `leave_out` 
 a unit that is none             refused; one that differs: converted and told, or refused where it
                                 measures something else
 numbers of another magnitude    a warning with the factor that would fit (mm given as m)
+numbers beyond 1e30, 1e-30      refused (`core.archive.unfit`)
 unequal instants                a common axis and a warning (`core.archive.axis`)
 a quantity that never changes   refused, for nothing can be learnt from it
 an input that never varies      refused, or left out where the network does not know it
@@ -35,7 +36,7 @@ from core.archive.declaration import Mesh, Quantity, Run
 from core.archive.faults import Findings
 from core.archive.source import Source
 from core.archive.store import Archive
-from core.errors import InputError
+from core.archive.unfit import not_finite, too_large
 from core.network import Network
 
 Array = NDArray[np.float64]
@@ -141,7 +142,11 @@ def _take_run(
         there = raw.size if axis.own is None else np.count_nonzero(_before_end(axis.own[k], raw))
         empty &= len(bad) == there
         if len(bad):
-            faults.append(_not_finite(f"run {label}: {name}", raw, bad, axis, k))
+            faults.append(not_finite(f"run {label}: {name}", raw, bad, axis, k))
+            continue
+        if (large := too_large(f"run {label}: {name}", raw, a)) is not None:
+            faults.append(large)
+            empty = False
             continue
         brought, error = axis.bring(k, a * raw + b)
         seen[name].brought = max(seen[name].brought, 0.0 if np.isnan(error) else error)
@@ -161,23 +166,6 @@ def _take_run(
 def _before_end(own: Array, values: Array) -> Flags:
     there = np.isfinite(own).reshape(-1, *[1] * (values.ndim - 1))
     return np.broadcast_to(there, values.shape)
-
-
-def _not_finite(what: str, raw: Array, bad: NDArray[np.intp], axis: Axis, k: int) -> InputError:
-    """The first value that is no number: its hour, its node, and how many more there are."""
-    first = [int(one) for one in bad[0]]
-    hours = axis.time_h if axis.own is None else axis.own[k]
-    place = f"at {hours[first[0]]:g} h"
-    if len(first) > 1:
-        nodes = sorted({int(one[1]) for one in bad})
-        shown = ", ".join(map(str, nodes[:8])) + (" …" if len(nodes) > 8 else "")
-        place += f", node {first[1]}"
-        if len(nodes) > 1:
-            place += f" (nodes {shown})"
-    more = f"; {len(bad)} values of it are none" if len(bad) > 1 else ""
-    value = float(raw[tuple(first)])
-    remedy = "repeat the run, or leave it out (leave_out)"
-    return InputError(what, value, f"is no number {place}{more}", remedy)
 
 
 def _no_twins(

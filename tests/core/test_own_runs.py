@@ -487,3 +487,29 @@ def test_an_archive_that_would_unfold_beyond_memory_is_refused_before_it_is_read
     assert (tmp_path / "bomb.nc").stat().st_size < 100_000
     with pytest.raises(RunsError, match="values are declared"), opened(tmp_path / "bomb.nc"):
         pass
+
+
+@pytest.mark.parametrize("size", [1e200, 1e31, 1e-198])
+@pytest.mark.parametrize("name", ["drop", "roughness"])
+def test_numbers_of_no_usable_size_are_refused_with_a_sentence(
+    name: str, size: float, tmp_path: Path
+) -> None:
+    """Squares overflowed while a model was trained, or nothing seemed to move."""
+    data = dataset()
+    data[name] = data[name].copy(data=data[name].values * size)
+    text = {
+        "drop": ("low: -5, high: 250", f"low: {-5 * size!r}, high: {250 * size!r}"),
+        "roughness": ("low: 1, high: 9", f"low: {size!r}, high: {9 * size!r}"),
+    }
+    faults = refused(data, tmp_path, network(NETWORK.replace(*text[name])))
+    told = [one for one in faults if name in one.what]
+    assert told
+    beyond = "is beyond 1e+30" if size > 1 else "is below 1e-30"
+    assert all(one.problem == beyond and "unit of its own size" in one.remedy for one in told)
+
+
+@pytest.mark.parametrize("ends", ["low: 0.05, high: 2e200", "low: 1e-198, high: 2"])
+def test_a_noise_of_no_usable_size_is_refused_with_a_sentence(ends: str, tmp_path: Path) -> None:
+    (fault,) = refused(dataset(), tmp_path, network(NETWORK.replace("low: 0.05, high: 2", ends)))
+    assert fault.what == "sigma_obs of drop"
+    assert "1e" in fault.problem
