@@ -132,8 +132,7 @@ class ServedModel:
 
 def fits(archive: Archive, network: Network, time_h: Sequence[float] = ()) -> None:
     """Refuse an archive of other inputs, bounds, quantities or units than the network's, and of
-    other instants than `time_h`, where these are given; and a discrepancy that its hours cannot
-    have."""
+    other instants than `time_h`, where these are given; and a network that no runs could serve."""
     declared, parameters = archive.declaration, sampling.inputs_of(network)
     wanted = {"inputs": [p.name for p in parameters]}
     wanted["quantities"] = [f"{q.name} [{q.unit}]" for q in sampling.quantities_of(network)]
@@ -157,7 +156,7 @@ def fits(archive: Archive, network: Network, time_h: Sequence[float] = ()) -> No
         there = ",".join(f"{t:g}" for t in declared.time_h)
         remedy = f"leave them out, give {there}, or name a new folder"
         raise InputError("times", shown, problem, remedy)
-    sampling.check_hours(network, declared.time_h[-1])
+    sampling.check_declared(network, declared.time_h[-1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive import Archive, Input, Mesh, Quantity, Run
-from core.archive.changes import discrepancy_faults
+from core.archive.changes import declared_faults
 from core.archive.check import DEFORMATION, DISPLACEMENT, KINDS
 from core.design import maximin_lhs
 from core.errors import FaultsError, InputError, ModelError
@@ -191,9 +191,9 @@ def archive_of(
 ) -> Archive:
     """An archive of a network's inputs and quantities, on `nodes` nodes without a known mesh.
 
-    FaultsError: a discrepancy that no runs of these hours could have (`check_hours`).
+    FaultsError: no runs of these hours could serve the network (`check_declared`).
     """
-    check_hours(network, max(time_h, default=0.0))
+    check_declared(network, max(time_h, default=0.0))
     shape = np.full((nodes, 3), np.nan), np.zeros((0, 0), np.int64), np.zeros((nodes, 3))
     return Archive.create(
         archive_dir,
@@ -206,9 +206,9 @@ def archive_of(
     )
 
 
-def check_hours(network: Network, horizon_h: float) -> None:
+def check_declared(network: Network, horizon_h: float) -> None:
     """Refuse, before a run is made, what training refuses of any runs that end at this hour."""
-    if horizon_h > 0 and (found := list(discrepancy_faults(network, horizon_h))):
+    if horizon_h > 0 and (found := list(declared_faults(network, horizon_h))):
         raise FaultsError(found)
 
 

@@ -50,14 +50,24 @@ class Seen:
         return float(np.sqrt(self.square.max() / max(self.count - 1, 1)))
 
 
-def discrepancy_faults(network: Network, horizon_h: float) -> Iterator[InputError]:
-    """Of each ``gp`` that cannot be calibrated over the runs' hours: needs no run to be known."""
+def declared_faults(network: Network, horizon_h: float) -> Iterator[InputError]:
+    """What of a network no runs of these hours could serve, known without a run: a ``gp`` that
+    cannot be calibrated over them, and noises and priors of no usable size."""
     for q in network.quantities:
         if q.discrepancy.kind == "gp":
             try:
                 modes_over(q, horizon_h)
             except InputError as error:
                 yield error
+    sizes = [(f"sigma_obs of {q.name}", q.sigma_obs, q.sigma_obs.low) for q in network.quantities]
+    sizes += [
+        (f"prior of {p.name}", p.prior, max(abs(p.prior.low), abs(p.prior.high)))
+        for p in network.parameters
+    ]
+    for what, prior, size in sizes:
+        odd = too_large(what, np.array([prior.low, prior.high])) or too_small(what, size)
+        if odd is not None:
+            yield odd
 
 
 def check_changes(
@@ -65,12 +75,8 @@ def check_changes(
 ) -> None:
     """Quantities that never change, that leave what readings may be, or drown in their noise; and
     whose discrepancy does not go with the runs' hours."""
-    for error in discrepancy_faults(network, horizon_h):
+    for error in declared_faults(network, horizon_h):
         found.add(error)
-    for q in network.quantities:
-        what, ends = f"sigma_obs of {q.name}", np.array([q.sigma_obs.low, q.sigma_obs.high])
-        if (odd := too_large(what, ends) or too_small(what, float(ends[0]))) is not None:
-            found.add(odd)
     by_name = {q.name: q for q in network.quantities}
     if "displacement" in seen and "deformation" in by_name:
         by_name["displacement"] = by_name["deformation"]

@@ -124,6 +124,31 @@ def test_hours_at_which_nothing_can_be_told_are_refused_before_a_run(
     assert "accuracy reached after 9 runs" in beside.stdout
 
 
+@pytest.mark.parametrize(
+    ("was", "now", "said"),
+    [
+        (
+            "low: 0.05, high: 2}",
+            "low: 0.05, high: 2.0e200}",
+            "sigma_obs of drop = 2e+200 is beyond",
+        ),
+        (
+            "low: 1, high: 9",
+            "low: 1.0e-198, high: 9.0e-198",
+            "prior of roughness = 9e-198 is below",
+        ),
+    ],
+)
+def test_numbers_of_no_usable_size_are_refused_before_a_run(
+    own: Path, was: str, now: str, said: str
+) -> None:
+    (own / "net.yaml").write_text(NETWORK.replace(was, now))
+    done = run(own / "runs", *words(own), "--accuracy", "0.01", "--most", "9")
+    assert done.exit_code == 1
+    assert said in done.output
+    assert not (own / "runs").exists()
+
+
 @pytest.mark.parametrize("begun", [False, True])
 def test_a_discrepancy_that_cannot_be_calibrated_is_refused_before_a_run(
     own: Path, begun: bool
