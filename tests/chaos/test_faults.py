@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import random
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -11,6 +14,8 @@ import pytest
 
 from service.studies.chaos import damage, faults, full_disk
 from service.studies.chaos.bench import Bench
+from service.studies.chaos.deaths import stopped
+from service.studies.chaos.processes import Child
 from tests.chaos import mutants
 
 SEED = 20310504
@@ -41,6 +46,22 @@ def test_a_fault_leaves_everything_whole(name: str, database_url: str) -> None:
     told = faults.tried(fault, kind, database_url, 1, SEED, shown)
     assert told["passed"], told
     assert sum(told["outcomes"].values()) == 1
+
+
+def test_a_process_counts_as_stopped_when_all_its_threads_stand_still() -> None:
+    code = "import threading; threading.Thread(target=input).start(); print('two', flush=True)"
+    words = [sys.executable, "-c", f"{code}\nwhile True: pass"]
+    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(words, text=True, **piped) as process:
+        child = Child(process.pid, process.wait)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "two\n"
+        assert len(list(Path(f"/proc/{child.pid}/task").iterdir())) == 2
+        assert "T" not in child.states()
+        child.signal(signal.SIGSTOP)
+        stopped(child)
+        assert child.states() == {"T"}
+        child.kill()
 
 
 def test_any_byte_of_a_models_artefact_that_changes_is_refused() -> None:

@@ -121,9 +121,14 @@ def stopped_beyond_lease(
 
 
 def stop_outside_transaction(bench: Bench, child: Child, rotor: str) -> None:
-    """SIGSTOP; not while it holds a lock that others wait for, which is another fault."""
+    """SIGSTOP; not while it holds a lock that others wait for, which is another fault.
+
+    It may run on for a moment after the signal, and take a lock that nobody had when it was asked
+    for; so it is seen to stand still before.
+    """
     while True:
         child.signal(signal.SIGSTOP)
+        stopped(child)
         if not locks(bench, rotor):
             return
         child.signal(signal.SIGCONT)
@@ -229,11 +234,10 @@ def _side_by_side(
 
 
 def stopped(child: Child) -> None:
-    """Wait until the process is stopped by its signal."""
+    """Wait until the process is stopped by its signal, every thread of it."""
     end = time.monotonic() + DIES_WITHIN_S
     while time.monotonic() < end:
-        with open(f"/proc/{child.pid}/stat") as stat:
-            if stat.read().rpartition(")")[2].split()[0] == "T":
-                return
+        if child.states() == {"T"}:
+            return
         time.sleep(0.01)
     raise TimeoutError(f"process {child.pid} did not come to its point")

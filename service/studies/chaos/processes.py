@@ -21,6 +21,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import wait
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -52,6 +53,14 @@ class Child:
         """With −9; returns when it is gone."""
         self.signal(signal.SIGKILL)
         self.end(None)
+
+    def states(self) -> set[str]:
+        """Those that its threads are in, as letters of Linux."""
+        found = set()
+        for one in Path(f"/proc/{self.pid}/task").iterdir():
+            with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
+                found.add((one / "stat").read_text().rpartition(")")[2].split()[0])
+        return found
 
 
 Start = Callable[[Kind, str, Mapping[str, str]], Child]
