@@ -251,6 +251,35 @@ def test_readings_are_marked_by_what_became_of_them(watched: Watched) -> None:
         expect(legend.get_by_text(kind, exact=True)).to_be_visible()
 
 
+MARKED = """async (marks) => {
+  const source = document.querySelector("script[type=module]").src;
+  const { chart } = await import(source.replace(/[a-z]+[.]js/, "chart.js"));
+  const place = document.querySelector("main").appendChild(document.createElement("div"));
+  const drawn = { time: [0, 100], lines: [{ name: "mean", values: [0, 1], ink: "mean" }] };
+  const plot = chart(place, { ...drawn, marks, what: "elongation", unitName: "mm", label: "x" });
+  await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+  return [plot.scales.y.max, place.querySelector("canvas").toDataURL()];
+}"""
+
+
+def test_a_reading_that_does_not_count_is_at_the_edge_and_sets_no_scale(watched: Watched) -> None:
+    """A decimal point that was corrected long ago pressed the band flat for ever."""
+    page = watched.open("/")
+
+    def drawn(*marks: tuple[str, float]) -> tuple[float, str]:
+        given = [{"kind": kind, "time_h": 50, "value": value} for kind, value in marks]
+        top, picture = page.evaluate(MARKED, given)
+        return float(top), str(picture)
+
+    bare, empty = drawn()
+    assert drawn(("counts", 17.0))[0] > 17
+    for kind in ("retracted", "replaced"):
+        top, picture = drawn((kind, 17.0))
+        assert top == bare
+        assert picture != empty, "it is shown all the same"
+        assert drawn((kind, 18.0))[1] != picture, "with its value"
+
+
 def test_the_band_on_the_page_is_the_service_s(watched: Watched, service: Running) -> None:
     page = watched.open("/rotors/r1/blades/B1")
     told = service.client.get("/v1/rotors/r1/blades/B1/prediction").json()

@@ -54,7 +54,8 @@ const sizer = new ResizeObserver((entries) => {
 
 /**
  * A chart. time: hours; lines: [{name, values, ink, way}]; bands: [[upper, lower, strength]] of
- * values; marks: [{kind, time_h, value, text}]; across: levels [{value, name}].
+ * values; marks: [{kind, time_h, value, text}], which set the scale where they count, and else stand
+ * at its edge with their value; across: levels [{value, name}].
  */
 export function chart(place, { time, lines, bands = [], marks = [], across = [], what, unitName, height = 320, label, least = null }) {
   const old = place.plot;
@@ -67,7 +68,8 @@ export function chart(place, { time, lines, bands = [], marks = [], across = [],
     series.push({ stroke: null, width: 0, points: { show: false } }, { stroke: null, width: 0, points: { show: false } });
     between.push({ series: [data.length - 2, data.length - 1], fill: `rgba(${colour("band")}, ${strength})` });
   }
-  const extra = [...marks.map((m) => m.value), ...across.map((a) => a.value)];
+  const counts = (one) => MARKS[one.kind][3];
+  const extra = [...marks.filter(counts).map((m) => m.value), ...across.map((a) => a.value)];
   const readout = h("div", { class: "readout", "aria-hidden": "true" });
   const draw = (u) => {
     const { ctx } = u;
@@ -94,7 +96,9 @@ export function chart(place, { time, lines, bands = [], marks = [], across = [],
     }
     for (const one of marks) {
       const [, ink, d, filled] = MARKS[one.kind];
-      ctx.setTransform(ratio, 0, 0, ratio, u.valToPos(one.time_h, "x", true), u.valToPos(one.value, "y", true));
+      const { min, max } = u.scales.y, beyond = one.value > max ? 1 : one.value < min ? -1 : 0;
+      const x = u.valToPos(one.time_h, "x", true), y = u.valToPos(Math.min(max, Math.max(min, one.value)), "y", true);
+      ctx.setTransform(ratio, 0, 0, ratio, x, y + 9 * ratio * beyond);
       const shape = new Path2D(d);
       ctx.lineWidth = 1.6;
       ctx.strokeStyle = colour("panel");
@@ -103,6 +107,13 @@ export function chart(place, { time, lines, bands = [], marks = [], across = [],
         ctx.fill(shape);
       } else ctx.strokeStyle = colour(ink);
       ctx.stroke(shape);
+      if (beyond) { // at the edge, with its value
+        const right = x > u.bbox.left + 0.85 * u.bbox.width;
+        ctx.fillStyle = colour(ink);
+        ctx.font = "12px system-ui, sans-serif";
+        [ctx.textAlign, ctx.textBaseline] = [right ? "right" : "left", "middle"];
+        ctx.fillText(`${beyond > 0 ? "↑" : "↓"} ${plain(one.value)}`, right ? -9 : 9, 0);
+      }
     }
     ctx.restore();
   };
