@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from core.diagnosis.dealing import Deal, dealt_sets
+from core.diagnosis.dealing import Deal, Deck, dealt_sets
 from core.diagnosis.scan import Scan
 from core.diagnosis.scatter import Scatter
 from core.diagnosis.scores import Scores
@@ -81,6 +81,21 @@ def test_a_blade_without_companions_is_dealt_rows_of_the_others() -> None:
     sets = of_white(white, rows, 1, 200)
     assert np.mean(np.abs(sets[:, 0, 0]) > 1.5) < 0.5
     assert not np.any(sets[:, 1:, 2]), "what is beyond a blade's rows stays nothing"
+
+
+def test_other_residuals_of_a_rotor_are_dealt_alike_from_one_deck() -> None:
+    """Of blades with companions, of one without (a row less), and of few blades."""
+    seen, _ = rotor(3)
+    place, information = seen.place.copy(), seen.information.copy()
+    place[0, -1], information[0, -1], information[0, :, -1] = -1, 0.0, 0.0
+    q = np.where(place >= 0, seen.q, 0.0)
+    lonely = replace(seen, place=place, information=information, q=q)
+    for one in (seen, lonely, few(1)):
+        moved = replace(one, q=one.q + 3.0 * (one.place >= 0))
+        deck = Deck.of(one, 40, 7)
+        assert np.array_equal(deck.sets(moved.q), dealt_sets(moved, 40, 7))
+        assert np.array_equal(deck.sets(one.q), dealt_sets(one, 40, 7))
+        assert not np.allclose(deck.sets(moved.q), deck.sets(one.q))
 
 
 def test_shares_of_the_blades_are_those_of_the_efficient_signatures() -> None:
