@@ -54,14 +54,16 @@ def test_a_process_counts_as_stopped_when_all_its_threads_stand_still() -> None:
     piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(words, text=True, **piped) as process:
         child = Child(process.pid, process.wait)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "two\n"
-        assert len(list(Path(f"/proc/{child.pid}/task").iterdir())) == 2
-        assert "T" not in child.states()
-        child.signal(signal.SIGSTOP)
-        stopped(child)
-        assert child.states() == {"T"}
-        child.kill()
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "two\n"
+            assert len(list(Path(f"/proc/{child.pid}/task").iterdir())) == 2
+            assert "T" not in child.states()
+            child.signal(signal.SIGSTOP)
+            stopped(child)
+            assert child.states() == {"T"}
+        finally:
+            child.kill()
 
 
 def test_any_byte_of_a_models_artefact_that_changes_is_refused() -> None:
