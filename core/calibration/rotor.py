@@ -16,7 +16,8 @@ many parameters of their own as readings each, they fit at no noise at all, in a
 Where no placement is found from there, the descent is made with all blades from the whole box, by
 as many scouts as there will be nodes. Everything is a function of the set of readings; the columns
 are kept, so that a new reading costs one blade's columns as long as the nodes stay. Where a
-posterior is nearly known from another (`start`), the nodes are tried there first.
+posterior is nearly known from another (`start`), nodes are tried there first and weighed by near
+messages (`columns`), for they are there to be compared.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from core.calibration.message import BladeMessage
 from core.calibration.space import SharedSpace
 from core.calibration.start import Start
 from core.calibration.tried import Tried, judged, of_all, pool
-from core.calibration.weighed import Weighed, node_count, said
+from core.calibration.weighed import Weighed, effective, node_count, said
 from core.smc.particles import ess, normalised
 from core.smc.placement import descend, improved, moments, pooled, sobol
 from core.smc.proposal import Proposal, finely_rounded, rounded
@@ -48,6 +49,9 @@ WELL = 0.4  # share of effective nodes that is enough then
 POOLED = 512  # nodes of a round of those
 EXPECTED = 4  # placements tried from where the posterior is expected
 COMPARED = 0.3  # share of effective nodes that is enough there: 0.13 nat of evidence by 128 nodes
+ALONE = (
+    0.135  # nat of evidence: by so many nodes as leave that a rival's alone is known well enough
+)
 MORE = (
     0.35  # share that is enough where more than four are shared, above the floor of what is served
 )
@@ -85,7 +89,7 @@ def weigh(
     if cheap:
         enough = max(enough, WELL)
     if start is not None:
-        enough = min(enough, COMPARED)
+        enough = min(enough, COMPARED, effective(ALONE, n) if start.alone else 1.0)
     base = sobol(n, d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)
 
@@ -235,5 +239,5 @@ def weigh(
         )
         best = (enough, place)
     unit, log_q = best[1].nodes(base[:n])
-    columns = known.all(messages, unit, "exact")
+    columns = known.all(messages, unit, "exact" if start is None else "near")
     return Weighed(unit, log_q, space.log_prior(unit), columns, best[1], least_said)

@@ -8,7 +8,7 @@ The quick way, at the nodes of the state before, is `quick`; what both take is k
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -79,6 +79,10 @@ class Step(Basis):
     def sealed(self, previous: RotorState | None = None) -> RotorState:
         """The state as a function of the readings alone; equal draws are taken from the last."""
         weighed = self.weighed
+        if self.start is not None:  # weighed by near messages
+            found = self.work.columns.gathered(self.messages)
+            columns = self.work.columns.all(found, weighed.unit, "exact")
+            weighed = replace(weighed, columns=columns)
         tilt, surface_error = evening(
             self.space, weighed.proposal, weighed.unit, weighed.log_p, weighed.log_q
         )

@@ -70,8 +70,8 @@ def with_columns(
     size = np.ones(len(names)) if sizes is None else sizes
     information = seen.cross(g)
     u = np.einsum("bic,bi->c", g, seen.q) + h.sum(axis=(0, 1))
-    alone = np.asarray(np.linalg.solve(information + one, u), float)
-    _, quiet = _quieter(seen, g, alone)
+    alone, noise = np.asarray(np.linalg.solve(information + one, u), float), _noises(model, start)
+    _, quiet = _quieter(seen, g, alone, noise)
     covariance = np.asarray(np.linalg.inv(information / quiet + one), float)
     mean = covariance @ u / quiet
     turn = np.zeros((len(start.names), len(names)))
@@ -80,26 +80,47 @@ def with_columns(
     scale = np.where(by_log, np.exp(-np.where(by_log, start.mean[others], 0.0)), 1.0)
     turn[others] = scale[:, None] * seen.imitating(g) / size
     given = start.joined(names, turn, mean * size, covariance * np.outer(size, size))
-    for name, ratio in _quieter(seen, g, mean)[0].items():
+    for name, ratio in _quieter(seen, g, mean, noise)[0].items():
         if name in start.names and shared_prior(model, name).log_scale:
             given.mean[start.names.index(name)] += 0.5 * np.log(ratio)
     return given
 
 
-def _quieter(seen: Scores, g: Array, amplitude: Array) -> tuple[dict[str, float], float]:
-    """Variance of each noise with effects of signatures g (B, n, C) over that without; of all.
+def _noises(model: Model, start: Start) -> dict[str, float]:
+    """The noises [unit] that a start expects."""
+    found = dict[str, float]()
+    for name, mean in zip(start.names, start.mean.tolist(), strict=True):
+        if name.startswith("sigma_obs."):
+            found[name] = float(np.exp(mean)) if shared_prior(model, name).log_scale else mean
+    return found
 
-    Residuals q become q − Q g⊥ a, and a noise is as large as its residuals.
+
+def _quieter(
+    seen: Scores, g: Array, amplitude: Array, noise: Mapping[str, float]
+) -> tuple[dict[str, float], float]:
+    """Variance of each noise with effects of signatures g (B, n, C) over that without; and of the
+    rows that tell the effects, on average.
+
+    Residuals q become q − Q g⊥ a, and a noise is as large as its residuals. What a scan tells of
+    its noise alone (`core.calibration.scans`), thousands of values, no effect changes; nor does it
+    a noise that is known.
     """
-    left = seen.including(g, amplitude).q
-    squares: dict[str, Array] = {}
+    left, told = seen.including(g, amplitude).q, np.sum(g * (seen.information @ g), axis=2)
+    squares = {name: np.zeros(2) for name in noise}
+    for one in (d for rows in seen.rows for d in rows.dense if isinstance(d.sigma, str)):
+        squares[str(one.sigma)] += one.rss / (noise[str(one.sigma)] ** 2 + one.extra) ** 2
+    telling = dict.fromkeys(("", *noise), 0.0)
     for b, i in np.argwhere(seen.real):
-        name = str(seen.rows[b].sigma[i])
-        here = np.array([seen.q[b, i] ** 2, left[b, i] ** 2])
-        squares[name] = squares.get(name, np.zeros(2)) + here
-    ratios = {n: float(np.clip(after / before, *QUIETER)) for n, (before, after) in squares.items()}
-    before, after = np.sum(list(squares.values()), axis=0)
-    return ratios, float(np.clip(after / before, *QUIETER))
+        sigma = seen.rows[b].sigma[i]
+        if isinstance(sigma, str):
+            squares[sigma] += seen.q[b, i] ** 2, left[b, i] ** 2
+        telling[sigma if isinstance(sigma, str) else ""] += told[b, i]
+    ratios = {
+        n: float(np.clip(after / before, *QUIETER)) if before > 0 else 1.0
+        for n, (before, after) in squares.items()
+    }
+    whole = max(sum(telling.values()), 1e-300)
+    return ratios, sum(ratios.get(n, 1.0) * share for n, share in telling.items()) / whole
 
 
 def _size(cell: Cell, before: Model, noise: Mapping[str, float]) -> float:

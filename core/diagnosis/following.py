@@ -1,12 +1,14 @@
 """Rows of the readings with an effect of physics less those without, at the points of every blade.
 
 An input that runs in time is followed through the creep's memory (`core.surrogate.history`), piece
-by piece between the hours at which something changes.
+by piece between the hours at which something changes for the blade, to the hours at which it was
+read: each blade has its own of both (`core.surrogate.histories`). What blades were read of, lengths
+and scans, is followed at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +16,18 @@ from numpy.typing import NDArray
 from core.answers import Answers
 from core.diagnosis.grammar import Facts
 from core.diagnosis.moving import Moving, Physics
+from core.diagnosis.read_alike import Alike, Kind, read_alike
 from core.diagnosis.scores import Scores
-from core.drift import Drift
 from core.errors import InputError
-from core.observation import Inspection
 from core.surrogate import Surrogate
 from core.surrogate.driven import Driven
 from core.surrogate.followed import Followed
-from core.surrogate.history import follow
+from core.surrogate.histories import follow_each
 from core.surrogate.targets import DEFORMATION, MEAN_CEEQ
 
 Array = NDArray[np.float64]
 PARTS = 6  # of a ramp
-Held = dict[tuple[object, ...], Array]
+Held = dict[tuple[object, ...], list[Array]]
 
 
 def change(
@@ -34,49 +35,20 @@ def change(
 ) -> Array:
     """(B, K, n): the rows with the effect less those without, at the points of every blade.
 
-    held  rows without, by the group of readings; filled
+    held  what is without effects, for all of them; filled
     """
     out = np.zeros(seen.answers.shape)
-    drifts = [physics.drifts(blade) for blade in seen.blades]
-    for members in _groups(seen, drifts).values():
-        b0, i0 = members[0]
-        mixing = seen.rows[b0].mixings.get(int(seen.place[b0, i0]))
-        blades = sorted({b for b, _ in members})
-        hours = np.unique([seen.reading(b, i).time_h for b, i in members])
-        one = None if mixing is not None else seen.reading(b0, i0)
-        modes = None if mixing is None else mixing.modes
-        moved = _follow(physics, seen, facts, effect, blades, hours, modes, one, held)
-        for b, i in members:
-            place = int(seen.place[b, i])
-            at = moved[blades.index(b), :, int(np.searchsorted(hours, seen.reading(b, i).time_h))]
-            if mixing is None:
-                out[b, :, i] = at[:, 0]
-                continue
-            rows = slice(i, i + at.shape[1])
-            out[b, :, rows] = at @ seen.rows[b].mixings[place].turn.T
+    for alike in read_alike(physics, seen):
+        moved = _follow(physics, seen, facts, effect, alike, held)
+        for kind, rows, changed in zip(alike.kinds, alike.rows, moved, strict=True):
+            for b, k, i in rows:
+                blade = alike.blades[b]
+                if kind.modes is None:
+                    out[blade, :, i] = changed[b, :, k, 0]
+                    continue
+                turn = seen.rows[blade].mixings[int(seen.place[blade, i])].turn
+                out[blade, :, i : i + len(turn)] = changed[b, :, k] @ turn.T
     return out
-
-
-def _groups(
-    seen: Scores, drifts: Sequence[tuple[Drift, ...]]
-) -> dict[object, list[tuple[int, int]]]:
-    """Blade and row of what is followed at once: readings of one kind, of blades that run alike.
-
-    Of scans the first row of each, those of blades that were scanned at the same hours together.
-    """
-    scanned: dict[tuple[int, bytes], list[tuple[int, int]]] = {}
-    groups: dict[object, list[tuple[int, int]]] = {}
-    for b, i in np.argwhere(seen.real).tolist():
-        reading, mixings, place = seen.reading(b, i), seen.rows[b].mixings, int(seen.place[b, i])
-        if place not in mixings:
-            nodes = None if reading.nodes is None else tuple(reading.nodes)
-            groups.setdefault((reading.quantity, nodes, drifts[b]), []).append((b, i))
-        elif i == 0 or seen.place[b, i - 1] != place:
-            scanned.setdefault((b, mixings[place].modes.tobytes()), []).append((b, i))
-    for (b, modes), members in scanned.items():
-        hours = tuple(seen.reading(b, i).time_h for _, i in members)
-        groups.setdefault(("scan", modes, hours, drifts[b]), []).extend(members)
-    return groups
 
 
 def _follow(
@@ -84,70 +56,89 @@ def _follow(
     seen: Scores,
     facts: Mapping[str, Facts],
     effect: Moving,
-    blades: Sequence[int],
-    hours: Array,
-    modes: Array | None,
-    reading: Inspection | None,
+    alike: Alike,
     known: Held,
-) -> Array:
-    """Change of the rows (n, K, T, R) at the points of these blades at hours (T,).
+) -> list[Array]:
+    """Change of the rows of each kind, (b, K, T, R), at the points of these blades.
 
     What is without the effect is the same for all effects, and is computed once (`known`).
     """
-    answers, points = physics.answers, seen.answers.shape[1]
+    answers, shape = physics.answers, (len(alike.blades), seen.answers.shape[1])
     base = answers.base if isinstance(answers, Driven) else answers
-    drifts = physics.drifts(seen.blades[blades[0]])  # those of all of them
     names = [i.name for i in base.inputs]
-    x = _inputs(physics, seen, blades, names)
-    what = _rule(physics, base, reading, modes)
-    if what is None or not isinstance(base, Surrogate):
-        flat = _at_once(physics, base, x, effect, hours, reading, modes)
-        return flat.reshape(len(blades), points, *flat.shape[1:])
-    clock = [facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in blades]
-    offset = np.repeat(clock, points)
-    steps = {h for d in drifts for h in d.shape.cuts(PARTS)}
-    cuts = steps | {h - o for h in effect.course.cuts(PARTS) for o in set(clock)}
-    marks = hours[hours > 0]
+    x = _inputs(physics, seen, alike.blades, names)
+    rules = [_rule(physics, base, kind) for kind in alike.kinds]
+    what = [rule for rule in rules if rule is not None]
+    followed = iter(list[Array]())
+    if what:
+        assert isinstance(base, Surrogate)
+        clock = [facts[seen.blades[b]].offset_h if effect.rotor else 0.0 for b in alike.blades]
+        given = (base, names, x.reshape(*shape, -1), alike, what)
+        points = {d.name: [seen.points[b][d.name] for b in alike.blades] for d in alike.drifts}
+        key = (alike.blades, tuple(kind.key for kind in alike.kinds))
+        if key not in known:
+            known[key] = _along(*given, points)
+        moved = _along(*given, points, effect, np.array(clock))
+        followed = iter([one - other for one, other in zip(moved, known[key], strict=True)])
+    return [
+        next(followed) if rule is not None else _at_once(physics, base, x, effect, alike, kind)
+        for rule, kind in zip(rules, alike.kinds, strict=True)
+    ]
+
+
+def _along(
+    base: Surrogate,
+    names: Sequence[str],
+    x: Array,
+    alike: Alike,
+    what: Sequence[Followed],
+    points: Mapping[str, Sequence[Array]],
+    effect: Moving | None = None,
+    clock: Array | None = None,
+) -> list[Array]:
+    """Rows of each kind, (b, K, T, R), where the inputs x (b, K, d) run; 0 at hour 0.
+
+    points  amplitudes (K,) of the drifts of each blade; clock: hour of the effect at which each
+            blade's hours are zero, (b,)
+    """
+    marks = np.where(alike.hours > 0, alike.hours, np.nan)
+    steps = {h for d in alike.drifts for h in d.shape.cuts(PARTS)}
+    own = list[list[float]]()
+    for n, until in enumerate(np.nanmax(alike.hours, axis=1)):
+        cuts = set(steps)
+        if effect is not None and clock is not None:
+            cuts |= {h - float(clock[n]) for h in effect.course.cuts(PARTS)}
+        own.append([0.0, *sorted(h for h in cuts if 0 < h < until)])
+    edges = np.full((len(own), max(map(len, own)) + 1), np.nan)
+    for row, one in zip(edges, own, strict=True):
+        row[: len(one)] = one
+    last = np.sum(edges[:, None, :] < marks[:, :, None], axis=2) - 1
+    starts = np.take_along_axis(edges, np.maximum(last, 0), axis=1)
+    middle = np.concatenate([0.5 * (edges[:, :-1] + edges[:, 1:]), 0.5 * (starts + marks)], axis=1)
+    inputs = np.repeat(x[:, :, None], middle.shape[1], axis=2)
+    for d in alike.drifts:
+        j, a = names.index(d.input), np.stack(points[d.name])[:, :, None]
+        inputs[..., j] = d.moved(inputs[..., j], a, d.shape.at(middle)[:, None])
+    if effect is not None and clock is not None:
+        j, s = names.index(effect.input), effect.course.at(middle + clock[:, None])
+        inputs[..., j] = effect.moved(inputs[..., j], s[:, None])
     low, high = np.array([(i.low, i.high) for i in base.inputs]).T
-
-    def held(middle: Array) -> Array:
-        """The inputs (n K, P, d) in the middle of pieces, without the effect."""
-        found = np.repeat(x[:, None], len(middle), axis=1)
-        for d in drifts:
-            j, a = names.index(d.input), np.concatenate([seen.points[b][d.name] for b in blades])
-            for p, hour in enumerate(middle):
-                found[:, p, j] = d.moved(found[:, p, j], a, float(d.shape.at(hour)))
-        return found
-
-    def changed(middle: Array) -> Array:
-        """The same with it."""
-        found, j = held(middle), names.index(effect.input)
-        for o in set(clock):
-            s, own = effect.course.at(middle + o), offset == o
-            found[own, :, j] = effect.moved(found[own, :, j], s)
-        return found
-
-    def along(hours_of: set[float], inputs: Callable[[Array], Array]) -> Array:
-        """Rows (n K, marks, R) where inputs run piece by piece."""
-        edges = np.array([0.0, *sorted(h for h in hours_of if 0 < h < hours.max())])
-        starts = edges[np.searchsorted(edges, marks) - 1]
-        ends = np.r_[edges[1:], marks]
-        middle = 0.5 * (np.r_[edges[:-1], starts] + ends)  # of the pieces, then those to the marks
-        inside = np.clip(inputs(middle), low, high)
-        pieces, last = inside[:, : len(edges) - 1], inside[:, len(edges) - 1 :]
-        ((mean, _, _),) = follow(base, edges, pieces, marks, last, [what], doubt=False, late=True)
-        return mean
-
-    key = (tuple(blades), hours.tobytes(), None if modes is None else modes.tobytes())
-    asked = (*key, "" if reading is None else repr(physics.asked(reading)))
-    if asked not in known:
-        known[asked] = along(steps, held)
-    out = np.zeros((len(x), len(hours), what.curves.forms.shape[2]))
-    out[:, hours > 0] = along(cuts, changed) - known[asked]
-    return out.reshape(len(blades), points, *out.shape[1:])
+    flat = np.clip(inputs, low, high).reshape(-1, *inputs.shape[2:])
+    pieces, points_ = edges.shape[1] - 1, x.shape[1]
+    found = follow_each(
+        base,
+        np.repeat(edges, points_, axis=0),
+        flat[:, :pieces],
+        np.repeat(marks, points_, axis=0),
+        flat[:, pieces:],
+        what,
+        late=True,
+    )
+    nothing = np.isnan(marks)[:, None, :, None]
+    return [np.where(nothing, 0.0, one.reshape(*x.shape[:2], *one.shape[1:])) for one in found]
 
 
-def _inputs(physics: Physics, seen: Scores, blades: Sequence[int], names: Sequence[str]) -> Array:
+def _inputs(physics: Physics, seen: Scores, blades: Iterable[int], names: Sequence[str]) -> Array:
     """Inputs (n K, d) at the points of these blades."""
     points = seen.answers.shape[1]
     columns = [
@@ -163,34 +154,21 @@ def _inputs(physics: Physics, seen: Scores, blades: Sequence[int], names: Sequen
     return x
 
 
-def _rule(
-    physics: Physics, base: Answers, reading: Inspection | None, modes: Array | None
-) -> Followed | None:
+def _rule(physics: Physics, base: Answers, kind: Kind) -> Followed | None:
     """How rows are followed in time; None where they do not grow from 0 with creep."""
     if not isinstance(base, Surrogate) or MEAN_CEEQ not in base.parts:
         return None
-    if modes is not None:
+    if kind.modes is not None:
         creeps = base.parts[DEFORMATION].form == "per ceeq"
-        return Followed.mixed(base, modes) if creeps else None
+        return Followed.mixed(base, kind.modes) if creeps else None
     try:
-        return Followed.of(base, *physics.asked(_given(reading)))
+        return Followed.of(base, *physics.asked(kind.reading))
     except InputError:
         return None
 
 
-def _given(reading: Inspection | None) -> Inspection:
-    assert reading is not None
-    return reading
-
-
 def _at_once(
-    physics: Physics,
-    base: Answers,
-    x: Array,
-    effect: Moving,
-    hours: Array,
-    reading: Inspection | None,
-    modes: Array | None,
+    physics: Physics, base: Answers, x: Array, effect: Moving, alike: Alike, kind: Kind
 ) -> Array:
     """The same for what has no memory: constant effects only, as the others mean nothing."""
     j = [i.name for i in base.inputs].index(effect.input)
@@ -200,10 +178,18 @@ def _at_once(
     if isinstance(base, Surrogate):
         low, high = np.array([(i.low, i.high) for i in base.inputs]).T
         changed = np.clip(changed, low, high)
-    if modes is not None:
-        every = [base.mode_response(float(hour), modes) for hour in hours]
-        return np.stack([one.evaluate(changed)[0] - one.evaluate(x)[0] for one in every], axis=1)
-    quantity, nodes = physics.asked(_given(reading))
-    after, _ = base.predict(changed, quantity, hours, nodes)
-    before, _ = base.predict(x, quantity, hours, nodes)
-    return np.asarray((after - before).reshape(len(x), len(hours), -1))
+    shape, out = (len(alike.blades), len(x) // len(alike.blades)), list[Array]()
+
+    def answered(x: Array, hours: Array) -> Array:
+        if kind.modes is not None:
+            every = [base.mode_response(float(hour), kind.modes) for hour in hours]
+            return np.stack([one.evaluate(x)[0] for one in every], axis=1)
+        quantity, nodes = physics.asked(kind.reading)
+        return base.predict(x, quantity, hours, nodes)[0].reshape(len(x), len(hours), -1)
+
+    after, before = (one.reshape(*shape, -1) for one in (changed, x))
+    for own, one, other in zip(alike.hours, after, before, strict=True):
+        hours = own[~np.isnan(own)]
+        moved = answered(one, hours) - answered(other, hours)
+        out.append(np.pad(moved, ((0, 0), (0, len(own) - len(hours)), (0, 0))))
+    return np.stack(out)

@@ -39,7 +39,7 @@ EXTRAPOLATED = 0.012  # sd of a change beyond the runs' last instant, relative
 
 
 @dataclass(frozen=True)
-class _Grown:
+class Grown:
     """What has grown of rows: strain, totals and their doubt (n, R); log t of clocks of their
     own."""
 
@@ -50,18 +50,29 @@ class _Grown:
 
 
 @dataclass(frozen=True)
-class _Memory:
+class Memory:
     """What has grown: mean CEEQ (n, 1), and rows of each quantity; log t there."""
 
     mean_ceeq: Array
-    rows: tuple[_Grown, ...]
+    rows: tuple[Grown, ...]
     log_t: Array | None = None
 
     @staticmethod
-    def of(n: int, what: Sequence[Followed]) -> _Memory:
+    def of(n: int, what: Sequence[Followed]) -> Memory:
         """Of n histories that begin."""
         nothing = [np.zeros((n, one.curves.forms.shape[2])) for one in what]
-        return _Memory(np.zeros((n, 1)), tuple(_Grown(one, one, one) for one in nothing))
+        return Memory(np.zeros((n, 1)), tuple(Grown(one, one, one) for one in nothing))
+
+    def at(self, rows: NDArray[np.intp]) -> Memory:
+        """Of these histories."""
+
+        def own(one: Array | None) -> Array | None:
+            return None if one is None else one[rows]
+
+        grown = tuple(
+            Grown(g.strain[rows], g.total[rows], g.doubt[rows], own(g.log_t)) for g in self.rows
+        )
+        return Memory(self.mean_ceeq[rows], grown, own(self.log_t))
 
 
 def follow(
@@ -94,7 +105,7 @@ def follow(
     fits = inputs.shape[1] == len(edges) - 1 and at_marks.shape[1] == len(marks)
     if edges[0] != 0 or np.any(np.diff(edges) <= 0) or not fits or np.any(marks <= 0):
         raise InputError("edges", edges.tolist(), "do not fit the inputs", "one piece per interval")
-    walk, now = _Walk.of(surrogate, what, doubt, late), _Memory.of(len(inputs), what)
+    walk, now = Walk.of(surrogate, what, doubt, late), Memory.of(len(inputs), what)
     found = _room(len(inputs), len(marks), what)
     last = np.searchsorted(edges, marks, side="left") - 1  # the edge strictly before
     for p in range(int(last.max(initial=-1)) + 1):
@@ -113,7 +124,7 @@ def constant(
 
     The process is asked for them once, not at every mark.
     """
-    walk, nothing = _Walk.of(surrogate, what, doubt), _Memory.of(len(x), what)
+    walk, nothing = Walk.of(surrogate, what, doubt), Memory.of(len(x), what)
     known, found = walk.known(x), _room(len(x), len(marks), what)
     for m, hour in enumerate(marks):
         _put(found, m, walk.on(nothing, known, float(hour)))
@@ -127,14 +138,14 @@ def _room(n: int, marks: int, what: Sequence[Followed]) -> list[Answer]:
     return [(np.empty(shape), np.empty(shape), path) for shape in shapes]
 
 
-def _put(found: Sequence[Answer], m: int, seen: _Memory) -> None:
+def _put(found: Sequence[Answer], m: int, seen: Memory) -> None:
     """What is seen at a mark."""
     for (mean, sd, path), own in zip(found, seen.rows, strict=True):
         mean[:, m], sd[:, m], path[:, m] = own.total, own.doubt, seen.mean_ceeq[:, 0]
 
 
 @dataclass(frozen=True)
-class _Known:
+class Known:
     """What the process says of inputs: weights of memory (n, A, 1), of rows (n, A, R), v (n,)."""
 
     memory: Array
@@ -150,7 +161,7 @@ class _Step:
     after: Array
     begun: Array
     ceeq: Array
-    hours: float
+    hours: float | Array
 
     @property
     def first(self) -> bool:
@@ -159,7 +170,7 @@ class _Step:
 
 
 @dataclass(frozen=True)
-class _Walk:
+class Walk:
     """The rule, step by step."""
 
     surrogate: Surrogate
@@ -170,17 +181,15 @@ class _Walk:
     late: bool = False
 
     @staticmethod
-    def of(
-        surrogate: Surrogate, what: Sequence[Followed], doubt: bool, late: bool = False
-    ) -> _Walk:
+    def of(surrogate: Surrogate, what: Sequence[Followed], doubt: bool, late: bool = False) -> Walk:
         """With the memory that the surrogate has."""
         part, one = surrogate.parts[MEAN_CEEQ], np.zeros(1, dtype=np.int64)
         time = part.factors.time_h
         k_memory = Scales(np.log(time), part.scale(time, one, surrogate.v_typical))
         memory = Curves.of(part, part.factors.space.astype(float))
-        return _Walk(surrogate, memory, k_memory, what, doubt, late)
+        return Walk(surrogate, memory, k_memory, what, doubt, late)
 
-    def known(self, x: Array) -> _Known:
+    def known(self, x: Array) -> Known:
         """Of inputs x (n, d)."""
         z, curves = self.surrogate.scaled(x), (self.memory, *(one.curves for one in self.what))
         process, columns = self.surrogate.process, [one.columns for one in curves]
@@ -189,10 +198,10 @@ class _Walk:
         else:
             c, v = process.mean(z, columns), np.zeros(len(z))
         memory, *own = (one.weights(of_it) for one, of_it in zip(curves, c, strict=True))
-        return _Known(memory, tuple(own), v)
+        return Known(memory, tuple(own), v)
 
-    def on(self, now: _Memory, known: _Known, hours: float) -> _Memory:
-        """After some hours under inputs of which so much is known."""
+    def on(self, now: Memory, known: Known, hours: float | Array) -> Memory:
+        """After some hours, (n, 1) or of all, under inputs of which so much is known."""
         memory, e, begun = self.memory, known.memory, now.mean_ceeq
         before = clock(memory, e, begun, self.late, now.log_t)
         after = np.log(np.exp(before) + hours)
@@ -201,9 +210,9 @@ class _Walk:
             ceeq += _short(begun, np.exp(before + memory(e, before)))
         step, each = _Step(before, after, begun, ceeq, hours), (self.what, known.own, now.rows)
         rows = tuple(self._grown(*one, step, known.v) for one in zip(*each, strict=True))
-        return _Memory(ceeq, rows, after)
+        return Memory(ceeq, rows, after)
 
-    def _grown(self, what: Followed, y: Array, now: _Grown, step: _Step, v: Array) -> _Grown:
+    def _grown(self, what: Followed, y: Array, now: Grown, step: _Step, v: Array) -> Grown:
         """Rows of one quantity after a step."""
         own, strain, doubt = what.curves, now.strain, now.doubt
         before, after, begun = step.before, step.after, step.begun
@@ -227,7 +236,7 @@ class _Walk:
             doubt = doubt + np.abs(k) * np.sqrt(v)[:, None]
         beyond = np.clip((np.exp(after) - np.exp(self.memory.last)) / step.hours, 0.0, 1.0)
         doubt = doubt + EXTRAPOLATED * np.abs(change) * beyond
-        return _Grown(strain, now.total + change, doubt, after if what.own_clock else None)
+        return Grown(strain, now.total + change, doubt, after if what.own_clock else None)
 
 
 def _short(strain: Array, reached: Array) -> Array:

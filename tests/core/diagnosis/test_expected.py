@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from core.calibration.online import RotorSpec, Workspace, begun, update
+from core.calibration.scans import Dense
 from core.calibration.start import Start
 from core.calibration.state import RotorState
 from core.calibration.step import Step
 from core.diagnosis import Case, Facts
 from core.diagnosis.adopt import amplitude, with_effects
-from core.diagnosis.expected import joined, without
+from core.diagnosis.expected import _quieter, joined, without
 from core.diagnosis.scan import Scan
 from core.model import Model
 from tests.core.calibration.bar import bar, measured
+from tests.core.diagnosis.fleet import SIGMA, rotor
 from tests.core.diagnosis.test_diagnose import MODEL as BENT
 from tests.core.diagnosis.test_diagnose import OFFSET, readings
 from tests.core.diagnosis.test_diagnose import SPEC as BENT_SPEC
@@ -112,3 +114,23 @@ def test_what_wakes_is_expected_about_where_it_slept() -> None:
     i = next(k for k, c in enumerate(scan.cells) if c.name == "bend")
     found = joined(model, state, scan, [i], model, case.noise(model, state))
     assert found.mean[found.names.index("bend")] == pytest.approx(0.65, abs=0.05)
+
+
+@pytest.mark.parametrize("values", [0, 900])
+def test_what_a_scan_tells_of_its_noise_alone_no_effect_changes(values: int) -> None:
+    """An offset in one of three visits of 24 blades; blades tell `values` more of their noise."""
+    seen, _ = rotor(5, lambda b, k: 0.5 * (k == 1))
+    more = (Dense("sigma_obs.y", rss=values * SIGMA**2, dof=values),) if values else ()
+    named = ("sigma_obs.y",) * 3
+    rows = tuple(replace(r, sigma=(*named, *r.sigma[3:]), dense=more) for r in seen.rows)
+    g = np.zeros((*seen.q.shape, 1))
+    g[:, 1] = 0.5
+    fall, whole = _quieter(replace(seen, rows=rows), g, np.ones(1), {"sigma_obs.y": SIGMA})
+    left = seen.including(g, np.ones(1)).q
+    alone, beside = np.sum(left**2) / np.sum(seen.q**2), values * len(rows) / SIGMA**2
+    assert alone < 0.6, "the offset is most of what the readings are off"
+    expected = (np.sum(left**2) + beside) / (np.sum(seen.q**2) + beside)
+    assert fall["sigma_obs.y"] == pytest.approx(expected)
+    assert whole == pytest.approx(expected)
+    known = tuple(replace(r, sigma=(SIGMA,) * len(r.sigma), dense=()) for r in rows)
+    assert _quieter(replace(seen, rows=known), g, np.ones(1), {})[1] == 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +15,14 @@ from core.diagnosis.families import FAMILIES
 from core.diagnosis.following import change
 from core.diagnosis.grammar import Cell
 from core.diagnosis.moving import Moving, Physics
-from core.diagnosis.scoring import scores
+from core.diagnosis.scoring import POINTS, scores
 from core.errors import RangeError
 from core.model import Model, rotor_blade, rotor_blade_wide
 from core.network import Network
 from core.observation import Inspection
+from core.surrogate import history
 from core.surrogate.driven import Driven
-from core.surrogate.history import follow
+from core.surrogate.histories import follow_each
 from core.validation.fe_rotors import scan_nodes
 from core.validation.simulate import scan
 
@@ -139,6 +141,41 @@ def test_a_node_that_the_changed_inputs_would_reach_late_is_looked_at_all_the_sa
     assert np.all(found[:, 0] == 0.0), "before the step"
     assert np.all(np.isfinite(found))
     assert np.abs(found).max() < 1.2e-4, "a fifth of what there is"
-    monkeypatch.setattr(following, "follow", lambda *a, late, **n: follow(*a, **n))
+    monkeypatch.setattr(following, "follow_each", lambda *a, late: follow_each(*a))
     with pytest.raises(RangeError, match="longer runs"):
         change(own, seen, facts, colder, {})
+
+
+@pytest.mark.parametrize("count", [4, 12])
+def test_blades_that_are_read_at_hours_of_their_own_cost_no_more_than_alike(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two readings each, an effect that grows by the rotor's hours: what the process is asked goes
+    with the blades. (Between the hours of all of them it went with their square.)"""
+    blades = tuple(f"B{b:02d}" for b in range(count))
+    wear = Moving(
+        "tbc_thickness", "times", -0.2, Cell(FAMILY["fouling"], "linear", "all").course, True
+    )
+    asked, known = [], history.Walk.known
+
+    def counted(self: Any, x: np.ndarray) -> Any:
+        asked.append(len(x))
+        return known(self, x)
+
+    monkeypatch.setattr(history.Walk, "known", counted)
+    cost = []
+    for apart in (0.0, 37.0):
+        data = [
+            Inspection(f"{b}-{t}", name, "elongation", t + apart * b, np.array([0.02 + 1e-5 * t]))
+            for b, name in enumerate(blades)
+            for t in (7e3, 21e3)
+        ]
+        facts = {name: Facts(offset_h=3 * apart * b) for b, name in enumerate(blades)}
+        seen = scores(MODEL, update(MODEL, RotorSpec("r", blades, 100, 1), data), data)
+        asked.clear()
+        change(Physics.of(MODEL.network, MODEL.surrogate, {}), seen, facts, wear, {})
+        cost.append(sum(asked))
+    alike, other = cost
+    assert alike == other
+    between = sum(0 < hour < 21e3 for hour in wear.course.cuts(following.PARTS))
+    assert alike == count * POINTS * (between + 2 + 2), "two readings with the wear and without"

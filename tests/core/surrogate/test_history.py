@@ -44,13 +44,13 @@ def test_inputs_that_never_change_are_asked_about_once(
     rows, marks = [Followed.of(BLADE, quantity, nodes)], np.array([1e3, 2e4, 7e4])
     at = np.repeat(X[:, None], len(marks), axis=1)
     whole = history.follow(BLADE, np.zeros(1), at[:, :0], marks, at, rows, 0.0, doubt=doubt)
-    asked, known = [], history._Walk.known
+    asked, known = [], history.Walk.known
 
     def counted(self: Any, x: np.ndarray) -> Any:
         asked.append(len(x))
         return known(self, x)
 
-    monkeypatch.setattr(history._Walk, "known", counted)
+    monkeypatch.setattr(history.Walk, "known", counted)
     got = history.constant(BLADE, X, marks, rows, doubt=doubt)
     assert asked == [len(X)]
     assert all(np.array_equal(a, b) for a, b in zip(got[0], whole[0], strict=True))
@@ -67,7 +67,7 @@ def test_quantities_followed_together_answer_to_the_last_bit_as_one_by_one(
     inputs[:, 1, 1] = at[:, 2, 1] = 0.9
     rows = [Followed.of(BLADE, quantity, nodes) for quantity, nodes in ROWS]
     rows.append(Followed.mixed(BLADE, np.eye(3, BLADE.deformation_modes([TIP]).shape[2])))
-    asked, known = [], history._Walk.known
+    asked, known = [], history.Walk.known
 
     def counted(self: Any, x: np.ndarray) -> Any:
         asked.append(len(x))
@@ -78,7 +78,7 @@ def test_quantities_followed_together_answer_to_the_last_bit_as_one_by_one(
         return history.follow(*given, doubt=doubt, late=late)
 
     alone = [found([one])[0] for one in rows]
-    monkeypatch.setattr(history._Walk, "known", counted)
+    monkeypatch.setattr(history.Walk, "known", counted)
     together = found(rows)
     assert len(asked) == len(marks) + 2, "marks, and the edges on the way"
     for one, several in zip(alone, together, strict=True):
