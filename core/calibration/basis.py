@@ -89,7 +89,7 @@ class Basis:
         parts = [repr(same)]
         if start is not None:
             parts += [
-                repr(start.names),
+                repr((start.names, start.alone, start.served)),
                 start.mean.tobytes().hex(),
                 start.covariance.tobytes().hex(),
                 *sorted(start.apart),

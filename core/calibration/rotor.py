@@ -75,8 +75,8 @@ def weigh(
     """Place and weight the shared nodes for these messages.
 
     start  where they are tried first; none, for what must depend on the messages alone. With one
-           a posterior is wanted for a comparison, and less is done to find it where it is not
-           there; nothing, where the start is `alone`
+           a posterior is wanted for a comparison (if it is not `served`), and less is done to find
+           it where it is not there; nothing, where the start is `alone`
     placed  the placement that these very messages, seed and start had before: nothing is searched
     floors  of what some blades say (`bounded`)
     """
@@ -88,7 +88,7 @@ def weigh(
     fitting, cheap = min(0.3, 1.2 / d), all(m.cheap for m in messages.values())
     if cheap:
         enough = max(enough, WELL)
-    if start is not None:
+    if start is not None and not start.served:
         enough = min(enough, COMPARED, effective(ALONE, n) if start.alone else 1.0)
     base = sobol(n, d, seed)
     counts, everyone = panel(messages), dict.fromkeys(sorted(messages), 1.0)

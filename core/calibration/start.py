@@ -42,6 +42,7 @@ class Start:
 
     names (d,), mean (d,), covariance (d, d)
     alone  a posterior that is not found from there is looked for nowhere else
+    served  the state may be served: as many nodes have to carry it as one from nothing
     apart  blades that are `bounded` from the beginning
     turned  blades that look exchanged: told of such a state as well
     """
@@ -50,6 +51,7 @@ class Start:
     mean: Array
     covariance: Array
     alone: bool = False
+    served: bool = False
     apart: frozenset[str] = frozenset()
     turned: tuple[Mapping[str, Any], ...] = ()
 

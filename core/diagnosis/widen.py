@@ -93,7 +93,7 @@ def widen(
         return None
     _, declared, bigger, g, h = max(tried, key=lambda one: one[0])
     names = [f"theta.{quantity}.{k + 1}" for k in range(g.shape[2])]
-    start = with_columns(model, state, seen, g, h, names)
+    start = replace(with_columns(model, state, seen, g, h, names), served=True)
     step = begun(bigger, case.spec, case.readings, workspace=workspace, start=start)
     made = step.sealed()
     if not made.meta["health"]["met_floor"]:  # it may be served: it is looked for everywhere

@@ -74,6 +74,16 @@ def test_where_a_start_is_to_be_alone_nothing_is_looked_for_elsewhere(
     assert near[0].sealed().digest == there[0].sealed().digest
 
 
+def test_what_may_be_served_is_carried_by_as_many_nodes_as_from_nothing(
+    nothing: tuple[Step, int],
+) -> None:
+    """From a start of four times the variances a third of the nodes is enough to compare."""
+    known = Start.of(MODEL, nothing[0].sealed()).wider(4.0)
+    compared, served = made(known)[0], made(replace(known, served=True))[0]
+    assert 0.3 <= compared.weighed.ess_ratio < 0.5 <= served.weighed.ess_ratio
+    assert compared.question != served.question, "one is no answer to the other"
+
+
 def test_what_was_found_before_is_not_searched_again(nothing: tuple[Step, int]) -> None:
     """By another process, from JSON: the same bits for a part of the columns; other readings, or
     another start, are another question."""
