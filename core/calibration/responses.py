@@ -9,11 +9,13 @@ input that runs in time are compiled at once (`prepare`). A closed form's rows s
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.answers import Input, Stacked
+from core.calibration.scans import split_modes
 from core.errors import InputError
 from core.model import Model
 from core.network import Parameter
@@ -21,9 +23,12 @@ from core.observation import Inspection
 from core.response import CALIBRATED, Response
 from core.surrogate.closed_form import ClosedForm, FormulaRows
 from core.surrogate.driven import Driven
+from core.surrogate.kept import Kept, Wanted
+from core.surrogate.targets import DEFORMATION
 
 Array = NDArray[np.float64]
 Rows = Response | FormulaRows
+Key = tuple[object, ...]
 DEGREE = CALIBRATED
 MOST_ROWS = 8192  # compiled ones that a model keeps
 
@@ -72,21 +77,43 @@ def _rows(model: Model, key: tuple[object, ...], make: object) -> Response:
 
 def prepare(model: Model, readings: Iterable[Inspection]) -> None:
     """Compile the rows of all readings of inputs that run in time at once: they share pieces."""
-    asked: dict[tuple[int, str, tuple[int, ...] | None], tuple[Model, set[float]]] = {}
+    asked: dict[int, tuple[Driven, Model, dict[Key, tuple[Wanted, float]]]] = {}
+    mixings = dict[bytes, Wanted]()
     for reading in readings:
         own = model.for_blade(reading.blade)
-        quantity = model.network.quantity(reading.quantity)
-        if isinstance(own.surrogate, Driven) and quantity.kind != "vector" and reading.time_h > 0:
-            nodes = _node_of(own, reading)
-            key = (id(own), reading.quantity, None if nodes is None else tuple(nodes))
-            asked.setdefault(key, (own, set()))[1].add(reading.time_h)
-    for (_, what, at), (own, hours) in asked.items():
-        missing = sorted(h for h in hours if (what, h, at) not in own._rows)
-        if len(missing) > 1:
-            made = own.part(what).response(what, np.array(missing), at, degree=DEGREE)
-            for k, hour in enumerate(missing):
-                one = made.rows(np.array([k]))
-                _rows(own, (what, hour, at), lambda one=one: one)
+        if not isinstance(own.surrogate, Driven) or reading.time_h <= 0:
+            continue
+        new = asked.setdefault(id(own), (own.surrogate, own, {}))[2]
+        if (key := _key(own, reading)) in own._rows or key in new:
+            continue
+        if own.network.quantity(reading.quantity).kind != "vector":
+            new[key] = Wanted.of(reading.quantity, _node_of(own, reading)), reading.time_h
+            continue
+        nodes = _nodes(reading).tobytes()
+        if nodes not in mixings:
+            mixings[nodes] = Wanted.of(DEFORMATION, mixing=split_modes(own, reading)[1])
+        new[key] = mixings[nodes], reading.time_h
+    for answers, own, new in asked.values():
+        if len(new) > 1:
+            hours: dict[Wanted, set[float]] = {}
+            for wanted, hour in new.values():
+                hours.setdefault(wanted, set()).add(hour)
+            made = Kept(partial(answers.compiled, degree=DEGREE)).made(hours)
+            for key, place in new.items():
+                _rows(own, key, partial(made.__getitem__, place))
+
+
+def _key(model: Model, reading: Inspection) -> Key:
+    """What the rows of a reading are kept by."""
+    if model.network.quantity(reading.quantity).kind == "vector":
+        return (reading.quantity, reading.time_h, "scan", _nodes(reading).tobytes())
+    nodes = _node_of(model, reading)
+    return (reading.quantity, reading.time_h, None if nodes is None else tuple(nodes))
+
+
+def _nodes(reading: Inspection) -> NDArray[np.int64]:
+    assert reading.nodes is not None
+    return reading.nodes
 
 
 def _node_of(model: Model, reading: Inspection) -> list[int] | None:
@@ -129,13 +156,15 @@ def answer(model: Model, reading: Inspection) -> Rows:
         own = part.rows(reading.quantity, times)
         return own.over(own.names, *_box(model, part.inputs))
     nodes = _node_of(model, reading)
-    key = (reading.quantity, reading.time_h, None if nodes is None else tuple(nodes))
-    return _rows(model, key, lambda: part.response(reading.quantity, times, nodes, degree=DEGREE))
+    return _rows(
+        model,
+        _key(model, reading),
+        lambda: part.response(reading.quantity, times, nodes, degree=DEGREE),
+    )
 
 
 def scanned(model: Model, reading: Inspection, modes: Array) -> Response:
     """The rows of a scan's modes at its nodes, R (Q, B)."""
-    assert reading.nodes is not None
-    key = (reading.quantity, reading.time_h, "scan", reading.nodes.tobytes())
     part = model.part(reading.quantity)
-    return _rows(model, key, lambda: part.mode_response(reading.time_h, modes, degree=DEGREE))
+    made = partial(part.mode_response, reading.time_h, modes, degree=DEGREE)
+    return _rows(model, _key(model, reading), made)

@@ -126,8 +126,7 @@ def scan_rows(
     assert reading.nodes is not None
     quantity = model.network.quantity(reading.quantity)
     surrogate = model.part(reading.quantity)
-    phi = surrogate.deformation_modes(reading.nodes.tolist())
-    q, r = np.linalg.qr(phi.reshape(reading.values.size, -1))
+    q, r = split_modes(model, reading)
     readings = reading.values.reshape(-1)
     y = q.T @ readings
     seen = [affine(model, quantity, reading.time_h, axis) for axis in range(len(AXES))]
@@ -171,6 +170,14 @@ def scan_rows(
         for row in weight @ moved
     )
     return ScanRows(mixed, weight @ y, extra, dense, rows, Mixing(weight, r))
+
+
+def split_modes(model: Model, reading: Inspection) -> tuple[Array, Array]:
+    """Q (V, Q) and R (Q, B) of the deformation's modes at a scan's V values."""
+    assert reading.nodes is not None
+    phi = model.part(reading.quantity).deformation_modes(reading.nodes.tolist())
+    q, r = np.linalg.qr(phi.reshape(reading.values.size, -1))
+    return q, r
 
 
 def shaped(covariance: Array, r: Array, sd: Array) -> Array:

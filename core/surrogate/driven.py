@@ -171,7 +171,7 @@ class Driven:
 
     @cached_property
     def _kept(self) -> Kept:
-        return Kept(self._compiled)
+        return Kept(self.compiled)
 
     def _compiled_answers(
         self, x: Array, quantity: str, times: Array, nodes: Sequence[int] | None
@@ -188,7 +188,7 @@ class Driven:
         )
         return self._shaped(mean, quantity), self._shaped(sd, quantity)
 
-    def _compiled(
+    def compiled(
         self, wanted: Sequence[Wanted], times: Sequence[float], degree: int = DEGREE
     ) -> list[list[Response]]:
         """Rows of each of these, by time."""
@@ -224,7 +224,7 @@ class Driven:
     ) -> Response:
         """`predict` compiled to polynomials; rows in C order of (time, node, xyz)."""
         hours = np.atleast_1d(np.asarray(times, float)).tolist()
-        return Response.stack(self._compiled([Wanted.of(quantity, nodes)], hours, degree)[0])
+        return Response.stack(self.compiled([Wanted.of(quantity, nodes)], hours, degree)[0])
 
     def deformation_modes(self, nodes: Sequence[int]) -> Array:
         return self.base.deformation_modes(nodes)
@@ -234,7 +234,7 @@ class Driven:
 
     def mode_response(self, time_h: float, mixing: Array, degree: int = DEGREE) -> Response:
         """The Q rows T c(t) E(t) for mixing T (Q, B) of the deformation's modes."""
-        return self._compiled([self._mixed(mixing)], [time_h], degree)[0][0]
+        return self.compiled([self._mixed(mixing)], [time_h], degree)[0][0]
 
     def mode_responses(self, times: Sequence[float], mixing: Array) -> list[Response]:
         """`mode_response` of each time after 0, to the last bit; cheaper, and kept."""

@@ -58,20 +58,20 @@ class Kept:
         # taken out once: another thread may clear what is kept meanwhile
         found = {t: self._rows.get((wanted, t)) for t in _after_0(times)}
         new = {t for t, rows in found.items() if rows is None}
-        made = self._made({wanted: new})
+        made = self.made({wanted: new})
         return {t: made[wanted, t] if rows is None else rows for t, rows in found.items()}
 
     def ready(self, asked: Mapping[Wanted, Iterable[float]]) -> None:
         """Compile at once what is new of all this."""
-        self._made(
+        self.made(
             {
                 wanted: {t for t in _after_0(times) if (wanted, t) not in self._rows}
                 for wanted, times in asked.items()
             }
         )
 
-    def _made(self, new: Mapping[Wanted, set[float]]) -> dict[tuple[Wanted, float], Response]:
-        """Compiled, and kept."""
+    def made(self, new: Mapping[Wanted, set[float]]) -> dict[tuple[Wanted, float], Response]:
+        """Compiled together, and kept: rows at each of these hours after 0."""
         made: dict[tuple[Wanted, float], Response] = {}
         hours = sorted(set().union(*new.values()))
         for k in range(0, len(hours), TOGETHER):

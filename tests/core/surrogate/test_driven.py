@@ -63,7 +63,7 @@ def test_hours_asked_for_together_answer_to_the_last_bit_as_one_by_one(
 ) -> None:
     """And are compiled once: what follows a call of `ready` compiles nothing."""
     hours, made = [9e3, 2e4, 5e4], []
-    x, whole = points(WORN, driven.MANY), Driven._compiled
+    x, whole = points(WORN, driven.MANY), Driven.compiled
     length, strain = Wanted.of("elongation"), Wanted.of("ceeq", [TIP])
     mixing = np.eye(3, BLADE.parts["deformation"].factors.space.shape[1])
     shape = Wanted.of("deformation", mixing=mixing)
@@ -72,7 +72,7 @@ def test_hours_asked_for_together_answer_to_the_last_bit_as_one_by_one(
         made.append((list(wanted), list(times)))
         return whole(self, wanted, times, *more)
 
-    monkeypatch.setattr(Driven, "_compiled", counted)
+    monkeypatch.setattr(Driven, "compiled", counted)
     together, alone = replace(WORN), replace(WORN)
     together.ready(driven.MANY - 1, {length: hours})
     assert made == [], "so few are followed one by one"
@@ -101,7 +101,7 @@ def test_many_hours_are_compiled_some_at_a_time_and_answer_the_same(
 ) -> None:
     """No more of a scan's rows is held than of `TOGETHER` hours; a quantity that none of them asks
     for is left out."""
-    x, hours, made, whole = points(WORN, driven.MANY), [9e3, 2e4, 3e4, 5e4], [], Driven._compiled
+    x, hours, made, whole = points(WORN, driven.MANY), [9e3, 2e4, 3e4, 5e4], [], Driven.compiled
     length, strain = Wanted.of("elongation"), Wanted.of("ceeq", [TIP])
 
     def counted(self: Driven, wanted: Any, times: Any, *more: Any) -> Any:
@@ -109,7 +109,7 @@ def test_many_hours_are_compiled_some_at_a_time_and_answer_the_same(
         return whole(self, wanted, times, *more)
 
     at_once = replace(WORN).predict(x, "elongation", np.array(hours))
-    monkeypatch.setattr(Driven, "_compiled", counted)
+    monkeypatch.setattr(Driven, "compiled", counted)
     monkeypatch.setattr(kept, "TOGETHER", 2)
     some = replace(WORN)
     some.ready(len(x), {length: hours, strain: hours[3:]})
