@@ -91,7 +91,8 @@ def predict(
     node        for fields: the node (default: the quantity's own)
     component   for 3-D deformation: 0, 1, 2 for x, y, z
     noise       False: the blade itself, without one more reading's noise
-    instrument  of that reading (default: `instrument_of`); a new one has its prior's noise
+    instrument  of that reading (default: its reader's, else `instrument_of`); a new one has its
+                prior's noise
     sigma       noise of that reading where it is known [unit]; None: as calibrated
     levels      of the quantiles beside the bounds
     reader      (instrument, campaign): what their reading says, with their biases; None: the
@@ -107,7 +108,10 @@ def predict(
     w = thin.particles.w
     time = checked_times(model, quantity, times)
     if instrument is None and noise and sigma is None:
-        instrument = instrument_of(thin, declared)
+        if reader is None:
+            instrument = instrument_of(thin, declared)
+        elif declared.by_instrument:
+            instrument = reader[0]
     own_noise = np.zeros(len(w))
     if noise:
         if sigma is None:

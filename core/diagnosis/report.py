@@ -153,7 +153,6 @@ def score(
             r.quantity,
             [r.time_h],
             None if r.nodes is None else int(r.nodes[0]),
-            instrument=r.instrument if model.network.quantity(r.quantity).by_instrument else None,
             known=(known or {}).get(r.blade),
             reader=(r.instrument, r.campaign),
             sigma=r.sigma,

@@ -14,9 +14,12 @@ from core.calibration.state import RotorSpec, blade_posterior
 from core.diagnosis import report
 from core.diagnosis.densities import density, leans, quantiles
 from core.diagnosis.report import before_after, fleet, held_out, parted, score
+from core.network import Discrepancy
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
+from tests.core.calibration.drifting import drifting
+from tests.core.calibration.test_discrepancy import by_two_instruments
 from tests.core.calibration.test_exact import SLOPES, conjugate, exact, readings
 
 MODEL = conjugate(2)
@@ -38,6 +41,24 @@ def test_a_reading_that_tells_its_noise_is_scored_with_it() -> None:
     assert got.width == pytest.approx(2 * 1.96 * sd, rel=0.08)
     untold = Inspection("h", "b1", "y", 2.0, held.values)
     assert score(MODEL, state, [untold]).width > 1.05 * got.width, "the prior's noise is larger"
+
+
+def test_a_reading_is_scored_with_the_noise_of_whoever_took_it() -> None:
+    """One that names no instrument had the noise of the instrument that is known best."""
+    model = drifting(Discrepancy(), by_instrument=True)
+    data = by_two_instruments(0.01, 0.15)
+    data = [replace(r, instrument=None) if r.instrument == "sharp" else r for r in data]
+    spec = RotorSpec("r", tuple(sorted({r.blade for r in data})), particles=1600, seed=1)
+    state = update(model, spec, data)
+    posterior = blade_posterior(state.meta, state.arrays.__getitem__, "b0")
+    blade = predict(model, posterior, "y", [2.0], noise=False)
+    w = posterior.particles.w
+    for by, name in (("blunt", "sigma_obs.y@blunt"), (None, "sigma_obs.y")):
+        noise = np.sqrt(w @ posterior.column(name) ** 2)
+        y = blade.mean + 2.0 * np.hypot(blade.sd["total"], noise)
+        held = Inspection("h", "b0", "y", 2.0, y, instrument=by)
+        assert score(model, state, [held]).z[0] == pytest.approx(2.0, rel=1e-6)
+        assert predict(model, posterior, "y", [2.0], reader=(by, None)).instrument == by
 
 
 def test_a_known_noise_is_the_blades_own_band_and_that_noise() -> None:
