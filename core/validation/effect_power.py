@@ -57,12 +57,13 @@ def one(
     plan: str,
     by: By = "diagnosis",
 ) -> Record:
-    """Whether a set alarms; one that cannot be calibrated does not, and is kept with its error.
+    """Whether a set alarms; one that cannot be calibrated counts against the diagnosis, as no alarm
+    of an effect and as a false one of a clean set, and is kept with its error.
 
     Of residuals the groups that alarm are kept, too.
     """
     start = time.process_time()
-    found: Record = {"condition": condition, "size": size, "number": number, "alarm": False}
+    found: Record = {"condition": condition, "size": size, "number": number}
     given = made(plan_of(plan), condition, number, seed, particles, size)
     model, work, case = _model(), Workspace(), given.case
     try:
@@ -76,7 +77,7 @@ def one(
         state = update(model, case.spec, case.readings, workspace=work)
         first = judge(case.scan(model, state), case.spec.seed, dealt=case.dealt)
     except BladetwinError as error:
-        return found | {"error": str(error)}
+        return found | {"alarm": condition in CLEAN, "error": str(error)}
     seconds = round(time.process_time() - start, 1)
     return found | {"alarm": first.word != "adequate", "p": first.p, "cpu_s": seconds}
 
