@@ -136,14 +136,18 @@ def readers(readings: Sequence[Inspection], blades: Mapping[str, Facts]) -> Read
 
 
 def _between(at: Iterable[float]) -> tuple[float, ...]:
-    """One hour in each interval between inspections, `STEPS` at most."""
+    """One hour in each interval between inspections, `STEPS` at most; before one at hour 0 is none.
+
+    >>> _between([0.0, 8000.0, 8100.0]), _between([8000.0])
+    ((4000.0,), (4000.0,))
+    """
     hours = sorted(at)
     apart = SAME * hours[-1] if hours else 0.0
     visits: list[float] = []
     for hour in hours:
         if not visits or hour - visits[-1] > apart:
             visits.append(hour)
-    between = [0.5 * (a + b) for a, b in zip([0.0, *visits], visits, strict=False)]
+    between = [0.5 * (a + b) for a, b in zip([0.0, *visits], visits, strict=False) if b > a]
     if len(between) > STEPS:
         share = (len(between) - 1) / (STEPS - 1)
         between = [between[round(k * share)] for k in range(STEPS)]

@@ -169,6 +169,17 @@ def test_inspections_of_one_visit_are_one() -> None:
     assert 0 < who.between_h[0] < 7990 < who.between_h[1] < 16000
 
 
+def test_no_step_is_tried_before_blades_that_were_read_when_they_were_new() -> None:
+    """There is no hour before hour 0. A step at 0 concerned nobody, as an event, or could not be
+    calibrated, and kept its share of the evidence."""
+    new = [reading(b, h, None) for b in "ab" for h in (0, 8000, 16000)]
+    facts = {"a": Facts(), "b": Facts(offset_h=8e3)}
+    who = readers(new, facts)
+    assert who.ages_h == (4000.0, 12_000.0)
+    assert who.between_h == (4000.0, 12_000.0, 20_000.0)
+    assert readers(new[:1], facts).ages_h == ()
+
+
 def test_a_step_is_tried_between_hours_of_its_own_clock() -> None:
     """Both blades were read at the ages of 4,000 and 8,000 h; one of them joined at 20,000 h."""
     data = [reading(b, h, None) for b in ("old", "new") for h in (4000, 8000)]
