@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import chi2
 
-from core.smc.particles import weighted_quantile
+from core.smc.particles import normalised, weighted_quantile
 from core.smc.placement import sobol
 from core.smc.proposal import WIDEN, Proposal
 from core.validation.sbc import (
@@ -24,6 +24,8 @@ from core.validation.sbc import (
     wrong_pits,
 )
 from core.validation.verdict import PARTS, curves, summary
+from service.handlers import moments
+from service.ports import Draws
 
 PRIOR_MEAN, PRIOR_SD, NOISE = 1.0, 2.0, 1.5
 GAIN = PRIOR_SD**2 / (PRIOR_SD**2 + NOISE**2)
@@ -113,6 +115,15 @@ def test_the_published_distribution_function_inverts_published_quantiles() -> No
         q = float(weighted_quantile(values, w, np.array([p]))[0])
         assert published_cdf(values, w, q) == pytest.approx(p, abs=1e-12)
     assert published_cdf(values, w, 9.0) == 1.0
+
+
+def test_the_quantiles_of_a_posterior_are_those_whose_coverage_is_counted() -> None:
+    """The API told the node at which the weights pass a share, and studies counted another one."""
+    rng = np.random.default_rng(4)
+    values, log_w = rng.normal(size=(64, 1)), 0.5 * rng.normal(size=64)
+    told = moments.summary(Draws(("T1T",), values, log_w, np.arange(64)))
+    for p, q in told["parameters"]["T1T"]["quantiles"].items():
+        assert published_cdf(values[:, 0], normalised(log_w), q) == pytest.approx(float(p))
 
 
 @pytest.mark.parametrize("size", [60, 2000])
