@@ -1,20 +1,22 @@
 """When a quantity passes a limit: the distribution of the time to it.
 
-Elongation, strain and damage of creep only grow. Then the blade has passed a limit L by the hour t
-exactly where y(t) >= L, and with the curves m_i(t) ± s_i(t) of the particles (`core.curves`:
-parameters, surrogate and discrepancy, without a reading's noise)
+The blade has passed a limit L by the hour t if y(u) >= L at any u <= t. With the curves m_i(t) ±
+s_i(t) of the particles (`core.curves`: parameters, surrogate and discrepancy, without a reading's
+noise)
 
-    P(T <= t) = P(y(t) >= L) = Σ w_i Φ((m_i(t) − L) / s_i(t))
+    P(T <= t) = Σ w_i Φ(max_{u <= t} (m_i(u) − L) / s_i(u))
 
-which is no bell: where a blade may run hot or cool it is skewed, and its early tail, which decides
-on an outage, lies elsewhere than mean ± sd of the curves would have it. Where the sum falls again
-(a quantity that shrinks for a while) what was passed stays passed: its running maximum counts.
+for what the surrogate is off is the same way off at all hours. It is no bell: where a blade may run
+hot or cool it is skewed, and its early tail, which decides on an outage, lies elsewhere than mean ±
+sd of the curves would have it. Elongation, strain and damage of creep only grow, and the largest is
+the last. What shrinks for a while stays passed in each particle that has passed it, whichever the
+others do: of particles that peak one after the other each passes, and never a large share at once.
 
 Of a quantity that is at or above the limit at hour 0 and lower at the model's horizon (a heat
-transfer that fouls away) the limit is passed from above: P(y(t) <= L) takes the place of
-P(y(t) >= L). One that is above it and does not fall has passed it at hour 0, and so has one that
-begins exactly at the limit, whether it rises, falls or stays: with the probability with which it is
-there, or beyond it, at hour 0.
+transfer that fouls away) the limit is passed from above: y(u) <= L takes the place of y(u) >= L.
+One that is above it and does not fall has passed it at hour 0, and so has one that begins exactly
+at the limit, whether it rises, falls or stays: with the probability with which it is there, or
+beyond it, at hour 0.
 
 The hour at which the sum reaches p is the p-quantile of the time to the limit. What lies beyond the
 model's hours has none: the model says nothing of it.
@@ -37,6 +39,7 @@ from core.model import Model
 from core.prediction import QUANTILES
 
 Array = NDArray[np.float64]
+Places = NDArray[np.intp]
 EVEN = 51  # hours of a model without runs
 TURNS = 30  # between two of the hours; three or four where the share is smooth
 EXACT = 1e-5  # of a probit
@@ -97,16 +100,32 @@ def life(
     falls = begun + little >= limit and middle(model.part(quantity).horizon_h) < begun - little
     side = -1.0 if falls else 1.0
 
-    def share(at: Array) -> Array:
+    def beyond(at: Array) -> Array:
+        """(m − L) / s of each particle (N, T), ± infinite where s is zero."""
         one = curves(model, thin, quantity, at, node, component, known)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             z = side * (one.mean - limit) / one.width
-        beyond = side * (one.mean - limit) >= 0
-        z = np.where(one.width > 0, z, np.where(beyond, np.inf, -np.inf))
+        there = side * (one.mean - limit) >= 0
+        return np.where(one.width > 0, z, np.where(there, np.inf, -np.inf))
+
+    def share(z: Array) -> Array:
         return np.asarray(np.clip(w @ ndtr(z) / w.sum(), 0.0, 1.0))
 
-    passed = np.maximum.accumulate(np.concatenate([share(at) for at in spans(time)]))
-    hours = crossings(time, passed, np.array(levels, float), share)
+    wanted, parts = np.array(levels, float), list[Array]()
+    most, last = np.full((len(w), len(wanted)), -np.inf), np.full((len(w), 1), -np.inf)
+    for at in spans(time):
+        z = np.maximum.accumulate(np.concatenate([last, beyond(at)], axis=1), axis=1)
+        parts.append(share(z))
+        reached = np.searchsorted(np.maximum.accumulate(parts[-1]), wanted)
+        inside = (reached > 0) & (reached < z.shape[1])
+        most[:, inside] = z[:, reached[inside] - 1]  # before the hour at which a level is reached
+        last = z[:, -1:]
+    passed = np.maximum.accumulate(np.concatenate([part[1:] for part in parts]))
+
+    def within(at: Array, which: Places) -> Array:
+        return share(np.maximum(beyond(at), most[:, which]))
+
+    hours = crossings(time, passed, wanted, within)
     found = {
         float(p): None if np.isnan(h) else float(h) for p, h in zip(levels, hours, strict=True)
     }
@@ -123,14 +142,17 @@ def instants(model: Model, quantity: str) -> Array:
     return np.append(own[own < part.horizon_h], part.horizon_h)
 
 
-def crossings(time: Array, passed: Array, levels: Array, share: Callable[[Array], Array]) -> Array:
+def crossings(
+    time: Array, passed: Array, levels: Array, share: Callable[[Array, Places], Array]
+) -> Array:
     """Hours at which `passed` (T,), which does not fall, reaches each level; nan: it does not.
 
-    share  the same at any hours: probits between two hours are nearly straight, and are made exact
+    share  the same at any hours, each between the two hours about the level of a number: probits
+           there are nearly straight, and are made exact
 
     >>> hours = np.array([0.0, 10.0, 20.0])
-    >>> def share(t): return ndtr((t - 12.0) / 3.0)
-    >>> crossings(hours, share(hours), np.array([0.5, 0.9999]), share).round(6)
+    >>> def share(t, which): return ndtr((t - 12.0) / 3.0)
+    >>> crossings(hours, share(hours, hours), np.array([0.5, 0.9999]), share).round(6)
     array([12., nan])
     """
     after = np.searchsorted(passed, levels)
@@ -148,7 +170,7 @@ def crossings(time: Array, passed: Array, levels: Array, share: Callable[[Array]
         straight = low[left] - a * (high[left] - low[left]) / (b - a)
         halved = turn > 2 and turn % 2  # where straight does not lead on: a step, say
         at = 0.5 * (low[left] + high[left]) if halved else straight
-        here = probit(np.maximum(share(at), floor[left])) - goal[left]
+        here = probit(np.maximum(share(at, inside[left]), floor[left])) - goal[left]
         reached, before = here >= 0, stayed[left]
         # Illinois: an end that stays for a second time counts half
         below[left] = np.where(reached, np.where(before > 0, 0.5, 1.0) * a, here)

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from core.calibration.state import Posterior
-from core.curves import SPAN, curves
+from core.curves import SPAN, Curves, curves
 from core.errors import InputError, RangeError
 from core.life import Life, life
 from core.model import Model, rotor_blade
@@ -130,6 +130,42 @@ def test_what_was_passed_stays_passed_where_a_quantity_shrinks() -> None:
     found = of(np.ones(50), 1.0, growing(shrinks=True))
     assert found.quantiles[0.5] == pytest.approx(1e4, abs=1.0)
     assert found.passed[-1] == pytest.approx(1.0)
+
+
+def peaking(hours: Array, limit: float) -> Life:
+    """y = 1.2 exp(−((t − hour) / 5,000 h)²), each particle with an hour of its own [1,000 h]."""
+    model = growing()
+    formula = {"y": lambda x, t: 1.2 * np.exp(-(((t - 1e3 * x[:, 0]) / 5e3) ** 2))}
+    inputs = (FormulaInput("rate", 0.0, 50.0),)
+    surrogate = FormulaModel(inputs, formula, "peaking", horizon_h=HORIZON)
+    return of(hours, limit, Model(model.network, surrogate))
+
+
+def test_of_particles_that_peak_one_after_the_other_each_has_passed() -> None:
+    """The share that is beyond the limit at one hour is never more than 0.15, and all pass it."""
+    peaks = 10.0 + 30.0 * (np.arange(3000) + 0.5) / 3000
+    found, own = peaking(peaks, 1.0), 1e3 * peaks - 5e3 * np.sqrt(np.log(1.2))
+    assert_quantiles(found, own)
+    assert found.quantiles[0.975] is not None
+    assert found.passed[-1] == pytest.approx(1.0)
+    assert found.passed == pytest.approx([np.mean(own <= t) for t in HOURS], abs=1e-3)
+    assert set(peaking(peaks, 1.3).quantiles.values()) == {None}
+
+
+def test_a_surrogate_that_is_off_is_off_the_same_way_at_all_hours(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """1.2 ± 0.1 for a while and 1 ± 0.1 else: 1.25 is passed then or never."""
+
+    def told(model: Model, posterior: Posterior, quantity: str, at: Array, *_: object) -> Curves:
+        mean = np.tile(np.where((at > 2e4) & (at < 3e4), 1.2, 1.0), (50, 1))
+        return Curves(mean, mean, np.full(mean.shape, 0.1), np.zeros(mean.shape))
+
+    monkeypatch.setattr("core.life.curves", told)
+    found = of(np.ones(50), 1.25)
+    assert found.passed[-1] == pytest.approx(ndtr(-0.5))
+    assert found.passed[HOURS < 2e4] == pytest.approx(ndtr(-2.5))
+    assert found.quantiles[0.05] == pytest.approx(2e4, abs=1.0)
 
 
 def falling(rates: Array, limit: float) -> Life:
