@@ -79,7 +79,8 @@ def _held_against(
 
 def foretold(told: Diagnosis, given: Set, horizon_h: float) -> dict[str, Any]:
     """Where several rivals stand: errors at the horizon of the blades that they differ in, by the
-    model as it was, the leading rival's and all of them together, and how many sds the last is off.
+    model as it was, the leading rival's and all of them together, and how many sds of a single
+    blade (rms) the last is off: a mean over blades is known better than that.
     """
     others = alternatives(told.before, told.rivals, given.case, "elongation", horizon_h)
     if others is None or not given.ahead:
