@@ -133,7 +133,7 @@ def faults(
             name("unit"),
             reading.unit,
             f"is not the unit of {quantity.name}",
-            f"convert the value to {quantity.unit!r} and say so, or leave the unit out",
+            f"convert the value to {quantity.unit!r}: one without a unit is taken for that, too",
         )
     time = reading.time_h
     if not (math.isfinite(time) and 0 <= time <= model.horizon_h):
@@ -186,8 +186,10 @@ def _check_shape(
                 f"is not the shape of {nodes.size} nodes × 3",
                 "give x, y, z for each node",
             )
-        if len(np.unique(nodes)) != nodes.size:
-            raise InputError(nodes_name, nodes.size, "names a node twice", "give each node once")
+        own, counts = np.unique(nodes, return_counts=True)
+        if own.size != nodes.size:
+            twice = int(own[counts > 1][0])
+            raise InputError(nodes_name, twice, "is a node named twice", "give each node once")
     else:
         if values.shape != (1,):
             raise InputError(

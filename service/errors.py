@@ -45,7 +45,8 @@ class NotFoundError(BladetwinError):
 
 
 class ConflictError(BladetwinError):
-    """`what` called `name` (or several of them) exists with another content, or has left."""
+    """`what` called `name` (or several of them) exists with another content, is given twice with
+    different content, or has left."""
 
     def __init__(
         self, what: str, name: str, remedy: str, problem: str = "exists with another content"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Mapping
 from typing import Any
 
 from service.api.problems import MOST_FAULTS, Fault, RequestError, fault, invalid
@@ -38,12 +39,18 @@ def csv_rows(body: bytes) -> list[tuple[str, Row]]:
     try:
         reader = csv.DictReader(io.StringIO(body.decode("utf-8-sig"), newline=""), strict=True)
         return _readings(_rows(reader))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RequestError(400, "invalid-csv", f"the body is not CSV in UTF-8: {error}") from None
+    except UnicodeDecodeError as error:
+        line, byte = 1 + error.object.count(b"\n", 0, error.start), error.object[error.start]
+        told = f"the body is not in UTF-8: byte 0x{byte:02x} in line {line} is none of it"
+        remedy = "To mend it: save the file as CSV in UTF-8"
+        raise RequestError(400, "invalid-csv", f"{told}. {remedy}.") from None
+    except csv.Error as error:
+        raise RequestError(400, "invalid-csv", f"the body is not CSV: {error}") from None
 
 
 def _rows(reader: csv.DictReader[str]) -> list[tuple[int, Row]]:
-    """The rows that are not empty in each cell, read one by one: all are not held at once."""
+    """The rows without their empty cells, read one by one: all are not held at once. One that has
+    nothing else, as spreadsheets write below a table, is no row."""
     header = list(reader.fieldnames or [])
     if (odd := _separated(header)) is not None:
         raise invalid([odd])
@@ -51,13 +58,18 @@ def _rows(reader: csv.DictReader[str]) -> list[tuple[int, Row]]:
         problem = f"are more columns than the {len(COLUMNS)} known ones"
         raise invalid([fault("header", len(header), problem, KNOWN)])
     faults = _header_faults(header)
+    if len(set(header)) < len(header):
+        raise invalid([*faults, fault("header", ", ".join(header), "names a column twice", KNOWN)])
     rows = []
     for row in reader:
         number = reader.line_num
-        if None in row or None in row.values():
-            problem, remedy = "has another number of cells than the header", "give every cell"
-            told = ",".join(str(value) for value in row.values())
-            faults.append(fault(f"line {number}", told, problem, remedy))
+        cells = _cells(row)
+        if not any(cells):
+            continue
+        if len(cells) != len(header):
+            problem = f"has {len(cells)} cells, and the header {len(header)}"
+            remedy = "give every cell, and put one that holds a comma in double quotes"
+            faults.append(fault(f"line {number}", ",".join(cells), problem, remedy))
             if len(faults) > MOST_FAULTS:
                 raise invalid(faults)
         rows.append((number, {k: _cell(k, v) for k, v in row.items() if v}))
@@ -78,13 +90,30 @@ def _separated(header: list[str]) -> Fault | None:
     return None
 
 
+def _cells(row: Mapping[Any, Any]) -> list[str]:
+    """All cells of a line: of one that is too long the rest stands under None, of one that is too
+    short what is missing is None."""
+    kept = [value for name, value in row.items() if name is not None and value is not None]
+    return [*kept, *row.get(None, ())]
+
+
 def _header_faults(header: list[str]) -> list[Fault]:
-    faults = [fault(name, name, "is no column", KNOWN) for name in header if name not in COLUMNS]
+    meant = {name: name.strip().lower() for name in header if name not in COLUMNS}
+    faults = [
+        fault(name or "header", name, "is no column", _header_remedy(name, meant[name]))
+        for name in header
+        if name in meant
+    ]
     needed = NEEDED if set(AXES) & set(header) else (*NEEDED, "value")
-    faults += [fault(name, None, "is missing", KNOWN) for name in needed if name not in header]
-    if len(set(header)) < len(header):
-        faults.append(fault("header", ", ".join(header), "names a column twice", KNOWN))
+    absent = [name for name in needed if name not in header and name not in meant.values()]
+    faults += [fault(name, None, "is missing", KNOWN) for name in absent]
     return faults
+
+
+def _header_remedy(name: str, meant: str) -> str:
+    if not name:
+        return "delete the column without a name: a comma too many at the end of lines"
+    return f"write it {meant!r}" if meant in COLUMNS else KNOWN
 
 
 def _cell(column: str, text: Any) -> Any:

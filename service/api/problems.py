@@ -130,12 +130,24 @@ def fault_of(error: InputError) -> Fault:
     return fault(error.what, error.value, error.problem, error.remedy)
 
 
+NUMBER = "write a bare number with a decimal point, e.g. 0.41 (no comma, unit or quotes)"
+WHOLE = "write a whole number, e.g. 3 (no point, comma, unit or quotes)"
 REMEDIES = {
     "extra_forbidden": "leave the field out, or correct its name",
     "missing": "give it",
+    "float_type": f"{NUMBER}; leave out what is not known",
+    "float_parsing": NUMBER,
+    "int_type": WHOLE,
+    "int_parsing": WHOLE,
+    "string_type": "write it as text, in double quotes",
+    "moment": "write it with its offset, e.g. 2031-05-04T10:00:00Z",
+    "no_value": "give it, or leave the reading out; of a scan give `values` with `nodes`",
+    "two_values": "give one of them",
     "finite_number": "give a finite number; leave readings that failed out",
     "string_pattern_mismatch": "use letters, digits and . _ : @ + - (no slash, no space)",
 }
+VALUED = {"no_value": "value", "two_values": "value"}  # faults of a whole reading, by the field
+NOT_THERE = frozenset({"missing", *VALUED})
 TAGS = frozenset({"vector", "scalar"})
 PLACES = frozenset({"body", "query", "path", "header"})
 
@@ -144,13 +156,23 @@ def faults_of_validation(errors: Sequence[Any], prefix: str = "") -> list[Fault]
     """The faults that pydantic found, under the names that the caller wrote."""
     return [
         fault(
-            prefix + _field(error["loc"]),
-            None if error["type"] == "missing" else error.get("input"),
-            error["msg"][:1].lower() + error["msg"][1:],
+            prefix + (VALUED.get(error["type"]) or _field(error["loc"])),
+            None if error["type"] in NOT_THERE else error.get("input"),
+            _problem(error["msg"]),
             REMEDIES.get(error["type"], "correct the value"),
         )
         for error in errors
     ]
+
+
+def _problem(told: str) -> str:
+    """What pydantic says, without its own word for what a check of ours said.
+
+    >>> _problem("Value error, holds no face"), _problem("Field required")
+    ('holds no face', 'field required')
+    """
+    told = told.removeprefix("Value error, ")
+    return told[:1].lower() + told[1:]
 
 
 def _field(loc: Sequence[str | int]) -> str:

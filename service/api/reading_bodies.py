@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 from pydantic.config import JsonValue
-from pydantic_core import from_json
+from pydantic_core import PydanticCustomError, from_json
 
 from core.errors import InputError
 from core.observation import Inspection
@@ -104,8 +104,10 @@ class InspectionIn(Body):
 
     @model_validator(mode="after")
     def _one_of(self) -> Self:
-        if (self.value is None) == (self.values is None):
-            raise ValueError("give either `value`, or `values` with `nodes`")
+        if self.value is None and self.values is None:
+            raise PydanticCustomError("no_value", "is missing")
+        if self.value is not None and self.values is not None:
+            raise PydanticCustomError("two_values", "stands beside `values`")
         widths = {len(row) for row in self.values or [] if isinstance(row, list)}
         if len(widths) > 1:
             raise ValueError(f"rows of `values` have different lengths {sorted(widths)}")

@@ -16,6 +16,7 @@ from pydantic import (
     StringConstraints,
 )
 from pydantic.config import JsonValue
+from pydantic_core import PydanticCustomError
 
 from service.hooks import Kind
 from service.names import ID_PATTERN, TEXT_PATTERN
@@ -25,9 +26,12 @@ Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=TE
 
 
 def _moment(text: str) -> str:
-    if datetime.fromisoformat(text).tzinfo is None:
-        raise ValueError("a moment needs its offset, e.g. 2031-05-04T10:00:00Z")
-    return text
+    try:
+        if datetime.fromisoformat(text).tzinfo is not None:
+            return text
+    except ValueError:
+        pass
+    raise PydanticCustomError("moment", "is no moment")
 
 
 Moment = Annotated[

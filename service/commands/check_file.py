@@ -1,14 +1,15 @@
 """``bladetwin inspect ROTOR --file FILE``: what would become of a file of readings that is posted.
 
 The file is read as the service reads it, and its readings are held against the rotor's model, its
-blades and the readings that are there already. Nothing is posted.
+blades and the readings that are there already. Nothing is posted. A correction that the service
+would take, and that leaves two readings where one is meant, is noted.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 from core.errors import InputError
 from core.network import Network
 from core.observation import Inspection
-from service.api.problems import RequestError, fault, fault_of
+from service.api.problems import Fault, RequestError, fault, fault_of
 from service.api.reading_bodies import InspectionIn, read_inspections
 from service.client import Client, ProblemError
 from service.export.sensorthings import MEDIA
@@ -37,7 +38,8 @@ class Reach:
 
 
 def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
-    """``{"rotor", "file", "readings", "new", "same", "faults"}``; InputError: it cannot be read."""
+    """``{"rotor", "file", "readings", "new", "same", "faults", "notes"}``; InputError: it cannot be
+    read."""
     try:
         body = file.read_bytes()
     except OSError as error:
@@ -47,6 +49,7 @@ def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
     now = twin.rotor(rotor)
     model = twin.model(now["model"], now["model_version"])
     told: Told = {"rotor": rotor, "file": str(file), "readings": 0, "new": 0, "same": 0}
+    told["notes"] = []
     reach = Reach(model["horizon_h"], model["node_count"], model["nodes"])
     network, blades = Network.from_json(model["network"]), {one["id"] for one in now["blades"]}
 
@@ -59,30 +62,70 @@ def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
         unread = [fault("file", file.name, error.detail, "correct it, or save it as CSV in UTF-8")]
         return told | {"faults": error.faults or unread}
     faults = [fault_of(one) for one in also(items)]
-    seen: dict[str, str] = {}
+    seen: dict[str, tuple[str, str]] = {}  # of each id its digest, and the place where it stands
+    fresh: list[Item] = []
     with bar("looking at the rotor", len(items), quiet=quiet) as shown:
         for done, item in enumerate(items, start=1):
-            there = seen.get(item.reading.id) or _there(twin, rotor, item.reading.id)
-            own = seen[item.reading.id] = item.reading.digest()
+            own, name = item.reading.digest(), item.reading.id
+            there, place = seen.get(name) or (_digest(_there(twin, rotor, name)), "")
+            seen.setdefault(name, (own, item.where))
             told["same" if there == own else "new"] += there in (None, own)
-            if there not in (None, own):
+            if there is None:
+                fresh.append(item)
+            elif there != own and place:
+                problem = f"is the id of {place.rstrip('.')}, too, with another content"
+                remedy = "give each reading an id of its own"
+                faults.append(fault(f"{item.where}id", name, problem, remedy))
+            elif there != own:
                 problem = "is an id that exists with another content"
                 remedy = "choose a new id, and name this one in `replaces` to correct it"
-                faults.append(fault(f"{item.where}id", item.reading.id, problem, remedy))
+                faults.append(fault(f"{item.where}id", name, problem, remedy))
             shown(done)
-    return told | {"readings": len(items), "faults": faults}
+    notes = [*_doubled(twin, rotor, fresh, seen.keys())]
+    return told | {"readings": len(items), "faults": faults, "notes": notes}
 
 
-def _there(twin: Client, rotor: str, name: str) -> str | None:
-    """The digest of a reading of the rotor; None: it has none of this id."""
+def _there(twin: Client, rotor: str, name: str) -> Mapping[str, Any] | None:
+    """A reading of the rotor; None: it has none of this id."""
     try:
-        found = twin.inspection(rotor, name)
+        return twin.inspection(rotor, name)
     except ProblemError as error:
         if error.status != 404:
             raise
         return None
+
+
+def _digest(found: Mapping[str, Any] | None) -> str | None:
+    if found is None:
+        return None
     known = InspectionIn.model_fields.keys() - {"value"}
     return Inspection.from_json({k: v for k, v in found.items() if k in known}).digest()
+
+
+def _doubled(
+    twin: Client, rotor: str, fresh: Sequence[Item], here: Collection[str]
+) -> Iterator[Fault]:
+    """New corrections that leave another reading beside them: they name one that is nowhere, or
+    that another correction replaces already."""
+    first: dict[str, str] = {}
+    for item in fresh:
+        target = item.reading.replaces
+        if target is None:
+            continue
+        other = first.setdefault(target, item.where)
+        stored = None if other != item.where else _there(twin, rotor, target)
+        if other != item.where:
+            problem = f"is replaced by {other.rstrip('.')}, too: both will count"
+            remedy = "leave one out, or replace the other correction"
+        elif stored is not None and stored["status"] == "replaced":
+            problem = "is replaced already: its other correction and this one will both count"
+            remedy = "replace the correction that counts"
+        elif stored is None and target not in here:
+            problem = "is no reading of the rotor yet: until it comes, this corrects nothing"
+            remedy = "see whether the id is right"
+        else:
+            continue
+        yield fault(f"{item.where}replaces", target, problem, remedy)
 
 
 def media_type(file: Path, body: bytes) -> str:
@@ -128,4 +171,8 @@ def lines_of(told: Told) -> Iterator[str]:
         yield f"  {one['field']} = {one['value']!r} {one['problem']}. To mend it: {one['remedy']}."
     if len(faults) > SHOWN:
         yield f"  and {len(faults) - SHOWN} more"
+    for one in told["notes"][:SHOWN]:
+        yield f"  note: {one['field']} = {one['value']!r} {one['problem']}; {one['remedy']}"
+    if len(told["notes"]) > SHOWN:
+        yield f"  and {len(told['notes']) - SHOWN} more notes"
     yield "nothing of it can be posted: a file is all or nothing" if faults else "it can be posted"

@@ -106,7 +106,8 @@ class SqlLog:
     def append(self, rotor_id: str, events: Sequence[NewEvent]) -> list[Appended]:
         """Append what is new; what is there with the same digest keeps its first place.
 
-        ConflictError names an id that is there with another digest: then nothing is written.
+        ConflictError names an id that is there, or among them, with another digest: then nothing is
+        written.
         """
         if len(events) == 1 and (answer := self.append_new(rotor_id, events[0])) is not None:
             return [answer]
@@ -114,6 +115,7 @@ class SqlLog:
         known = self._known(rotor_id, [event.event_id for event in events])
         answers: list[Appended] = []
         others: list[str] = []
+        twice: list[str] = []
         rows: list[dict[str, object]] = []
         for event in events:
             digest, seq = known.get(event.event_id, (None, 0))
@@ -123,11 +125,14 @@ class SqlLog:
                 row = {name: getattr(event, name) for name in NewEvent.__slots__}
                 rows.append(row | {"rotor_id": rotor_id, "seq": seq})
             elif digest != event.digest:
-                others.append(event.event_id)
+                (others if seq <= head else twice).append(event.event_id)
             answers.append(Appended(event.event_id, seq, digest is None))
         if others:
             remedy = "choose a new id, or post a correction with `replaces`"
             raise ConflictError(events[0].kind, ", ".join(others), remedy)
+        if twice:
+            remedy, problem = "give each its own", "is given twice, with different content"
+            raise ConflictError(events[0].kind, ", ".join(twice), remedy, problem)
         if rows:
             told = {"posted_by": self._posted_by, "traceparent": tracing.current()}
             self._connection.execute(_APPEND, [row | told for row in rows])

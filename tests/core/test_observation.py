@@ -82,3 +82,12 @@ def test_a_field_is_read_at_a_node_that_is_known(
         assert "give the number of a node" in found[0].remedy
     exact = Inspection("j", "B1", "strain", 5.0, np.array([1e-4]), np.array([7]))
     assert not list(faults(exact, network, Mesh(named)))
+
+
+def test_a_node_that_a_scan_names_twice_is_told() -> None:
+    quantity = Quantity("deformation", "mm", "vector", NOISE, -1.0, 1.0)
+    parameters = (Parameter("a", "local", Prior("uniform", 0.0, 1.0)),)
+    network = Network("plate", parameters, (quantity,))
+    scan = Inspection("s", "B1", "deformation", 5.0, np.zeros((3, 3)), np.array([7, 9, 7]))
+    (fault,) = faults(scan, network, Mesh())
+    assert (fault.what, fault.value) == ("nodes", 7)

@@ -169,8 +169,8 @@ BAD: list[tuple[Json, str]] = [
     (one(time_h=None), "time_h"),
     (one(value="0.1"), "value"),
     (one(value=1234.0), "values"),
-    (one(value=None), "body"),
-    (one(values=[0.1]), "body"),
+    (one(value=None), "value"),
+    (one(values=[0.1]), "value"),
     (one(sigma=0.0), "sigma"),
     (one(sigma=-0.1), "sigma"),
     (one(sigma=1e300), "sigma"),
@@ -297,7 +297,7 @@ ROWS: list[tuple[Json, list[str]]] = [
     ({"id": "", "unit": "m"}, ["id", "unit"]),
     ({"colour": "red", "time_h": -1.0}, ["colour", "time_h"]),
     ({"quantity": 3, "blade": "B9"}, ["quantity", "blade"]),
-    ({"value": None, "unit": "m"}, ["body", "unit"]),
+    ({"value": None, "unit": "m"}, ["value", "unit"]),
     ({"value": None, "values": [[0.1]], "nodes": ["one"], "time_h": -1.0}, ["nodes[0]", "time_h"]),
     ({"id": 1, "blade": 2, "quantity": 3, "time_h": "4", "value": "5"},
      ["id", "blade", "quantity", "time_h", "value"]),
@@ -353,6 +353,72 @@ def test_csv_that_cannot_be_used_is_refused_by_line(created: httpx.Client) -> No
         content = text.encode("latin-1")
         sent = created.post("/v1/rotors/r1/inspections", content=content, headers=headers)
         refuse(sent, status, field)
+    assert head(created) == 0
+
+
+UNTIDY: list[tuple[str, str, str]] = [
+    ('a,B1,elongation,1,"0,11",mm,', "line 2.value", "decimal point"),
+    ('a,B1,elongation,"8,000",0.11,mm,', "line 2.time_h", "no comma"),
+    ("a,B1,elongation,1,0.11 mm,,", "line 2.value", "no comma, unit"),
+    ("a,B1,elongation,1,N/A,mm,", "line 2.value", "leave out what is not known"),
+    ("a,B1,elongation,1,,mm,", "line 2.value", "leave the reading out"),
+    ("a,B1,elongation,1,0.1,mm,04.05.2031", "line 2.observed_at", "2031-05-04T10:00:00Z"),
+    ("a,B1,elongation,1,0.1,mm,2031-05-04", "line 2.observed_at", "2031-05-04T10:00:00Z"),
+    ("a,B1,elongation,1,0,11,mm,", "line 2", "double quotes"),
+    ("a,B1,elongation,1,0.0041,in,", "line 2.unit", "convert the value to 'mm'"),
+]
+
+
+@pytest.mark.parametrize(("row", "field", "remedy"), UNTIDY)
+def test_what_a_shop_writes_is_refused_with_what_to_write(
+    created: httpx.Client, row: str, field: str, remedy: str
+) -> None:
+    text = f"id,blade,quantity,time_h,value,unit,observed_at\n{row}\n"
+    headers = {"content-type": "text/csv"}
+    sent = created.post("/v1/rotors/r1/inspections", content=text.encode(), headers=headers)
+    (fault,) = refuse(sent, 422, field)["faults"]
+    assert remedy in fault["remedy"]
+    assert "value error" not in fault["problem"]
+    assert "leave the unit out" not in fault["remedy"], "inches would count as millimetres"
+
+
+def test_a_header_that_is_nearly_right_is_told_how_it_is_written(created: httpx.Client) -> None:
+    text = "ID, blade,quantity,time_h,Value ,unit,\na,B1,elongation,1,0.1,mm,\n"
+    headers = {"content-type": "text/csv"}
+    sent = created.post("/v1/rotors/r1/inspections", content=text.encode(), headers=headers)
+    told = {fault["field"]: fault["remedy"] for fault in refuse(sent, 422)["faults"]}
+    assert told.pop("header").startswith("delete the column without a name")
+    assert told == {
+        "ID": "write it 'id'",
+        " blade": "write it 'blade'",
+        "Value ": "write it 'value'",
+    }
+
+
+def test_lines_of_empty_cells_are_no_readings(created: httpx.Client) -> None:
+    text = "id,blade,quantity,time_h,value\r\na,B1,elongation,1,0.1\r\n\r\n,,,,\r\n,,,,,,\r\n"
+    headers = {"content-type": "text/csv"}
+    sent = created.post("/v1/rotors/r1/inspections", content=text.encode(), headers=headers)
+    assert [item["id"] for item in sent.json()["items"]] == ["a"]
+
+
+def test_a_file_of_another_encoding_is_told_by_line(created: httpx.Client) -> None:
+    text = (
+        "id,blade,quantity,time_h,value,unit\na,B1,elongation,1,0.1,mm\nb,B1,elongation,2,90,µm\n"
+    )
+    headers = {"content-type": "text/csv"}
+    sent = created.post(
+        "/v1/rotors/r1/inspections", content=text.encode("latin-1"), headers=headers
+    )
+    detail = refuse(sent, 400)["detail"]
+    assert "byte 0xb5 in line 3" in detail
+    assert "save the file as CSV in UTF-8" in detail
+
+
+def test_an_id_that_a_request_gives_twice_is_not_said_to_be_there(created: httpx.Client) -> None:
+    batch = {"inspections": [one("a"), one("b"), one("a", value=0.12)]}
+    (fault,) = refuse(created.post("/v1/rotors/r1/inspections", json=batch), 409)["faults"]
+    assert (fault["value"], fault["problem"]) == ("a", "is given twice, with different content")
     assert head(created) == 0
 
 

@@ -160,7 +160,7 @@ SCANS: list[tuple[str, str]] = [
     ("s,B1,deformation,1,,3,1,2,3,mm\ns,B1,deformation,2,,4,1,2,3,mm\n", "line 3.time_h"),
     ("s,B1,deformation,1,,3,1,2,3,mm\ns,B1,deformation,1,,3,1,2,3,mm\n", "line 2.nodes"),
     ("s,B1,deformation,1,,3,1,nan,3,mm\n", "line 2.values[0][1]"),
-    ("s,B1,elongation,1,,,,,,mm\n", "line 2.body"),
+    ("s,B1,elongation,1,,,,,,mm\n", "line 2.value"),
 ]
 
 

@@ -172,7 +172,7 @@ FAULTS: list[tuple[Any, str, str]] = [
     (changed(parameters={"time_h": 1, "colour": 1}), "parameters.colour", "is not known"),
     (changed(parameters={"time_h": 1, "unit": "m"}), "parameters.unit", "is null, for"),
     (changed(phenomenonTime="2031-05-04/2031-05-05"), "phenomenonTime", "is an interval"),
-    (changed(phenomenonTime="2031-05-04T10:00:00"), "observed_at", "value error"),
+    (changed(phenomenonTime="2031-05-04T10:00:00"), "observed_at", "is no moment"),
     (changed(result="0.11"), "value", "input should be a valid number"),
     (changed(result=77), "values", "lies outside the plausible"),
     (

@@ -194,6 +194,31 @@ def test_the_check_of_a_file_is_told_in_lines(url: str, tmp_path: Any) -> None:
         run("r1", "--file", str(file), "--limit", "0.9", "--url", url)
 
 
+def test_corrections_that_leave_two_readings_are_noted(
+    api: httpx.Client, url: str, tmp_path: Any
+) -> None:
+    first = {"blade": "B1", "quantity": "elongation", "time_h": 9000, "value": 0.2}
+    for name, replaced in (("k", None), ("k2", "k")):
+        sent = first | {"id": name} | ({"replaces": replaced} if replaced else {})
+        assert api.post("/v1/rotors/r1/inspections", json=sent).status_code == 202
+    file = tmp_path / "x.csv"
+    rows = [("k2", "k"), ("k3", "k"), ("k4", "k2"), ("k5", "k2"), ("k6", "misspelt"), ("k7", "k6")]
+    lines = [f"{own},B1,elongation,9000,0.2,{named}\n" for own, named in rows]
+    file.write_text("id,blade,quantity,time_h,value,replaces\n" + "".join(lines))
+    done = CliRunner().invoke(app, ["inspect", "r1", "--file", str(file), "--url", url, "--json"])
+    told = json.loads(done.output)
+    assert (done.exit_code, told["same"], told["new"], told["faults"]) == (0, 1, 5, [])
+    assert [
+        (one["field"], one["value"], one["problem"].split(":")[0]) for one in told["notes"]
+    ] == [
+        ("line 3.replaces", "k", "is replaced already"),
+        ("line 5.replaces", "k2", "is replaced by line 4, too"),
+        ("line 6.replaces", "misspelt", "is no reading of the rotor yet"),
+    ]
+    text = run("r1", "--file", str(file), "--url", url).splitlines()
+    assert [line.split()[0] for line in text[1:-1]] == ["note:"] * 3
+
+
 def test_a_limit_that_is_no_number_is_refused(url: str) -> None:
     with pytest.raises(BladetwinError, match="--limit = nan is no number"):
         run("r1", "--limit", "nan", "--url", url)
