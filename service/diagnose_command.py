@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 Told = dict[str, Any]
 LOOK_S = 1.0
 CONFLICT = 409
+UNNAMED = " (with a discrepancy that names no cause)"
 LACKS = 3  # exit status where the model lacks something
 SHOWN = 10
 
@@ -109,7 +110,8 @@ def lines_of(told: Told) -> Iterator[str]:
         yield "effects" if found["claimed"] else "effects that were calibrated, not claimed"
     yield from (f"  {e['name']}: {amplitude(e, found)}" for e in found["effects"])
     if (compared := found["before_after"]) is not None:
-        yield f"{compared['before']['count']} readings that neither model used, before → after"
+        count, with_what = compared["before"]["count"], "" if found["claimed"] else UNNAMED
+        yield f"{count} readings that neither model used, before → after{with_what}"
         for key in ("rmse", "bias", "log_score", "within_95", "width"):
             before, after = compared["before"][key], compared["after"][key]
             if before is not None and after is not None:

@@ -7,6 +7,7 @@ answered within a request.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from core.calibration.state import RotorState
 from core.errors import InputError
@@ -46,13 +47,31 @@ def planned(
         unit = {p.name: p.unit for p in model.network.parameters}.get(target.parameter, "1")
     else:
         unit = model.network.quantity(target.quantity or "").unit
+    merged = by_whomever(found.single)
+    single = {merged[one]: left for one, left in found.single}
     return {
         "unit": unit,
         "mean": found.mean,
         "sd": found.sd,
-        "single": [told(*one, found.sd) for one in found.single[:SHOWN]],
-        "set": [told(*one, found.sd) for one in found.grown],
+        "single": [told(*one, found.sd) for one in [*single.items()][:SHOWN]],
+        "set": [told(merged[one], left, found.sd) for one, left in found.grown],
     }
+
+
+def by_whomever(single: Sequence[tuple[Candidate, float]]) -> dict[Candidate, Candidate]:
+    """Each candidate, without its instrument where all instruments would leave the same sd.
+
+    >>> a, b = (Candidate("B1", "elongation", 8000.0, 0.0, name) for name in ("g1", "g2"))
+    >>> [c.instrument for c in by_whomever([(a, 0.2), (b, 0.2)]).values()]
+    [None, None]
+    >>> [c.instrument for c in by_whomever([(a, 0.2), (b, 0.1)]).values()]
+    ['g1', 'g2']
+    """
+    bare = {one: replace(one, instrument=None) for one, _ in single}
+    lefts = dict[Candidate, set[float]]()
+    for one, left in single:
+        lefts.setdefault(bare[one], set()).add(left)
+    return {one: bare[one] if len(lefts[bare[one]]) == 1 else one for one, _ in single}
 
 
 def told(candidate: Candidate, left: float, now: float) -> Json:

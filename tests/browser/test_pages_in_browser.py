@@ -346,6 +346,23 @@ def test_each_residual_is_a_point_and_each_test_a_row(watched: Watched) -> None:
     assert watched.errors == watched.outside == []
 
 
+@pytest.mark.parametrize(("alarms", "said"), [(2, "2 alarms"), (0, "no alarm")])
+def test_a_rotor_says_whether_its_residuals_alarm(watched: Watched, alarms: int, said: str) -> None:
+    """No blade's state says it, and an engineer may look at nothing else."""
+    facts = {
+        "rotor": "r1", "as_of": {"version": 2, "computed_at": "2031-05-04T10:00:00Z"},
+        "pending": False, "error": None, "tests": [], "alarms": alarms, "visits": [],
+        "family_wise_error": 0.05, "items": [], "next": None,
+    }  # fmt: skip
+    watched.page.route("**/v1/rotors/r1/residuals*", lambda route: route.fulfill(json=facts))
+    page = watched.open("/rotors/r1")
+    told = page.locator("dl.facts a", has_text=said)
+    expect(told).to_have_attribute("href", "/rotors/r1/residuals")
+    expect(told.locator(".state.bad")).to_have_count(1 if alarms else 0)
+    assert serious(page) == []
+    assert watched.errors == watched.outside == []
+
+
 def test_the_blade_in_space_has_colours_and_turns_by_key(watched: Watched) -> None:
     page = watched.open("/rotors/r1/blades/B2/3d")
     canvas = page.locator(".space canvas")

@@ -43,6 +43,15 @@ def test_the_command_tells_them_too() -> None:
     assert said[first + 3].endswith(" 0.012 mm")
 
 
+def test_a_comparison_says_what_is_in_the_model_after() -> None:
+    """Where nothing is claimed it is a discrepancy without a cause."""
+    for claimed in (True, False):
+        found = told("effect", claimed=claimed)
+        said = list(lines_of({"rotor": "r1", "result": found}))
+        (line,) = (one for one in said if "before → after" in one)
+        assert line.endswith("(with a discrepancy that names no cause)") != claimed
+
+
 def test_readings_that_could_not_contradict_the_model_are_nothing_to_rest_on() -> None:
     assert do_next(blind()).startswith("Do not rest anything on this")
     assert "forecasts and bands of the model can be used" not in page_of(blind())

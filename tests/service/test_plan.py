@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import httpx
@@ -54,6 +55,26 @@ def test_a_blades_own_reading_narrows_it_most_by_the_exact_share(
     assert got["single"][0]["sd_after"] == pytest.approx(np.sqrt(left), rel=1e-6)
     assert got["single"][0]["narrower"] == pytest.approx(1 - np.sqrt(left / now), rel=1e-6)
     assert got["single"][-1]["narrower"] < 0.02, "the control: another blade's"
+
+
+def test_instruments_that_make_no_difference_do_not_fill_the_list(settings: Settings) -> None:
+    """Read by two instruments under one noise: each reading to come is told once, by whomever."""
+    science = formula_science()
+    store = SqlStore(open_engine(settings.database_url))
+    register_builtins(store, science)
+    create_rotor(store, "r1", "rotor-blade", [BladeRecord(f"B{b}") for b in range(6)], 400, 7)
+    items = [
+        replace(item, reading=replace(item.reading, instrument=f"g{n % 2}"))
+        for n, item in enumerate(visits(0.0))
+    ]
+    post_inspections(store, "r1", items)
+    make_worker(store, science, settings, "w").drain()
+    found = basis(store, science, "r1", Which(), "B2")
+    got = plan(store, science, found, target_of(found, "elongation", 50_000.0, None), 2)
+    store.close()
+    named = [(one["blade"], one["quantity"], one["time_h"]) for one in got["single"]]
+    assert len(set(named)) == len(named)
+    assert {one["instrument"] for one in (*got["single"], *got["set"])} == {None}
 
 
 def test_a_shared_parameter_is_the_target_where_none_is_named(

@@ -18,6 +18,7 @@ const glance = h("div");
 const list = h("div");
 let sorted = ["Blade", true]; // a column by its name: which ones there are changes
 let model = null;
+let tested = null; // what tests of the residuals told last
 let shownControls = "";
 const controls = h("div", { class: "controls" });
 
@@ -115,6 +116,13 @@ function drawBlades(found, blades) {
   show(list, scroll("Blades", made));
 }
 
+/** Whether tests of the residuals alarm: no blade's state says it. */
+function alarming(told) {
+  if (!told?.as_of) return null;
+  const link = h("a", { href: path`/rotors/${rotor}/residuals` }, told.alarms ? badge("bad", number(told.alarms, "alarm")) : "no alarm");
+  return ["Residuals", h("span", {}, link, told.pending ? ` of version ${told.as_of.version}` : "")];
+}
+
 function drawState(rotorNow) {
   const posterior = rotorNow.posterior;
   show(state, facts([
@@ -122,6 +130,7 @@ function drawState(rotorNow) {
     posterior && ["Computed", since(posterior.created_at)],
     ["Backlog", number(rotorNow.head_seq - rotorNow.applied_seq, "entry", "entries")],
     ["Health", rotorNow.health ? `${rotorNow.health.status}${rotorNow.health.ess ? `, ${fixed(rotorNow.health.ess, 0)} effective nodes` : ""}` : "–"],
+    alarming(tested),
     rotorNow.effects?.length > 0 && ["Adopted", rotorNow.effects.map((e) => e.name).join("; ")],
     ["Model", h("a", { href: path`/models/${rotorNow.model}` }, `${rotorNow.model} ${rotorNow.model_version.slice(0, 8)}`)],
     ["Blades", `${rotorNow.blades.filter((b) => !b.retired).length} in place, ${rotorNow.blades.filter((b) => b.retired).length} retired`],
@@ -141,6 +150,7 @@ async function draw() {
     show(list, h("p", { class: "wait" }, `${number(now.blades.length, "blade")}; their predictions come with the first posterior.`));
     return;
   }
+  const tests = get(`${url}/residuals`, { limit: 1 }).catch(() => null);
   const quantity = chosen.quantity;
   const time_h = chosen.time_h ?? usual(model);
   const first = await get(`${url}/blades`, { quantity, time_h, limit: 200 });
@@ -150,6 +160,8 @@ async function draw() {
   }
   drawControls(first);
   drawBlades(first, judged(first, now.health));
+  tested = await tests;
+  drawState(now);
 }
 
 show($("page"),
