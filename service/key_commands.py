@@ -147,4 +147,17 @@ def audit(
         what = row["path"] if " " in row["path"] else f"{row['what'].split(' ')[0]} {row['path']}"
         told = " ".join(str(part) for part in (row["status"] or "", row["problem"] or "") if part)
         where = f" from {row['address']}" if row["address"] else ""
+        told += _entries(row["entries"])
         typer.echo(f"{row['id']}  {row['at']}  {who}{where}: {what} {told}".rstrip())
+
+
+def _entries(entries: dict[str, int] | None) -> str:
+    """Which entries of the rotor's log a request appended.
+
+    >>> _entries({"first_seq": 64, "last_seq": 87}), _entries({"first_seq": 3, "last_seq": 3})
+    (', entries 64 to 87', ', entry 3')
+    """
+    if entries is None:
+        return ""
+    first, last = entries["first_seq"], entries["last_seq"]
+    return f", entry {first}" if first == last else f", entries {first} to {last}"

@@ -17,6 +17,7 @@ from fastapi.responses import JSONResponse
 from core.errors import InputError
 from service.api.visit import visit_of
 from service.errors import MOST_FAULTS as MOST_FAULTS
+from service.names import TEXT_PATTERN
 from service.tokens import redacted
 
 LONGEST = 200
@@ -132,6 +133,7 @@ def fault_of(error: InputError) -> Fault:
 
 NUMBER = "write a bare number with a decimal point, e.g. 0.41 (no comma, unit or quotes)"
 WHOLE = "write a whole number, e.g. 3 (no point, comma, unit or quotes)"
+OBJECT = "write an object with its fields, {…}"
 REMEDIES = {
     "extra_forbidden": "leave the field out, or correct its name",
     "missing": "give it",
@@ -145,7 +147,12 @@ REMEDIES = {
     "two_values": "give one of them",
     "finite_number": "give a finite number; leave readings that failed out",
     "string_pattern_mismatch": "use letters, digits and . _ : @ + - (no slash, no space)",
+    "blank_end": "leave the blank out: with it the text names something else",
+    "literal_error": "use one of these",
+    "model_type": OBJECT,
+    "model_attributes_type": OBJECT,
 }
+ONE_LINE = "write one line of text, without tabs and other control characters"
 VALUED = {"no_value": "value", "two_values": "value"}  # faults of a whole reading, by the field
 NOT_THERE = frozenset({"missing", *VALUED})
 TAGS = frozenset({"vector", "scalar"})
@@ -159,7 +166,9 @@ def faults_of_validation(errors: Sequence[Any], prefix: str = "") -> list[Fault]
             prefix + (VALUED.get(error["type"]) or _field(error["loc"])),
             None if error["type"] in NOT_THERE else error.get("input"),
             _problem(error["msg"]),
-            REMEDIES.get(error["type"], "correct the value"),
+            ONE_LINE
+            if error.get("ctx", {}).get("pattern") == TEXT_PATTERN
+            else REMEDIES.get(error["type"], "correct the value"),
         )
         for error in errors
     ]

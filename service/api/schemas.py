@@ -22,7 +22,19 @@ from service.hooks import Kind
 from service.names import ID_PATTERN, TEXT_PATTERN
 
 Id = Annotated[str, StringConstraints(max_length=100, pattern=ID_PATTERN)]
-Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=TEXT_PATTERN)]
+
+
+def _whole(text: str) -> str:
+    if text != text.strip():
+        raise PydanticCustomError("blank_end", "begins or ends with a blank")
+    return text
+
+
+Text = Annotated[
+    str,
+    StringConstraints(min_length=1, max_length=200, pattern=TEXT_PATTERN),
+    AfterValidator(_whole),
+]
 
 
 def _moment(text: str) -> str:

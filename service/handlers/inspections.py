@@ -89,6 +89,7 @@ def faults_of(
     than `MOST_FAULTS`, not much more than these."""
     found: list[InputError] = []
     known = ", ".join(nsmallest(SHOWN, blades)) + ("…" if len(blades) > SHOWN else "")
+    use = f"use one of {known}, or " if known else ""
     for item in items:
         if len(found) > MOST_FAULTS:
             break
@@ -99,7 +100,7 @@ def faults_of(
                     f"{where}blade",
                     reading.blade,
                     f"is no blade of rotor {rotor_id}",
-                    f"use one of {known or 'none yet'}, or POST /v1/rotors/{rotor_id}/blades",
+                    f"{use}POST /v1/rotors/{rotor_id}/blades",
                 )
             )
         if reading.replaces == reading.id:

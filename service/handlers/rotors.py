@@ -61,17 +61,18 @@ def find_rotor(store: Store, rotor_id: str) -> RotorRecord:
 def check_network(store: Store, science: Science, model_id: str, network: Json | None) -> ModelCard:
     """The model's newest version; refuses a network that it cannot be varied to."""
     with store.read() as tx:
-        card = _registered(tx, model_id)
+        card = _registered(tx, model_id, science.builtins)
     science.vary(card, network)
     return card
 
 
-def _registered(tx: Transaction, model_id: str) -> ModelCard:
+def _registered(tx: Transaction, model_id: str, builtins: Sequence[str] = ()) -> ModelCard:
     try:
         return tx.records.model(model_id)
     except NotFoundError as error:
-        fault = InputError("model", model_id, "is not registered", error.remedy)
-        raise FaultsError([fault]) from None
+        built_in = f'POST /v1/models {{"builtin": "{model_id}"}} registers it'
+        remedy = built_in if model_id in builtins else error.remedy
+        raise FaultsError([InputError("model", model_id, "is not registered", remedy)]) from None
 
 
 def create_rotor(

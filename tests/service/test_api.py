@@ -16,7 +16,9 @@ from sqlalchemy.exc import OperationalError
 from core.calibration.health import verdict
 from service.bootstrap import make_worker
 from service.client import BlockedError, Client, ProblemError
+from service.errors import FaultsError
 from service.fake import FakeScience, FakeState
+from service.handlers.rotors import check_network
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
@@ -183,6 +185,8 @@ BAD: list[tuple[Json, str]] = [
     (one(observed_at="yesterday"), "observed_at"),
     (one(observed_at="2031-05-04T10:00:00"), "observed_at"),
     (one(campaign="a\x00b"), "campaign"),
+    (one(campaign="outage 1 "), "campaign"),
+    (one(instrument=" gauge 3"), "instrument"),
     (one(quantity="deformation", value=None, values=[[0.1, 0.1, 0.1]]), "nodes"),
     (one(quantity="deformation", value=None, values=[[0.1, 0.1, 0.1]], nodes=[6448]), "nodes"),
     (one(quantity="deformation", value=None, values=[[0.1, 0.1, 0.1]], nodes=[-1]), "nodes[0]"),
@@ -420,6 +424,46 @@ def test_an_id_that_a_request_gives_twice_is_not_said_to_be_there(created: httpx
     (fault,) = refuse(created.post("/v1/rotors/r1/inspections", json=batch), 409)["faults"]
     assert (fault["value"], fault["problem"]) == ("a", "is given twice, with different content")
     assert head(created) == 0
+
+
+def test_a_name_with_a_blank_at_its_end_is_none(created: httpx.Client) -> None:
+    """ "outage 1 " would be another campaign than "outage 1", and nobody sees it."""
+    for name, remedy in (("outage 1 ", "leave the blank out"), ("outage\t1", "without tabs")):
+        sent = created.post("/v1/rotors/r1/inspections", json=one(campaign=name))
+        assert remedy in refuse(sent, 422, "campaign")["faults"][0]["remedy"]
+
+
+ROTORS: list[tuple[Json, str, str]] = [
+    ({"blades": ["B1"]}, "blades[0]", "write an object"),
+    ({"blades": [{"id": "B1", "slot": 1}]}, "blades[0].slot", "in double quotes"),
+    ({"blades": [{"id": "B1", "time_h0": "8,000"}]}, "blades[0].time_h0", "bare number"),
+    ({"diagnose": "always"}, "diagnose", "use one of these"),
+    ({"particles": 1.5}, "particles", "whole number"),
+]
+
+
+@pytest.mark.parametrize(("given", "field", "remedy"), ROTORS)
+def test_a_rotor_that_is_refused_is_told_what_to_write(
+    api: httpx.Client, given: Json, field: str, remedy: str
+) -> None:
+    body = {"id": "r9", "model": "rotor-blade", "blades": [{"id": "B1"}]} | given
+    (fault,) = refuse(api.post("/v1/rotors", json=body), 422, field)["faults"]
+    assert remedy in fault["remedy"]
+
+
+def test_a_built_in_model_that_is_not_registered_is_told_how_to_register(store: SqlStore) -> None:
+    science = FakeScience(builtins=("rotor-blade", "wide"))
+    with pytest.raises(FaultsError, match=r'POST /v1/models {"builtin": "wide"} registers it'):
+        check_network(store, science, "wide", None)
+    with pytest.raises(FaultsError, match="GET /v1/models lists those that exist"):
+        check_network(store, science, "wider", None)
+
+
+def test_a_rotor_without_blades_is_told_to_get_one(api: httpx.Client) -> None:
+    bare = {"id": "r9", "model": "rotor-blade", "blades": []}
+    assert api.post("/v1/rotors", json=bare).status_code == 201
+    (fault,) = refuse(api.post("/v1/rotors/r9/inspections", json=one()), 422, "blade")["faults"]
+    assert fault["remedy"] == "POST /v1/rotors/r9/blades"
 
 
 def test_another_media_type_is_refused(created: httpx.Client) -> None:

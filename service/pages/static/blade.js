@@ -124,7 +124,7 @@ async function drawHistory(found, kept, came, adoptions, joined) {
     const few = here.slice(0, 3).map((r) => r.id).join(", ");
     const changed = adoptions.items.filter((one) => one.seq > row.since && one.seq <= row.through_seq && one.what !== "joining")
       .map((one) => `; ${one.what === "adoption" ? "adopted" : "backed out"}: ${one.effects.map((e) => e.name).join(", ")}`);
-    return `${number(count, "entry", "entries")}${changed.join("")}${here.length ? `; this blade: ${few}${here.length > 3 ? " …" : ""}` : changed.length === count ? "" : "; no reading of this blade"}`;
+    return `${number(count, "entry", "entries")}${changed.join("")}${here.length ? `; this blade: ${few}${here.length > 3 ? " …" : ""}` : changed.length === count ? "" : "; no new reading of this blade"}`;
   };
   const columns = [
     { name: "Version", value: (v) => fixed(v.version, 0), number: true },
