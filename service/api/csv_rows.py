@@ -10,10 +10,10 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from service.api.problems import MOST_FAULTS, Fault, RequestError, fault, invalid
+from service.api.problems import MOST_FAULTS, NUMBER, Fault, RequestError, fault, invalid
 from service.export.readings import COLUMNS
 from service.names import is_number
 
@@ -24,12 +24,15 @@ AXES = ("x", "y", "z")
 NUMBERS = ("time_h", "value", "sigma", *AXES)
 MOST_ROWS = 500_000
 LONGEST_LINE = 20_000  # bytes; longer than all cells of a row may be
+LEFT_OUT = "leave out the row of a node that was not read"
+NODE = "write its number in the model's mesh, a whole one"
 KNOWN = f"the columns are {', '.join(COLUMNS)}"
 Row = dict[str, Any]
 
 
-def csv_rows(body: bytes) -> list[tuple[str, Row]]:
-    """The readings and the line of each, e.g. ``line 2.``. RequestError lists every fault."""
+def csv_rows(body: bytes) -> tuple[list[tuple[str, Row]], list[Fault]]:
+    """The readings with the line of each, e.g. ``line 2.``, and the faults of rows of scans that
+    are left out of them. RequestError: the table itself cannot be read; it lists every fault."""
     if (count := body.count(b"\n") + body.count(b"\r") - body.count(b"\r\n")) > MOST_ROWS:
         remedy = f"post {MOST_ROWS} at a time"
         raise invalid([fault("body", count, f"has more than {MOST_ROWS} lines", remedy)])
@@ -124,21 +127,22 @@ def _cell(column: str, text: Any) -> Any:
     return text
 
 
-def _readings(rows: list[tuple[int, Row]]) -> list[tuple[str, Row]]:
-    """One reading for each row, but one for all rows of a scan."""
+def _readings(rows: list[tuple[int, Row]]) -> tuple[list[tuple[str, Row]], list[Fault]]:
+    """One reading for each row, but one for all rows of a scan; and what is wrong with these rows,
+    which are left out of it."""
     found: list[tuple[str, Row]] = []
     scans: dict[Any, tuple[int, Row, Row]] = {}
     faults: list[Fault] = []
     for number, row in rows:
-        given = [row.pop(axis) for axis in AXES if axis in row]
+        given = {axis: row.pop(axis) for axis in AXES if axis in row}
         node = row.pop("node", None)
         if not given:
             found.append((f"line {number}.", row | ({} if node is None else {"nodes": [node]})))
             continue
-        if (odd := _scan_fault(number, row, given, node)) is not None:
-            faults.append(odd)
+        if odd := [*_scan_faults(f"line {number}", row, given, node)]:
+            faults += odd
             if len(faults) > MOST_FAULTS:
-                break
+                raise invalid(faults)
             continue
         first, head, whole = scans.setdefault(row.get("id"), (number, row, {}))
         if head != row:
@@ -151,19 +155,20 @@ def _readings(rows: list[tuple[int, Row]]) -> list[tuple[str, Row]]:
             whole |= head | {"nodes": [], "values": []}
             found.append((f"line {number}.", whole))
         whole["nodes"].append(node)
-        whole["values"].append(given)
-    if faults:
-        raise invalid(faults)
-    return found
+        whole["values"].append([given[axis] for axis in AXES])
+    return found, faults
 
 
-def _scan_fault(number: int, row: Row, given: list[Any], node: Any) -> Fault | None:
-    where = f"line {number}"
-    if len(given) < len(AXES):
-        return fault(where, given, "has not all of x, y, z", "give all three, or a `value` alone")
+def _scan_faults(where: str, row: Row, given: Row, node: Any) -> Iterator[Fault]:
+    for axis in AXES:
+        if axis not in given:
+            yield fault(f"{where}.{axis}", None, "is missing", f"give it, or {LEFT_OUT}")
+        elif not isinstance(given[axis], float):
+            yield fault(f"{where}.{axis}", given[axis], "is no number", f"{NUMBER}, or {LEFT_OUT}")
     if "value" in row:
         remedy = "give x, y, z for a scan, `value` for a scalar"
-        return fault(f"{where}.value", row["value"], "stands beside x, y, z", remedy)
+        yield fault(f"{where}.value", row["value"], "stands beside x, y, z", remedy)
     if node is None:
-        return fault(f"{where}.node", None, "is missing", "name the node of each x, y, z triple")
-    return None
+        yield fault(f"{where}.node", None, "is missing", "name the node of each x, y, z triple")
+    elif not isinstance(node, int):
+        yield fault(f"{where}.node", node, "is no number of a node", NODE)

@@ -150,8 +150,10 @@ def read_inspections(
           that whoever posts many is told all at once
     """
     kind = content_type.split(";")[0].strip().lower()
+    rows: list[tuple[str, Any]]
+    faults: list[Fault] = []
     if kind == "text/csv":
-        rows = csv_rows(body)
+        rows, faults = csv_rows(body)
     elif kind == MEDIA:
         rows = sensorthings_rows(body)
     elif kind in ("", "application/json"):
@@ -165,7 +167,6 @@ def read_inspections(
     if len(rows) > MOST_READINGS:
         raise too_many(len(rows), MOST_READINGS)
     items: list[Item] = []
-    faults: list[Fault] = []
     unread: dict[str, frozenset[str]] = {}  # fields that were not read, by the place of their row
     for where, row in rows:
         if isinstance(row, dict) and len(row) > MOST_FIELDS:

@@ -154,12 +154,13 @@ def test_without_pyarrow_parquet_is_not_installed_and_csv_is_as_ever(
 
 HEAD = "id,blade,quantity,time_h,value,node,x,y,z,unit\n"
 SCANS: list[tuple[str, str]] = [
-    ("s,B1,deformation,1,,3,1,2,,mm\n", "line 2"),
+    ("s,B1,deformation,1,,3,1,2,,mm\n", "line 2.z"),
     ("s,B1,deformation,1,5,3,1,2,3,mm\n", "line 2.value"),
     ("s,B1,deformation,1,,,1,2,3,mm\n", "line 2.node"),
     ("s,B1,deformation,1,,3,1,2,3,mm\ns,B1,deformation,2,,4,1,2,3,mm\n", "line 3.time_h"),
     ("s,B1,deformation,1,,3,1,2,3,mm\ns,B1,deformation,1,,3,1,2,3,mm\n", "line 2.nodes"),
-    ("s,B1,deformation,1,,3,1,nan,3,mm\n", "line 2.values[0][1]"),
+    ("s,B1,deformation,1,,3,1,nan,3,mm\n", "line 2.y"),
+    ("s,B1,deformation,1,,3.5,1,2,3,mm\n", "line 2.node"),
     ("s,B1,elongation,1,,,,,,mm\n", "line 2.value"),
 ]
 
@@ -172,6 +173,20 @@ def test_a_scan_that_does_not_fit_is_refused_by_line(
     assert answer.status_code == 422
     assert answer.json()["faults"][0]["field"] == field
     assert api.get("/v1/rotors/r1").json()["head_seq"] == 0
+
+
+def test_every_fault_of_a_scan_is_told_by_its_own_line(api: httpx.Client, rotor: str) -> None:
+    """A scanner leaves nodes out, and which of five thousand rows it was nobody wants to count."""
+    rows = (
+        "s,B1,deformation,1,,3,1,2,3,mm\n"
+        "s,B1,deformation,1,,4,1,,3,mm\n"
+        "s,B1,deformation,1,,tip,NaN,2,3,mm\n"
+        "e,B9,elongation,1,0.5,,,,,mm\n"
+    )
+    answer = api.post(URL, content=(HEAD + rows).encode(), headers=CSV)
+    faults = {one["field"]: one["remedy"] for one in answer.json()["faults"]}
+    assert [*faults] == ["line 3.y", "line 4.x", "line 4.node", "line 5.blade"]
+    assert "leave out the row of a node that was not read" in faults["line 3.y"]
 
 
 def test_scans_of_a_csv_may_stand_between_other_rows(api: httpx.Client, rotor: str) -> None:
