@@ -68,9 +68,10 @@ NAMES: tuple[tuple[str, Json], ...] = (
 )
 OF_ROUTES = {
     "GET /v1/models": "ModelListed",
-    "GET /v1/rotors": "Standing",
+    "GET /v1/rotors": "RotorListed",
     "POST /v1/rotors": "RotorMade",
     f"GET {ROTOR}": "Rotor",
+    f"POST {ROTOR}/retry": "Standing",
     f"GET {ROTOR}/versions": "KeptVersion",
     f"GET {ROTOR}/posterior": "RotorPosterior",
     f"GET {ROTOR}/blades/{{b}}/posterior": "BladePosterior",

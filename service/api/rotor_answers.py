@@ -7,9 +7,9 @@ from typing import Any
 
 from service.api.services import moment
 from service.concerned import untold
-from service.handlers.reads import health
+from service.handlers.reads import health, health_in
 from service.handlers.rotors import RotorView
-from service.ports import BladeRecord, RotorRecord
+from service.ports import BladeRecord, Json, RotorRecord
 
 BLADE = tuple(field.name for field in fields(BladeRecord))
 
@@ -34,6 +34,14 @@ def rotor_out(rotor: RotorRecord) -> dict[str, Any]:
         "status": "blocked" if rotor.blocked else "pending" if rotor.dirty else "current",
         "attempts": rotor.attempts,
         "last_error": blocked if rotor.last_error else None,
+    }
+
+
+def listed_out(rotor: RotorRecord, standing: tuple[bool, Json] | None) -> dict[str, Any]:
+    sealed, account = (None, None) if standing is None else standing
+    return rotor_out(rotor) | {
+        "sealed": sealed,
+        "health": None if account is None else health_in(account),
     }
 
 

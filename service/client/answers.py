@@ -765,12 +765,12 @@ class ModelListed(TypedDict):
     state: str
 
 
-class StandingLastError(TypedDict):
+class RotorListedLastError(TypedDict):
     error: str | None
     event: str | None
 
 
-class Standing(TypedDict):
+class RotorListed(TypedDict):
     id: str
     model: str
     model_version: str
@@ -787,7 +787,9 @@ class Standing(TypedDict):
     version: int
     status: Literal["blocked", "pending", "current"]
     attempts: int
-    last_error: StandingLastError | None
+    last_error: RotorListedLastError | None
+    sealed: bool | None
+    health: Health | None
 
 
 class RotorMade(TypedDict):
@@ -820,11 +822,31 @@ class Rotor(TypedDict):
     version: int
     status: Literal["blocked", "pending", "current"]
     attempts: int
-    last_error: StandingLastError | None
+    last_error: RotorListedLastError | None
     blades: list[Blade]
     posterior: Version | None
     health: Health | None
     effects: list[dict[str, Any]]
+
+
+class Standing(TypedDict):
+    id: str
+    model: str
+    model_version: str
+    particles: int
+    seed: int
+    network: dict[str, Any] | None
+    adopt: Literal["never", "effect"]
+    diagnose: Literal["never", "alarm", "readings"]
+    created_at: str
+    policy_since: str | None
+    origin: str | None
+    head_seq: int
+    applied_seq: int
+    version: int
+    status: Literal["blocked", "pending", "current"]
+    attempts: int
+    last_error: RotorListedLastError | None
 
 
 class KeptVersion(TypedDict):

@@ -26,7 +26,7 @@ class Calls:
     register = call(_models.register)
     upload_model = call(_models.upload_model)
     create_rotor = call(_rotors.create_rotor)
-    rotors = pages(_rotors.rotors, _answers.Standing)
+    rotors = pages(_rotors.rotors, _answers.RotorListed)
     rotor = call(_rotors.rotor)
     set_policy = call(_rotors.set_policy)
     versions = pages(_rotors.versions, _answers.KeptVersion)

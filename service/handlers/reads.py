@@ -38,7 +38,12 @@ def health(state: StateRecord) -> Json:
 
     A state of a release that did not say has the status ``unknown``.
     """
-    told: Json = UNSTATED | state.meta["health"]
+    return health_in(state.meta)
+
+
+def health_in(account: Json) -> Json:
+    """The same, of what a version's account says."""
+    told: Json = UNSTATED | account["health"]
     return told | {"trusted": told["status"] == "ok"}
 
 

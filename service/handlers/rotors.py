@@ -202,10 +202,13 @@ def state_of(tx: Transaction, rotor_id: str, which: Which) -> StateRecord:
 
 def list_rotors(
     store: Store, after: str, limit: int, only: Sequence[str] | None = None
-) -> list[RotorRecord]:
-    """Rotors in the order of their names, after one name; `only` names those that may be seen."""
+) -> list[tuple[RotorRecord, tuple[bool, Json] | None]]:
+    """Rotors in the order of their names, after one name, each with whether its newest version is
+    sealed and that version's account; `only` names those that may be seen."""
     with store.read() as tx:
-        return tx.records.rotors(after, limit, only)
+        rotors = tx.records.rotors(after, limit, only)
+        told = tx.states.standing([rotor.id for rotor in rotors])
+    return [(rotor, told.get(rotor.id)) for rotor in rotors]
 
 
 def retry(store: Store, rotor_id: str) -> RotorRecord:

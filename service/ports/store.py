@@ -123,6 +123,10 @@ class States(Protocol):
         """Number and digest of the newest version, without looking into it."""
         ...
 
+    def standing(self, rotor_ids: Sequence[str]) -> dict[str, tuple[bool, Json]]:
+        """Whether the newest version of each rotor is sealed, and its account; not compared."""
+        ...
+
     def page(self, rotor_id: str, before: int | None, limit: int) -> list[StateRecord]: ...
     def as_of(self, rotor_id: str, at: float) -> StateRecord:
         """The newest version of what was received by a moment (in `Store.read_as_of`)."""

@@ -9,7 +9,8 @@ t. One that is not kept any more is gone, and the nearest ones before and after 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from sqlalchemy import (
@@ -24,7 +25,7 @@ from sqlalchemy import (
 from core.errors import RangeError
 from service.errors import DamagedError, GoneError, NotFoundError, NotYetError
 from service.moments import moment
-from service.ports import StateRecord
+from service.ports import Json, StateRecord
 from service.store import intact
 from service.store import tables as t
 from service.store.cache import Checked
@@ -90,6 +91,15 @@ class KeptVersions:
         """Number and digest of the newest version; None: none yet, or its row is missing."""
         row = self._connection.execute(NEWEST, {"rotor": rotor_id}).one_or_none()
         return None if row is None else (row.version, row.digest)
+
+    def standing(self, rotor_ids: Sequence[str]) -> dict[str, tuple[bool, Json]]:
+        """Of the newest version of each rotor whether it is sealed, and what its account says of
+        itself; compared with nothing, and left out where it cannot be read."""
+        found = {}
+        for row in self._connection.execute(_STANDING, {"ids": list(rotor_ids)}):
+            with suppress(ValueError):
+                found[row.rotor_id] = (row.sealed, json.loads(row.meta))
+        return found
 
     def page(self, rotor_id: str, before: int | None, limit: int) -> list[StateRecord]:
         """Versions that are kept, the newest first, below a number."""
@@ -191,6 +201,14 @@ _STORED = select(t.state, t.cursor.c.version.label("newest"), t.cursor.c.applied
 _OWN = _STORED.where(t.state.c.rotor_id == bindparam("rotor"))
 _LAST = _OWN.order_by(t.state.c.version.desc()).limit(1)
 _ONE = _OWN.where(t.state.c.version == bindparam("version"))
+_STANDING = (
+    select(t.state.c.rotor_id, t.state.c.sealed, t.state.c.meta)
+    .join(t.cursor, t.cursor.c.rotor_id == t.state.c.rotor_id)
+    .where(
+        t.state.c.version == t.cursor.c.version,
+        t.state.c.rotor_id.in_(bindparam("ids", expanding=True)),
+    )
+)
 
 
 def stored(rotor_id: str) -> Select[Any]:

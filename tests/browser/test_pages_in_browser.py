@@ -122,7 +122,7 @@ def test_a_field_on_the_page_of_the_rotor_is_told_at_its_node(watched: Watched) 
     ):
         page = watched.open(f"/rotors/r1?quantity={quantity}")
         table = page.get_by_role("region", name="Blades").locator("caption")
-        expect(table).to_contain_text(f"Predicted {where};")
+        expect(table).to_contain_text(f"Predicted {where} of each blade's own operation;")
         expect(page.get_by_role("button", name="Last entry")).to_be_visible()
 
 
@@ -360,6 +360,34 @@ def test_a_rotor_says_whether_its_residuals_alarm(watched: Watched, alarms: int,
     expect(told).to_have_attribute("href", "/rotors/r1/residuals")
     expect(told.locator(".state.bad")).to_have_count(1 if alarms else 0)
     assert serious(page) == []
+    assert watched.errors == watched.outside == []
+
+
+def test_a_list_of_rotors_says_which_cannot_be_trusted(watched: Watched) -> None:
+    def answer(route: Route) -> None:
+        told = route.fetch().json()
+        health = told["items"][0]["health"]
+        told["items"][0]["health"] = health | {"status": "contradicted", "trusted": False}
+        route.fulfill(json=told)
+
+    watched.page.route("**/v1/rotors?*", answer)
+    page = watched.open("/")
+    first, *others = page.get_by_role("region", name="Rotors").locator("tbody tr").all()
+    expect(first.locator(".state.bad")).to_have_text(re.compile("not trusted: contradicted"))
+    for row in others:
+        expect(row.locator(".state.bad")).to_have_count(0)
+    assert watched.errors == watched.outside == []
+
+
+def test_a_rotor_without_blades_says_so(watched: Watched) -> None:
+    def answer(route: Route) -> None:
+        route.fulfill(json=route.fetch().json() | {"blades": []})
+
+    watched.page.route("**/v1/rotors/r1", answer)
+    page = watched.open("/rotors/r1")
+    expect(
+        page.get_by_text("No blade yet: POST /v1/rotors/r1/blades lets one join.")
+    ).to_be_visible()
     assert watched.errors == watched.outside == []
 
 

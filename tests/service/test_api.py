@@ -566,6 +566,22 @@ def test_a_list_is_paged_to_its_end_and_its_maximum_enforced(created: httpx.Clie
     assert rest["next"] is None
 
 
+def test_a_list_of_rotors_says_of_each_whether_it_can_be_trusted(
+    created: httpx.Client, worker: Worker
+) -> None:
+    """Who looks at the list alone would take a contradicted rotor for a sound one."""
+    created.post("/v1/rotors", json=ROTOR | {"id": "r2"})
+    (first, _) = created.get("/v1/rotors").json()["items"]
+    assert (first["sealed"], first["health"]) == (None, None), "no posterior yet"
+    worker.drain()
+    created.post("/v1/rotors/r1/inspections", json=one(value=4.1))
+    worker.drain()
+    listed = created.get("/v1/rotors").json()["items"]
+    for row in listed:
+        whole = created.get(f"/v1/rotors/{row['id']}").json()
+        assert (row["sealed"], row["health"]) == (whole["posterior"]["sealed"], whole["health"])
+
+
 def test_a_rotor_is_created_once(created: httpx.Client) -> None:
     first = created.get("/v1/rotors/r1").json()
     again = created.post("/v1/rotors", json=ROTOR)

@@ -59,7 +59,7 @@ ANSWERS: dict[str, Json] = {
     "GET /v1/models/{m}": MODEL,
     "POST /v1/models": having(job=JOB),
     "GET /v1/jobs/{id}": JOB,
-    "GET /v1/rotors": paged(having(**STANDING)),
+    "GET /v1/rotors": paged(having(**STANDING, sealed=maybe(YES), health=maybe(HEALTH))),
     "POST /v1/rotors": having(**MADE, blades=each(BLADE)),
     f"GET {ROTOR}": having(
         **STANDING,

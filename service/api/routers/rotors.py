@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.kept import Make, shows
 from service.api.preconditions import rotor_tag, text_of
 from service.api.problems import RequestError, fault
-from service.api.rotor_answers import blade_out, rotor_out, view_out
+from service.api.rotor_answers import blade_out, listed_out, rotor_out, view_out
 from service.api.rotor_bodies import BladeIn, PolicyIn, RotorIn
 from service.api.schemas import Nothing
 from service.api.services import (
@@ -74,7 +74,7 @@ def get_rotors(
 ) -> dict[str, Any]:
     size = page_size(services, limit)
     rotors = use.list_rotors(services.store, cursor or "", size + 1, seen)
-    return page([rotor_out(rotor) for rotor in rotors], size, "id")
+    return page([listed_out(*one) for one in rotors], size, "id")
 
 
 @router.get(

@@ -110,7 +110,7 @@ function drawBlades(found, blades) {
     blades.some((b) => b.lot) ? { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot } : null,
   ].filter(Boolean);
   const made = table(columns, blades, {
-    caption: `Predicted ${words(found.quantity)}${whereOf(found)} at ${hours(found.time_h)}; sd of the blade itself, without a reading's noise`,
+    caption: `Predicted ${words(found.quantity)}${whereOf(found)} at ${hours(found.time_h)} of each blade's own operation; sd of the blade itself, without a reading's noise`,
     sorted: [Math.max(0, columns.findIndex((c) => c.name === sorted[0])), sorted[1]] });
   made.addEventListener("sorted", (event) => { sorted = [columns[event.detail[0]].name, event.detail[1]]; });
   show(list, scroll("Blades", made));
@@ -148,6 +148,11 @@ async function draw() {
   if (now.version === 0) {
     show(glance, h("p", { class: "wait" }, "No posterior yet."));
     show(list, h("p", { class: "wait" }, `${number(now.blades.length, "blade")}; their predictions come with the first posterior.`));
+    return;
+  }
+  if (now.blades.length === 0) {
+    show(glance, h("p", {}, "No blade yet."));
+    show(list, h("p", {}, `No blade yet: POST ${url}/blades lets one join.`));
     return;
   }
   const tests = get(`${url}/residuals`, { limit: 1 }).catch(() => null);

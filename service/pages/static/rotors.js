@@ -12,7 +12,7 @@ let cursor = asked("after");
 
 const columns = [
   { name: "Rotor", value: (r) => h("a", { href: path`/rotors/${r.id}` }, r.id), sort: (r) => r.id },
-  { name: "State", value: (r) => h("span", { class: "states" }, badges(statesOf(r))), sort: (r) => r.status },
+  { name: "State", value: (r) => h("span", { class: "states" }, badges(statesOf({ ...r, posterior: r.sealed === null ? null : { sealed: r.sealed } }))), sort: (r) => r.status },
   { name: "Model", value: (r) => `${r.model} ${r.model_version.slice(0, 8)}`, sort: (r) => r.model },
   { name: "Log", value: (r) => fixed(r.head_seq, 0), sort: (r) => r.head_seq, number: true },
   { name: "Not applied", value: (r) => fixed(r.head_seq - r.applied_seq, 0), sort: (r) => r.head_seq - r.applied_seq, number: true },
