@@ -115,7 +115,7 @@ def _header_faults(header: list[str]) -> list[Fault]:
 
 def _header_remedy(name: str, meant: str) -> str:
     if not name:
-        return "delete the column without a name: a comma too many at the end of lines"
+        return "delete the column without a name: a comma too many, or the index of a frame"
     return f"write it {meant!r}" if meant in COLUMNS else KNOWN
 
 

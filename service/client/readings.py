@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from service.client import answers
 from service.client.steps import Call, Steps, ask, fetch, head_seq, path, told
 
 CSV = {"content-type": "text/csv; charset=utf-8"}
+JSON = {"content-type": "application/json"}
 SENSORTHINGS = "application/vnd.bladetwin.sensorthings+json"
 
 
 def post_inspections(rotor: str, inspections: Sequence[Mapping[str, Any]]) -> Steps[int]:
-    """Post readings, all or nothing; the sequence number to wait for."""
+    """Post readings, all or nothing; the sequence number to wait for.
+
+    Numbers of numpy and moments of datetime or pandas are taken, as in the rows of a frame. A NaN
+    is sent as it is, so that the service refuses it by the name of its field.
+    """
     body = {"inspections": [dict(one) for one in inspections]}
-    return head_seq(ask("POST", path("rotors", rotor, "inspections"), json=body))
+    content = json.dumps(body, default=_plain).encode()
+    where = path("rotors", rotor, "inspections")
+    return head_seq(ask("POST", where, content=content, headers=JSON))
 
 
-def post_csv(rotor: str, text: str | bytes) -> Steps[int]:
-    """Post the readings of a CSV, all or nothing; the sequence number to wait for."""
+def _plain(value: Any) -> Any:
+    for name in ("tolist", "isoformat"):
+        if hasattr(value, name):
+            return getattr(value, name)()
+    raise TypeError(f"{value!r} is no value of a reading: give numbers, texts and moments")
+
+
+def post_csv(rotor: str, text: str | bytes | PathLike[str]) -> Steps[int]:
+    """Post the readings of a CSV, or of the file at a path, all or nothing; the sequence number to
+    wait for."""
+    if isinstance(text, PathLike):
+        text = Path(text).read_bytes()
     content = text.encode() if isinstance(text, str) else text
     where = path("rotors", rotor, "inspections")
     return head_seq(ask("POST", where, content=content, headers=CSV))

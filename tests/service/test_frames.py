@@ -18,7 +18,7 @@ import pytest
 import xarray
 
 from core.errors import BladetwinError
-from service.client import Client, framed
+from service.client import Client, ProblemError, framed
 from service.client.frames import collected
 from service.client.steps import Call, Walk
 from service.testing import in_memory, in_memory_async
@@ -279,3 +279,23 @@ def test_the_client_loads_neither_pandas_nor_matplotlib_before_they_are_needed()
     loaded = set(json.loads(told.stdout))
     assert "service.client.frames" in loaded
     assert loaded.isdisjoint({"pandas", "xarray", "matplotlib", "arviz", "fastapi", "sqlalchemy"})
+
+
+def test_rows_of_a_frame_are_posted_as_they_are(tmp_path: Path) -> None:
+    """Numbers of numpy, moments of pandas; what is missing is refused by field and row."""
+    frame = pandas.DataFrame({
+        "id": ["a", "b"], "blade": "B1", "quantity": "elongation", "time_h": np.array([8000, 9000]),
+        "value": [0.11, 0.12], "observed_at": pandas.to_datetime(["2031-05-04T10:00:00Z"] * 2),
+    })  # fmt: skip
+    (tmp_path / "more.csv").write_text("id,blade,quantity,time_h,value\nc,B1,elongation,9500,0.2\n")
+    with in_memory() as twin:
+        twin.create_rotor("r1", blades=["B1"])
+        rows = [frame.loc[i].to_dict() | {"time_h": frame["time_h"][i]} for i in frame.index]
+        assert isinstance(rows[0]["time_h"], np.integer)
+        assert twin.post_inspections("r1", rows) == 2
+        assert twin.inspection("r1", "b")["observed_at"] == "2031-05-04T10:00:00+00:00"
+        assert twin.post_csv("r1", tmp_path / "more.csv") == 3
+        with pytest.raises(ProblemError, match=r"inspections\[1\].value = 'NaN'"):
+            twin.post_inspections("r1", [rows[0], rows[1] | {"id": "n", "value": np.nan}])
+        with pytest.raises(TypeError, match="is no value of a reading"):
+            twin.post_inspections("r1", [rows[0] | {"value": object()}])
