@@ -1,15 +1,15 @@
 """``bladetwin inspect ROTOR --file FILE``: what would become of a file of readings that is posted.
 
 The file is read as the service reads it, and its readings are held against the rotor's model, its
-blades and the readings that are there already. Nothing is posted. A correction that the service
-would take, and that leaves two readings where one is meant, is noted.
+blades and the readings that are there already. Nothing is posted. What the service would take, and
+leaves two readings where one is meant, is noted (`service.commands.doubled`).
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,10 @@ from typing import Any
 from core.errors import InputError
 from core.network import Network
 from core.observation import Inspection
-from service.api.problems import Fault, RequestError, fault, fault_of
+from service.api.problems import RequestError, fault, fault_of
 from service.api.reading_bodies import InspectionIn, read_inspections
-from service.client import Client, ProblemError
+from service.client import Client
+from service.commands.doubled import corrections, repetitions, there_is
 from service.export.sensorthings import MEDIA
 from service.handlers.inspections import Item, faults_of
 from service.progress import bar
@@ -67,7 +68,7 @@ def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
     with bar("looking at the rotor", len(items), quiet=quiet) as shown:
         for done, item in enumerate(items, start=1):
             own, name = item.reading.digest(), item.reading.id
-            there, place = seen.get(name) or (_digest(_there(twin, rotor, name)), "")
+            there, place = seen.get(name) or (_digest(there_is(twin, rotor, name)), "")
             seen.setdefault(name, (own, item.where))
             told["same" if there == own else "new"] += there in (None, own)
             if there is None:
@@ -81,18 +82,11 @@ def checked(twin: Client, rotor: str, file: Path, *, quiet: bool) -> Told:
                 remedy = "choose a new id, and name this one in `replaces` to correct it"
                 faults.append(fault(f"{item.where}id", name, problem, remedy))
             shown(done)
-    notes = [*_doubled(twin, rotor, fresh, seen.keys())]
+    notes = [
+        *corrections(twin, rotor, fresh, seen.keys()),
+        *repetitions(twin, rotor, fresh, blades),
+    ]
     return told | {"readings": len(items), "faults": faults, "notes": notes}
-
-
-def _there(twin: Client, rotor: str, name: str) -> Mapping[str, Any] | None:
-    """A reading of the rotor; None: it has none of this id."""
-    try:
-        return twin.inspection(rotor, name)
-    except ProblemError as error:
-        if error.status != 404:
-            raise
-        return None
 
 
 def _digest(found: Mapping[str, Any] | None) -> str | None:
@@ -100,32 +94,6 @@ def _digest(found: Mapping[str, Any] | None) -> str | None:
         return None
     known = InspectionIn.model_fields.keys() - {"value"}
     return Inspection.from_json({k: v for k, v in found.items() if k in known}).digest()
-
-
-def _doubled(
-    twin: Client, rotor: str, fresh: Sequence[Item], here: Collection[str]
-) -> Iterator[Fault]:
-    """New corrections that leave another reading beside them: they name one that is nowhere, or
-    that another correction replaces already."""
-    first: dict[str, str] = {}
-    for item in fresh:
-        target = item.reading.replaces
-        if target is None:
-            continue
-        other = first.setdefault(target, item.where)
-        stored = None if other != item.where else _there(twin, rotor, target)
-        if other != item.where:
-            problem = f"is replaced by {other.rstrip('.')}, too: both will count"
-            remedy = "leave one out, or replace the other correction"
-        elif stored is not None and stored["status"] == "replaced":
-            problem = "is replaced already: its other correction and this one will both count"
-            remedy = "replace the correction that counts"
-        elif stored is None and target not in here:
-            problem = "is no reading of the rotor yet: until it comes, this corrects nothing"
-            remedy = "see whether the id is right"
-        else:
-            continue
-        yield fault(f"{item.where}replaces", target, problem, remedy)
 
 
 def media_type(file: Path, body: bytes) -> str:

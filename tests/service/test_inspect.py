@@ -203,7 +203,10 @@ def test_corrections_that_leave_two_readings_are_noted(
         assert api.post("/v1/rotors/r1/inspections", json=sent).status_code == 202
     file = tmp_path / "x.csv"
     rows = [("k2", "k"), ("k3", "k"), ("k4", "k2"), ("k5", "k2"), ("k6", "misspelt"), ("k7", "k6")]
-    lines = [f"{own},B1,elongation,9000,0.2,{named}\n" for own, named in rows]
+    lines = [
+        f"{own},B1,elongation,9000,{0.2 + 0.01 * (n > 0) * n:g},{named}\n"
+        for n, (own, named) in enumerate(rows)
+    ]
     file.write_text("id,blade,quantity,time_h,value,replaces\n" + "".join(lines))
     done = CliRunner().invoke(app, ["inspect", "r1", "--file", str(file), "--url", url, "--json"])
     told = json.loads(done.output)
@@ -217,6 +220,29 @@ def test_corrections_that_leave_two_readings_are_noted(
     ]
     text = run("r1", "--file", str(file), "--url", url).splitlines()
     assert [line.split()[0] for line in text[1:-1]] == ["note:"] * 3
+
+
+def test_readings_that_come_again_under_other_ids_are_noted(
+    api: httpx.Client, url: str, tmp_path: Any
+) -> None:
+    """A shop numbers its rows anew with each export; the rotor would count each reading twice."""
+    first = {"blade": "B1", "quantity": "elongation", "time_h": 9000, "campaign": "c1"}
+    for name, value in (("k", 0.2), ("gone", 0.3)):
+        sent = first | {"id": name, "value": value}
+        assert api.post("/v1/rotors/r1/inspections", json=sent).status_code == 202
+    assert api.post("/v1/rotors/r1/inspections/gone/retraction").status_code == 202
+    file = tmp_path / "x.csv"
+    rows = [
+        "1,B1,elongation,9000,0.2,c1,", "2,B1,elongation,9000,0.2,c2,",  # another campaign
+        "3,B1,elongation,9000,0.3,c1,", "4,B1,elongation,9000.0,0.30,c1,",
+        "5,B1,elongation,9000,0.2,c1,k",
+    ]  # fmt: skip
+    file.write_text("id,blade,quantity,time_h,value,campaign,replaces\n" + "\n".join(rows) + "\n")
+    done = CliRunner().invoke(app, ["inspect", "r1", "--file", str(file), "--url", url, "--json"])
+    told = json.loads(done.output)
+    assert (done.exit_code, told["new"], told["faults"]) == (0, 5, [])
+    notes = [(one["field"], one["problem"].partition(" (")[0]) for one in told["notes"]]
+    assert notes == [("line 2.id", "says what k says"), ("line 5.id", "says what 3 says")]
 
 
 def test_a_limit_that_is_no_number_is_refused(url: str) -> None:
