@@ -42,10 +42,15 @@ def gathered(
 
     rotor = twin.rotor(name)
     told: Told = {"rotor": rotor, "posterior": None, "blades": [], "units": {}, "question": None}
+    told["residuals"] = None
     if rotor["posterior"] is None:
         return told
     version = rotor["version"]
     told["posterior"] = twin.posterior(name, version=version)
+    tested = twin.residuals(name, limit="1")
+    if tested["as_of"] is not None:
+        alarms = [one for one in tested["tests"] if one["alarm"]]
+        told["residuals"] = {"version": tested["as_of"]["version"], "alarms": alarms}
     shared = set(told["posterior"]["names"])
     model = twin.model(rotor["model"], rotor["model_version"])
     network = Network.from_json(model["network"])
@@ -166,6 +171,7 @@ def lines_of(told: Told) -> Iterator[str]:
     yield f"  health   {health['status']}" + ("" if health["trusted"] else ", not to be trusted")
     for reason in health["reasons"]:
         yield f"           {reason}"
+    yield from _residuals(told["residuals"])
     for effect in rotor["effects"]:
         yield f"  effect   {effect['name']}, adopted"
     for name, one in posterior["parameters"].items():
@@ -173,3 +179,20 @@ def lines_of(told: Told) -> Iterator[str]:
         yield f"  {name} = {around(one['mean'], one['sd'])} {unit}".rstrip()
     yield ""
     yield from blade_lines(told, columns())
+
+
+def _residuals(tested: Told | None) -> Iterator[str]:
+    """What tests of the residuals say, where they were made: no blade's line does.
+
+    >>> one = {"grouping": "campaign", "value": "c2", "statistic": "mean"}
+    >>> [*_residuals({"version": 4, "alarms": [one, one | {"grouping": "all", "value": None}]})]
+    ['  residuals alarm in version 4: campaign c2 (mean); all (mean)']
+    """
+    if tested is None:
+        return
+    alarms = [
+        f"{' '.join(filter(None, (one['grouping'], one['value'])))} ({one['statistic']})"
+        for one in tested["alarms"]
+    ]
+    said = f"alarm in version {tested['version']}: {'; '.join(alarms)}" if alarms else "no alarm"
+    yield f"  residuals {said}"

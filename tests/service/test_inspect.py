@@ -14,6 +14,7 @@ from core.errors import BladetwinError
 from core.observation import Inspection
 from service.cli import app
 from service.client import ProblemError
+from service.client.table import Calls
 from service.commands.blade_table import around, blade_lines
 from service.handlers.blades import retire_blade
 from service.store.unit_of_work import SqlStore
@@ -83,6 +84,17 @@ def test_people_get_a_table_with_what_to_look_at(api: httpx.Client, url: str) ->
     assert rows["B3"].endswith("retired, limit within 2 sd, no reading")
     assert "limit" not in run("r1", "--url", url), "negative control: none was given"
     assert rows["B1"].index(" 0.6") + 1 == head.index("elongation"), "columns are under their heads"
+
+
+def test_residuals_that_alarm_are_told(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No blade's line says it: their predictions may all be wrong alike."""
+    assert json.loads(run("r1", "--url", url, "--json"))["residuals"] is None
+    test = {"grouping": "campaign", "value": "c2", "statistic": "mean", "alarm": True}
+    found = {"as_of": {"version": 1}, "tests": [test, test | {"value": "c3", "alarm": False}]}
+    monkeypatch.setattr(Calls, "residuals", lambda *given, **more: found)
+    assert "  residuals alarm in version 1: campaign c2 (mean)" in run("r1", "--url", url)
+    told = json.loads(run("r1", "--url", url, "--json"))
+    assert told["residuals"] == {"version": 1, "alarms": [test]}
 
 
 def test_a_vector_is_told_in_three_directions(api: httpx.Client, url: str) -> None:
