@@ -41,6 +41,8 @@ def csv_rows(body: bytes) -> tuple[list[tuple[str, Row]], list[Fault]]:
         raise RequestError(400, "invalid-csv", told)
     try:
         reader = csv.DictReader(io.StringIO(body.decode("utf-8-sig"), newline=""), strict=True)
+        if count <= 1 and len(body.splitlines()) == 1:
+            _not_folded(list(reader.fieldnames or []))
         return _readings(_rows(reader))
     except UnicodeDecodeError as error:
         line, byte = 1 + error.object.count(b"\n", 0, error.start), error.object[error.start]
@@ -49,6 +51,15 @@ def csv_rows(body: bytes) -> tuple[list[tuple[str, Row]], list[Fault]]:
         raise RequestError(400, "invalid-csv", f"{told}. {remedy}.") from None
     except csv.Error as error:
         raise RequestError(400, "invalid-csv", f"the body is not CSV: {error}") from None
+
+
+def _not_folded(header: list[str]) -> None:
+    """Refuses a table whose lines were joined to one, as curl does with a file that -d names."""
+    if _separated(header) is None and not set(header) <= set(COLUMNS):
+        remedy = "give each reading its line; curl keeps the lines of a file by --data-binary @FILE"
+        raise invalid(
+            [fault("body", ",".join(header), "is one line with more than a header", remedy)]
+        )
 
 
 def _rows(reader: csv.DictReader[str]) -> list[tuple[int, Row]]:

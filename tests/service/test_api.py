@@ -399,6 +399,18 @@ def test_a_header_that_is_nearly_right_is_told_how_it_is_written(created: httpx.
     }
 
 
+def test_a_file_whose_lines_were_joined_is_told_how_to_keep_them(created: httpx.Client) -> None:
+    """``curl -d @file`` takes line breaks out; 201 columns were said to be too many."""
+    rows = ["id,blade,quantity,time_h,value", "a,B1,elongation,1,0.1", "b,B1,elongation,2,0.2"]
+    headers = {"content-type": "text/csv"}
+    for count in (2, 3):
+        text = "".join(rows[:count])
+        sent = created.post("/v1/rotors/r1/inspections", content=text.encode(), headers=headers)
+        assert "--data-binary" in refuse(sent, 422, "body")["faults"][0]["remedy"]
+    sent = created.post("/v1/rotors/r1/inspections", content=rows[0].encode(), headers=headers)
+    assert refuse(sent, 422, "body")["faults"][0]["problem"] == "holds no row"
+
+
 def test_lines_of_empty_cells_are_no_readings(created: httpx.Client) -> None:
     text = "id,blade,quantity,time_h,value\r\na,B1,elongation,1,0.1\r\n\r\n,,,,\r\n,,,,,,\r\n"
     headers = {"content-type": "text/csv"}
