@@ -73,9 +73,10 @@ class Kept:
     def made(self, new: Mapping[Wanted, set[float]]) -> dict[tuple[Wanted, float], Response]:
         """Compiled together, and kept: rows at each of these hours after 0."""
         made: dict[tuple[Wanted, float], Response] = {}
-        hours = sorted(set().union(*new.values()))
+        alike = [(tuple(t in own for own in new.values()), t) for t in set().union(*new.values())]
+        hours = [t for _, t in sorted(alike)]  # so that few are of what others of them are not
         for k in range(0, len(hours), TOGETHER):
-            some = hours[k : k + TOGETHER]
+            some = sorted(hours[k : k + TOGETHER])
             wanted = [one for one, own in new.items() if own & set(some)]
             for one, by_hour in zip(wanted, self.make(wanted, some), strict=True):
                 rows = zip(some, by_hour, strict=True)
