@@ -109,6 +109,7 @@ def test_a_prediction_is_the_exact_one(created: httpx.Client, worker: Worker) ->
 QUESTIONS: list[tuple[dict[str, str], str]] = [
     ({"quantity": "colour"}, "quantity"),
     ({"times": "8000,soon"}, "times"),
+    ({"times": "24,000"}, "times"),
     ({"times": "nan"}, "times"),
     ({"times": "1e999"}, "times"),
     ({"times": "-1"}, "times"),

@@ -202,6 +202,7 @@ def test_numpy_reads_a_series_and_what_it_rests_on(api: httpx.Client, told: str)
         ("times=5,4&format=pvd", "times", "do not rise"),
         ("times=5,50001&format=pvd", "times", "lies outside 0 … 50000 h, which the model covers"),
         ("times=5,x&format=pvd", "times", "is not a number"),
+        ("times=24,000&format=pvd", "times", "is what a comma for thousands leaves"),
         ("quantity=elongation&format=pvd", "quantity", "is no field of the model"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
@@ -153,12 +154,15 @@ def read_times(text: str | None) -> list[float] | None:
 
     >>> read_times("0, 8000,2.5e4")
     [0.0, 8000.0, 25000.0]
+
+    RequestError for what is no number, and for 24,000, which would be hours 24 and 0.
     """
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]
     for part in parts:
-        if not is_number(part):
+        if not is_number(part) or re.match(r"0\d", part):
+            what = "is what a comma for thousands leaves" if is_number(part) else "is not a number"
             remedy = "give hours with commas between, e.g. times=8000,24000"
-            raise invalid([fault("times", part, "is not a number", remedy)])
+            raise invalid([fault("times", part, what, remedy)])
     return [float(part) for part in parts]
