@@ -24,7 +24,14 @@ from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
 from core.planning.ahead import TO_COME, Drawn, answered
-from core.planning.candidates import AHEAD, UNREAD, Candidate, candidates, usual_interval_h
+from core.planning.candidates import (
+    AHEAD,
+    UNREAD,
+    Candidate,
+    candidates,
+    to_come,
+    usual_interval_h,
+)
 from core.planning.moments import Awaited
 from core.planning.ready import modes, ready
 from core.response import Response
@@ -82,9 +89,9 @@ def campaigns(
     for q in model.network.quantities:
         if q.kind != "vector" or (nodes := _nodes(model, q.name, readings)) is None:
             continue
-        horizon = model.part(q.name).horizon_h
+        there = to_come(latest, blades, hours, step, model.part(q.name).horizon_h)
         for ahead in hours:
-            own = tuple((b, h + ahead) for b, h in latest.items() if 0 < h + ahead <= horizon)
+            own = tuple((b, h) for (b, a), h in there.items() if a == ahead)
             if own:
                 found.append(Campaign(q.name, ahead, own, None, None, nodes))
     return tuple(found)

@@ -6,7 +6,8 @@ own (those that were are over). What a calibrated model expects it to read: `cor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from statistics import median
@@ -22,13 +23,15 @@ from core.observation import Inspection
 AHEAD = (0.0, 0.5, 1.0, 2.0)  # of the usual interval: now, at the next visit, before it, after it
 UNREAD = 0.16  # of a model's hours: the interval of blades that were never read
 ANOTHER = "another"  # an instrument that is none of those that read
+MOST = 48  # hours of all candidates, beyond which they lie at common ones
+PART = 8  # of the usual interval: from one of those to the next
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
     """One reading that could be taken.
 
-    time_h      blade's hours; ahead_h: from the blade's latest reading on
+    time_h      blade's hours; ahead_h: from the blade's latest reading on, or a little less
     instrument  None: as readings name none; `ANOTHER`: one that has not read this rotor yet
     sigma       its noise, where readings give theirs [unit]; None: as calibrated
     """
@@ -73,17 +76,41 @@ def candidates(
         sigma = float(median(told)) if told and len(told) == len(own) else None
         horizon = model.part(q.name).horizon_h
         step = UNREAD * horizon if interval is None else interval
-        hours = [share * step for share in AHEAD] if ahead_h is None else ahead_h
-        for blade in blades:
-            for ahead in hours:
-                hour = latest.get(blade, 0.0) + ahead
-                if not 0 < hour <= horizon:
-                    continue
-                found += [
-                    Candidate(blade, q.name, hour, float(ahead), name, sigma)
-                    for name in (*used, ANOTHER if used else None)
-                ]
+        ahead = [share * step for share in AHEAD] if ahead_h is None else ahead_h
+        for (blade, later), hour in to_come(latest, blades, ahead, step, horizon).items():
+            found += [
+                Candidate(blade, q.name, hour, later, name, sigma)
+                for name in (*used, ANOTHER if used else None)
+            ]
     return tuple(found)
+
+
+def to_come(
+    latest: Mapping[str, float],
+    blades: Sequence[str],
+    ahead: Sequence[float],
+    step: float,
+    horizon: float,
+) -> dict[tuple[str, float], float]:
+    """Hours of each blade and time ahead, as far as the model reaches.
+
+    What a model with an effect answers is compiled hour by hour (`core.planning.ready`). Where
+    blades were read at hours of their own, so that there are more than `MOST`, they lie at the next
+    `PART` of the usual interval: nobody knows the hour of an inspection to come any better.
+
+    >>> to_come({"a": 7.0}, ["a", "b"], [0.0, 4.0], 8.0, 10.0)
+    {('a', 0.0): 7.0, ('b', 4.0): 4.0}
+    >>> many = {str(i): 100 + i / 9 for i in range(90)}
+    >>> sorted(set(to_come(many, list(many), [0.0], 16.0, 109.0).values()))
+    [100.0, 102.0, 104.0, 106.0, 108.0, 109.0]
+    """
+    hours = {(b, float(a)): latest.get(b, 0.0) + float(a) for b in blades for a in ahead}
+    hours = {which: hour for which, hour in hours.items() if 0 < hour <= horizon}
+    if len(set(hours.values())) > MOST:
+        part = step / PART
+        for which, hour in hours.items():
+            hours[which] = min(part * math.ceil(hour / part - 1e-9), horizon)
+    return hours
 
 
 def usual_interval_h(readings: Sequence[Inspection]) -> float | None:

@@ -186,3 +186,28 @@ def test_hours_to_come_follow_the_interval_at_which_blades_are_read() -> None:
     assert sorted(round(c.ahead_h, 9) for c in asked) == [0.0, 0.2]
     once = [one for one in data if one.id in ("0", "2")]
     assert usual_interval_h(once) == pytest.approx(0.15), "until they were read"
+
+
+def test_blades_read_at_hours_of_their_own_are_asked_about_at_common_ones() -> None:
+    """Sixty blades, sixty hours: single readings and campaigns lie at the next eighth of the usual
+    interval, never before a blade's last reading and never beyond the model."""
+    names, last = [f"b{b}" for b in range(60)], {f"b{b}": 1.0 + b / 97 for b in range(60)}
+    data = [
+        Inspection(f"{b}-{h}", b, "y", h, np.array([0.0]))
+        for b, own in last.items()
+        for h in (own, own / 2)
+    ]
+    interval, horizon = usual_interval_h(data), MODEL.part("y").horizon_h
+    assert interval is not None
+    found = candidates(MODEL, names, data)
+    hours = {c.time_h for c in found}
+    assert len(hours) <= 24
+    for c in found:
+        exactly = last[c.blade] + c.ahead_h
+        assert exactly <= c.time_h + 1e-9
+        assert c.time_h <= min(exactly + interval / 8, horizon) + 1e-9
+    asked = campaigns(MODEL, names, data)
+    assert {h for one in asked for _, h in one.blades} <= hours
+    few = [r for r in data if r.blade in names[:5]]
+    exact = {round(c.time_h - c.ahead_h, 9) for c in candidates(MODEL, names[:5], few)}
+    assert exact == {round(last[b], 9) for b in names[:5]}, "few hours stay what they are"
