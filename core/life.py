@@ -25,7 +25,7 @@ model's hours has none: the model says nothing of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,7 @@ from core.prediction import QUANTILES
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]
+Margins = Callable[[Array], Array]
 EVEN = 51  # hours of a model without runs
 TURNS = 30  # between two of the hours; three or four where the share is smooth
 EXACT = 1e-5  # of a probit
@@ -84,42 +85,22 @@ def life(
 
     Raises InputError for a limit that is no number, and what `predict` raises.
     """
-    if not math.isfinite(limit):
-        raise InputError("limit", limit, "is no number", "give it in the quantity's unit")
     asked = np.unique(checked_times(model, quantity, times))
     time = np.union1d(asked, instants(model, quantity))
     thin = thinned(posterior)
     w = thin.particles.w
-
-    def middle(at: float) -> float:
-        one = curves(model, thin, quantity, np.array([at]), node, component, known)
-        return float(w @ one.mean[:, 0] / w.sum())
-
-    begun = middle(0.0)
-    little = ROUNDING * abs(begun)
-    falls = begun + little >= limit and middle(model.part(quantity).horizon_h) < begun - little
-    side = -1.0 if falls else 1.0
-
-    def beyond(at: Array) -> Array:
-        """(m − L) / s of each particle (N, T), ± infinite where s is zero."""
-        one = curves(model, thin, quantity, at, node, component, known)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            z = side * (one.mean - limit) / one.width
-        there = side * (one.mean - limit) >= 0
-        return np.where(one.width > 0, z, np.where(there, np.inf, -np.inf))
+    beyond = margins(model, thin, quantity, limit, node, component=component, known=known)
 
     def share(z: Array) -> Array:
         return np.asarray(np.clip(w @ ndtr(z) / w.sum(), 0.0, 1.0))
 
     wanted, parts = np.array(levels, float), list[Array]()
-    most, last = np.full((len(w), len(wanted)), -np.inf), np.full((len(w), 1), -np.inf)
-    for at in spans(time):
-        z = np.maximum.accumulate(np.concatenate([last, beyond(at)], axis=1), axis=1)
+    most = np.full((len(w), len(wanted)), -np.inf)
+    for z in peaks(beyond, time, len(w)):
         parts.append(share(z))
         reached = np.searchsorted(np.maximum.accumulate(parts[-1]), wanted)
         inside = (reached > 0) & (reached < z.shape[1])
         most[:, inside] = z[:, reached[inside] - 1]  # before the hour at which a level is reached
-        last = z[:, -1:]
     passed = np.maximum.accumulate(np.concatenate([part[1:] for part in parts]))
 
     def within(at: Array, which: Places) -> Array:
@@ -132,6 +113,53 @@ def life(
     unit = model.network.quantity(quantity).unit
     at_asked = passed[np.isin(time, asked)]
     return Life(quantity, unit, float(limit), asked, at_asked, found, len(w))
+
+
+def margins(
+    model: Model,
+    posterior: Posterior,
+    quantity: str,
+    limit: float,
+    node: int | None = None,
+    *,
+    component: int | None = None,
+    known: Mapping[str, float] | None = None,
+) -> Margins:
+    """(m − L) / s of each particle at any hours (T,), (N, T); ± infinite where s is zero.
+
+    Its sign is turned where the limit is passed from above. Raises as `life` does.
+    """
+    if not math.isfinite(limit):
+        raise InputError("limit", limit, "is no number", "give it in the quantity's unit")
+    w = posterior.particles.w
+
+    def middle(at: float) -> float:
+        one = curves(model, posterior, quantity, np.array([at]), node, component, known)
+        return float(w @ one.mean[:, 0] / w.sum())
+
+    begun = middle(0.0)
+    little = ROUNDING * abs(begun)
+    falls = begun + little >= limit and middle(model.part(quantity).horizon_h) < begun - little
+    side = -1.0 if falls else 1.0
+
+    def beyond(at: Array) -> Array:
+        one = curves(model, posterior, quantity, at, node, component, known)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            z = side * (one.mean - limit) / one.width
+        there = side * (one.mean - limit) >= 0
+        return np.where(one.width > 0, z, np.where(there, np.inf, -np.inf))
+
+    return beyond
+
+
+def peaks(beyond: Margins, time: Array, n: int) -> Iterator[Array]:
+    """The largest margin of each of n particles so far, by `spans` of hours: (n, 1 + T), with the
+    one before the span in front (−∞ at first)."""
+    last = np.full((n, 1), -np.inf)
+    for at in spans(time):
+        z = np.maximum.accumulate(np.concatenate([last, beyond(at)], axis=1), axis=1)
+        yield z
+        last = z[:, -1:]
 
 
 def instants(model: Model, quantity: str) -> Array:

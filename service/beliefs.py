@@ -3,7 +3,8 @@
 A version of a rotor's posterior is its description (`meta`) and a function that gives its arrays by
 name (`get`), so that a question about one blade loads what that blade needs and no more. Bands are
 of core.prediction, the life to a limit of core.life, the end of the model's runs of core.runs_end;
-joint and prior draws, the plain model and fields are imported when they are first asked for.
+a rotor's chances (core.rotor_life), joint and prior draws, the plain model and fields are imported
+when they are first asked for.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from service.bands import Bands, bands_of
 from service.models import Models
 from service.ports import (
     Array,
+    BladeRecord,
     Draws,
     Field,
     Forward,
@@ -28,6 +30,7 @@ from service.ports import (
     JointDraws,
     Mesh,
     ModelCard,
+    RotorLife,
     Surface,
 )
 
@@ -86,6 +89,33 @@ class Beliefs:
         model, posterior = self.models.of(card).for_blade(blade), blade_posterior(meta, get, blade)
         return life(
             model, posterior, quantity, limit, times, node, component=component, known=known
+        )
+
+    def rotor_life(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blades: Sequence[BladeRecord],
+        quantity: str,
+        limit: float,
+        times: Sequence[float],
+        node: int | None,
+        *,
+        component: int | None,
+    ) -> RotorLife:
+        from core.rotor_life import rotor_life
+
+        return rotor_life(
+            self.models.of(card),
+            self.restore(meta, get),
+            [blade.id for blade in blades],
+            quantity,
+            limit,
+            times,
+            node,
+            component=component,
+            known={blade.id: blade.known for blade in blades if blade.known is not None},
         )
 
     def held_from(

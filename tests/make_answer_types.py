@@ -42,6 +42,7 @@ NAMES: tuple[tuple[str, Json], ...] = (
     ("Job", beliefs.JOB),
     ("Prediction", beliefs.PREDICTION),
     ("Life", beliefs.LIFE),
+    ("RotorLife", beliefs.ROTOR_LIFE),
     ("SeriesRow", beliefs.SERIES["properties"]["items"]["items"]),
     ("Parameter", beliefs.SUMMARY["parameters"]["additionalProperties"]),
     ("Model", others.MODEL),

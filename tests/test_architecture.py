@@ -41,7 +41,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("core.calibration",),
     ("core.curves",),
     ("core.prediction", "core.runs_end"),
-    ("core.life", "core.planning", "core.diagnosis", "core.posterior_region"),
+    ("core.life", "core.rotor_life", "core.planning", "core.diagnosis", "core.posterior_region"),
     ("core.validation",),
 )
 """From the ground up: a module imports its own room and lower floors; within the second floor

@@ -67,6 +67,7 @@ RULES: dict[str, Rule] = {
     f"GET {ROTOR}/blades/{{b}}/posterior": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/prediction": Rule("read"),
     f"GET {ROTOR}/blades/{{b}}/life": Rule("read"),
+    f"GET {ROTOR}/life": Rule("read"),
     f"GET {ROTOR}/series": Rule("read"),
     f"GET {ROTOR}/plan": Rule("read"),
     f"GET {ROTOR}/blades": Rule("read"),

@@ -181,6 +181,27 @@ class Life(TypedDict):
     rests_on: RestsOn
 
 
+class RotorLifeBlade(TypedDict):
+    id: str
+    passed: list[float]
+    held_from_h: float | None
+
+
+class RotorLife(TypedDict):
+    rotor: str
+    quantity: str
+    unit: str
+    node: int | None
+    component: Literal["x", "y", "z"] | None
+    limit: float
+    time_h: list[float]
+    any: list[float]
+    expected: list[float]
+    blades: list[RotorLifeBlade]
+    health: Health
+    rests_on: RestsOn
+
+
 class SeriesRow(TypedDict):
     blade: str
     time: float

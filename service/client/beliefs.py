@@ -70,6 +70,37 @@ def life(
     return ask("GET", below(rotor, blade, "life"), params=params)
 
 
+def rotor_life(
+    rotor: str,
+    limit: float,
+    quantity: str | None = None,
+    *,
+    times: Sequence[float] | None = None,
+    node: int | str | None = None,
+    component: str | None = None,
+    version: int | None = None,
+    at: str | None = None,
+) -> Steps[answers.RotorLife]:
+    """Which blades pass a limit [the quantity's unit] by when, how surely, and whether any does.
+
+    Hours are of each blade's own operation. By `time_h`: of each of ``answer["blades"]`` the chance
+    `passed`; of the rotor the number `expected`, and the chance `any` that at least one has. Blades
+    share parameters, so `any` is not what independent ones would have.
+
+    quantity, component   as of `life`
+    """
+    params = told(
+        limit=limit,
+        quantity=quantity,
+        times=listed(times),
+        node=node,
+        component=component,
+        version=version,
+        at=at,
+    )
+    return ask("GET", path("rotors", rotor, "life"), params=params)
+
+
 def series(
     rotor: str,
     quantity: str | None = None,

@@ -52,6 +52,7 @@ class Calls:
     prediction_csv = call(_files.prediction_csv)
     prediction_sensorthings = call(_files.prediction_sensorthings)
     life = call(_beliefs.life)
+    rotor_life = call(_beliefs.rotor_life)
     series = pages(_beliefs.series, _answers.SeriesRow)
     draws = call(_beliefs.draws)
     draws_netcdf = call(_files.draws_netcdf)

@@ -18,12 +18,15 @@ from service.fake.outputs import (
     FakeForward,
     FakeLife,
     FakePrediction,
+    FakeRotorLife,
     banded,
     field_of,
     life_of,
+    rotor_life_of,
     surface_of,
 )
 from service.ports import (
+    BladeRecord,
     Draws,
     Field,
     Forward,
@@ -137,3 +140,19 @@ class FakeBeliefs:
         known: Mapping[str, float] | None,
     ) -> FakeLife:
         return life_of(card, get, blade, quantity, limit, times, node, component)
+
+    def rotor_life(
+        self,
+        card: ModelCard,
+        meta: Mapping[str, Any],
+        get: Get,
+        blades: Sequence[BladeRecord],
+        quantity: str,
+        limit: float,
+        times: Sequence[float],
+        node: int | None,
+        *,
+        component: int | None,
+    ) -> FakeRotorLife:
+        names = [blade.id for blade in blades]
+        return rotor_life_of(card, get, names, quantity, limit, times, node, component)

@@ -15,6 +15,7 @@ from service.ports import Array, Field, Get, ModelCard, NoiseFrom, Surface
 
 LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
 LIFE_LEVELS = (0.025, 0.05, 0.16, 0.5, 0.84, 0.95, 0.975)  # those of core.life
+GRID = 4001  # values of the rotor's rate, over ± 9 sd
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,16 @@ class FakeLife:
     time_h: Array
     passed: Array
     quantiles: Mapping[float, float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class FakeRotorLife:
+    """Which blades pass a limit, and how surely any does."""
+
+    time_h: Array
+    passed: Mapping[str, Array]
+    expected: Array
+    any: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,16 +124,47 @@ def life_of(
     rate, sd = float(mean.sum()), float(np.sqrt(covariance.sum()))
     part = along(card, quantity, node)[0 if component is None else component]
     time_h = np.unique(np.asarray(times, float))
-    h = time_h / HORIZON_H * part
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        z = np.where(h > 0, (rate * h - limit) / (sd * h), np.where(limit <= 0, np.inf, -np.inf))
-    passed = np.maximum.accumulate(ndtr(z))
+    passed = passed_by(rate, sd, limit, time_h / HORIZON_H * part)
     hours: dict[float, float | None] = {}
     for level in LIFE_LEVELS:
         needed = part * (rate + sd * float(ndtri(1 - level)))
         at = 0.0 if limit <= 0 else HORIZON_H * limit / needed if needed > 0 else np.inf
         hours[level] = at if at <= HORIZON_H else None
     return FakeLife(time_h, passed, hours)
+
+
+def passed_by(rate: Array | float, sd: float, limit: float, h: Array) -> Array:
+    """Whether r h >= limit by then, r ~ N(rate, sd²); of several rates (K, 1) each, (K, T)."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        z = np.where(h > 0, (rate * h - limit) / (sd * h), np.where(limit <= 0, np.inf, -np.inf))
+    return np.asarray(np.maximum.accumulate(ndtr(z), axis=-1))
+
+
+def rotor_life_of(
+    card: ModelCard,
+    get: Get,
+    blades: Sequence[str],
+    quantity: str,
+    limit: float,
+    times: Sequence[float],
+    node: int | None,
+    component: int | None,
+) -> FakeRotorLife:
+    """Blades know of each other by the rotor's rate m alone: summed over m by the trapezoid."""
+    time_h = np.unique(np.asarray(times, float))
+    h = time_h / HORIZON_H * along(card, quantity, node)[0 if component is None else component]
+    off = np.linspace(-9.0, 9.0, GRID)
+    weight, passed = np.exp(-0.5 * off**2), dict[str, Array]()
+    none = np.ones((GRID, len(h)))
+    for blade in blades:
+        mean, covariance = moments(get, blade)
+        variance, cross = covariance.sum(), covariance[0].sum()  # of r, and of r with m
+        passed[blade] = passed_by(float(mean.sum()), float(np.sqrt(variance)), limit, h)
+        given = mean.sum() + off[:, None] * cross / np.sqrt(covariance[0, 0])
+        left = float(np.sqrt(variance - cross**2 / covariance[0, 0]))
+        none *= 1.0 - passed_by(given, left, limit, h)
+    at_all = weight @ (1.0 - none) / weight.sum()
+    return FakeRotorLife(time_h, passed, np.sum([0.0 * h, *passed.values()], axis=0), at_all)
 
 
 def field_of(

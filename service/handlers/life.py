@@ -1,4 +1,4 @@
-"""When a blade passes a limit, with everything that it rests on."""
+"""When a blade, or a rotor's blades, pass a limit, with everything that it rests on."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from core.errors import InputError
+from core.errors import InputError, RangeError
 from service.errors import FaultsError
 from service.handlers.questions import Question, question
 from service.handlers.reads import Basis, health, held_from
+from service.handlers.rows import everyone_running
 from service.ports import Json, ModelCard, Science, Store
 
 AXES = ("x", "y", "z")
 RADIUS = "z"
+MOST_CHANCES = 20_000  # of a rotor: blades times hours
 
 
 def along_question(
@@ -68,14 +70,67 @@ def life(
     )
     return {
         "blade": blade.id,
-        "quantity": asked.quantity,
-        "unit": found.card.outputs[asked.quantity].unit,
-        "node": asked.node,
-        "component": None if component is None else AXES[component],
-        "limit": limit,
+        **_asked(found, asked, component, limit),
         "time_h": np.asarray(told.time_h).tolist(),
         "passed": np.asarray(told.passed).tolist(),
         "quantiles": {str(p): hour for p, hour in told.quantiles.items()},
         "held_from_h": held_from(science, found, get, blade),
         "health": health(found.state),
+    }
+
+
+def rotor_life(
+    store: Store,
+    science: Science,
+    found: Basis,
+    asked: Question,
+    component: int | None,
+    limit: float,
+) -> Json:
+    """The chances that the blades that run have passed the limit, alone and together.
+
+    Raises RangeError for more hours than one answer should hold; the model's own may be asked of
+    any number of blades.
+    """
+    blades = everyone_running(store, found)
+    most = max(MOST_CHANCES // max(len(blades), 1), len(found.card.time_h))
+    if len(asked.times) > most:
+        problem = f"hours of {len(blades)} blades are more than one answer holds"
+        raise RangeError("times", len(asked.times), problem, f"ask for 1 … {most} times at once")
+    get = found.arrays(store)
+    told = science.rotor_life(
+        found.card,
+        found.state.meta,
+        get,
+        blades,
+        asked.quantity,
+        limit,
+        asked.times,
+        asked.node,
+        component=component,
+    )
+    return {
+        **_asked(found, asked, component, limit),
+        **{
+            name: np.asarray(getattr(told, name)).tolist() for name in ("time_h", "any", "expected")
+        },
+        "blades": [
+            {
+                "id": blade.id,
+                "passed": np.asarray(told.passed[blade.id]).tolist(),
+                "held_from_h": held_from(science, found, get, blade),
+            }
+            for blade in blades
+        ],
+        "health": health(found.state),
+    }
+
+
+def _asked(found: Basis, asked: Question, component: int | None, limit: float) -> Json:
+    return {
+        "quantity": asked.quantity,
+        "unit": found.card.outputs[asked.quantity].unit,
+        "node": asked.node,
+        "component": None if component is None else AXES[component],
+        "limit": limit,
     }

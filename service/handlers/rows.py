@@ -15,13 +15,17 @@ from service.ports import BladeRecord, Json, Science, Store
 MOST_ROWS = 20_000
 
 
-def running(store: Store, found: Basis, after: str, count: int) -> list[BladeRecord]:
-    """Blades that run in the version, in the order of their names, after one name."""
+def everyone_running(store: Store, found: Basis) -> list[BladeRecord]:
+    """Blades that run in the version, in the order of their names."""
     state = found.state
     with store.read() as tx:
         blades = blades_at(blades_of(tx, state.rotor_id), state.through_seq)
-    there = sorted((b for b in blades if not b.retired_seq), key=lambda blade: blade.id)
-    return [blade for blade in there if blade.id > after][:count]
+    return sorted((b for b in blades if not b.retired_seq), key=lambda blade: blade.id)
+
+
+def running(store: Store, found: Basis, after: str, count: int) -> list[BladeRecord]:
+    """Those after one name, so many."""
+    return [blade for blade in everyone_running(store, found) if blade.id > after][:count]
 
 
 def check_rows(asked: Question, blades: int) -> None:

@@ -5,32 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, MutableMapping, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from core.network import Network
 from core.observation import Inspection
+from service.ports.beliefs import Beliefs
 from service.ports.records import BladeRecord, PlanTarget
 from service.ports.values import (
-    Draws,
-    Field,
-    Forward,
     Get,
-    JointDraws,
     Json,
-    Life,
-    Mesh,
     ModelCard,
-    Prediction,
     Progress,
     RotorSpec,
     RotorState,
-    Surface,
 )
 
 
-class Science(Protocol):
-    """The calibration: pure functions of readings, rotor and earlier state."""
+class Science(Beliefs, Protocol):
+    """The calibration: pure functions of readings, rotor and earlier state; what is told of it."""
 
     @property
     def builtins(self) -> tuple[str, ...]:
@@ -81,70 +71,6 @@ class Science(Protocol):
         *,
         quick: bool,
     ) -> RotorState: ...
-    def restore(self, meta: Mapping[str, Any], get: Get) -> RotorState: ...
-    def shared_draws(self, meta: Mapping[str, Any], get: Get) -> Draws: ...
-    def blade_draws(self, meta: Mapping[str, Any], get: Get, blade: str) -> Draws: ...
-    def joint_draws(
-        self, meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int
-    ) -> JointDraws:
-        """Draws of several blades with the same shared values in each, in random order."""
-        ...
-
-    def prior_draws(self, card: ModelCard, like: JointDraws) -> JointDraws:
-        """As many draws of the same parameters and blades, from their priors."""
-        ...
-
-    def replicated(
-        self,
-        card: ModelCard,
-        drawn: JointDraws,
-        readings: Sequence[Inspection],
-        known: Mapping[str, Mapping[str, float]],
-    ) -> list[NDArray[np.float64]]:
-        """What each reading would be again under each draw, with its errors: (n, k) of k values.
-
-        known   inputs of blades that are given, by blade
-        """
-        ...
-
-    def forward(
-        self, card: ModelCard, quantity: str, blade: str | None, known: Mapping[str, float] | None
-    ) -> Forward:
-        """The model as it is, or as one blade has it, with its effects and known inputs."""
-        ...
-
-    def predict(
-        self,
-        card: ModelCard,
-        meta: Mapping[str, Any],
-        get: Get,
-        blade: str,
-        quantity: str,
-        times: Sequence[float],
-        node: int | None,
-        probability: float,
-        *,
-        instrument: str | None,
-        known: Mapping[str, float] | None,
-    ) -> Prediction: ...
-
-    def life(
-        self,
-        card: ModelCard,
-        meta: Mapping[str, Any],
-        get: Get,
-        blade: str,
-        quantity: str,
-        limit: float,
-        times: Sequence[float],
-        node: int | None,
-        *,
-        component: int | None,
-        known: Mapping[str, float] | None,
-    ) -> Life:
-        """When the blade passes a limit; component: 0, 1, 2 of a vector."""
-        ...
-
     def plan(
         self,
         card: ModelCard,
@@ -161,40 +87,6 @@ class Science(Protocol):
         Returns `unit`, `mean` and `sd` of the target, `single` readings and the best `set`, each
         with `sd_after` and `narrower`. Raises InputError where there is nothing to inspect.
         """
-        ...
-
-    def held_from(
-        self,
-        card: ModelCard,
-        meta: Mapping[str, Any],
-        get: Get,
-        blade: str,
-        known: Mapping[str, float] | None,
-    ) -> float | None:
-        """The blade's hour [h] from which one of its inputs is held at the end of the model's runs,
-        so that later ones have too little of an effect; None: at none of the model's hours."""
-        ...
-
-    def surface(self, card: ModelCard) -> Surface | None:
-        """The surface of the model's mesh; None: it has none that is known."""
-        ...
-
-    def mesh(self, card: ModelCard) -> Mesh | None:
-        """The mesh of a model's fields; None where it has none."""
-        ...
-
-    def field(
-        self,
-        card: ModelCard,
-        meta: Mapping[str, Any],
-        get: Get,
-        blade: str,
-        quantity: str,
-        time_h: float,
-        *,
-        known: Mapping[str, float] | None,
-    ) -> Field:
-        """Mean and sd of a field or vector of the blade itself at every node, without noise."""
         ...
 
     def warm(self, card: ModelCard) -> None: ...

@@ -174,6 +174,23 @@ class Life(Protocol):
     def quantiles(self) -> Mapping[float, float | None]: ...
 
 
+class RotorLife(Protocol):
+    """How the blades of a rotor pass a limit, alone and together (see core.rotor_life).
+
+    time_h    (T,); passed: by blade, share of belief that it has passed it by then (T,)
+    expected  number of blades that have (T,); any: share of belief that at least one has (T,)
+    """
+
+    @property
+    def time_h(self) -> Array: ...
+    @property
+    def passed(self) -> Mapping[str, Array]: ...
+    @property
+    def expected(self) -> Array: ...
+    @property
+    def any(self) -> Array: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Surface:
     """What of a mesh is seen: points (N, 3) [mm] of all its nodes, triangles (M, 3) of numbers.

@@ -30,7 +30,10 @@ Make = Callable[..., Inspection]
 Post = Callable[..., int]
 DAY = 86_400.0
 T0 = 1_900_000_000.0 - 10_000 * DAY  # in the past of any run
-KINDS = ("", "/posterior", "/blades/B1/posterior", "/blades/B1/prediction?times=25000")
+KINDS = (
+    *("", "/posterior", "/blades/B1/posterior", "/blades/B1/prediction?times=25000"),
+    "/life?limit=0.3",
+)
 
 
 def received(store: SqlStore, seq: int, at: float) -> None:

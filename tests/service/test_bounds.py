@@ -252,13 +252,14 @@ def test_times_longer_than_its_bound_are_refused_and_the_document_says_which(
     for path, more in (
         (PREDICTION, {}),
         ("/v1/rotors/r1/blades/B1/life", {"limit": "1"}),
+        ("/v1/rotors/r1/life", {"limit": "1"}),
         ("/v1/rotors/r1/series", {}),
     ):
         told = api.get(path, params={"times": long} | more)
         fields = [one["field"] for one in told.json()["faults"]]
         assert (told.status_code, "times" in fields) == (422, True), path
     text = json.dumps(api.get("/openapi.json").json())
-    assert text.count(f'"maxLength": {LONGEST_TIMES}') == 5
+    assert text.count(f'"maxLength": {LONGEST_TIMES}') == 6
 
 
 def test_another_site_s_page_needs_a_loopback_name_as_everybody() -> None:

@@ -19,7 +19,7 @@ Reading = Callable[..., Inspection]
 ROTOR = "/v1/rotors/r1"
 READS = (
     *("", "?version=1", "/posterior", "/blades", "/blades/B1/posterior"),
-    *("/blades/B1/prediction?times=1000", "/plan?blade=B1"),
+    *("/blades/B1/prediction?times=1000", "/plan?blade=B1", "/life?limit=1"),
 )
 
 

@@ -79,6 +79,7 @@ def test_rows_of_all_blades_at_all_hours_are_bounded_and_say_how_to_go_on(
     [
         "/blades/B1/prediction?times=1000",
         "/blades/B1/life?limit=0.2",
+        "/life?limit=0.2",
         "/series?times=1000",
         "/blades/B1/field?time_h=1000",
     ],
@@ -96,7 +97,7 @@ def test_what_computes_holds_no_transaction(
     worker.drain()
     pool: Any = store.engine.pool
     idle, held = pool.checkedout(), list[int]()
-    for name in ("predict", "life", "field"):
+    for name in ("predict", "life", "rotor_life", "field"):
         own = getattr(FakeScience, name)
 
         def seen(*args: Any, own: Any = own, **given: Any) -> Any:

@@ -175,6 +175,7 @@ def _steps(store: SqlStore, worker: Worker, api: httpx.Client) -> dict[str, list
             "posterior": lambda: read("/posterior"),
             "versions": lambda: read("/versions"),
             "life": lambda: read("/blades/B1/life", limit="0.2"),
+            "lives": lambda: read("/life", limit="0.2"),
             "adoptions": lambda: read("/adoptions"),
             "kept": lambda: read("/blades/B1/prediction", **ONE),
             "newest": lambda: read("/inspections", limit="5", newest="true"),

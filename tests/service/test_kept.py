@@ -29,6 +29,7 @@ QUESTIONS = (
     f"{B1}/posterior",
     "/v1/rotors/r1/posterior",
     f"{B1}/life?quantity=elongation&limit=0.3",
+    "/v1/rotors/r1/life?quantity=elongation&limit=0.3",
 )
 OWN = ("x-request-id", "date", "ratelimit", "ratelimit-policy")
 

@@ -42,7 +42,9 @@ BODIES: dict[str, Any] = {
 GUARDED = [name for name, rule in RULES.items() if rule.scope != "open"]
 
 
-QUERIES = {"GET /v1/rotors/{r}/blades/{b}/life": "?limit=0.3"}  # what a route cannot do without
+QUERIES = dict.fromkeys(  # what a route cannot do without
+    ("GET /v1/rotors/{r}/blades/{b}/life", "GET /v1/rotors/{r}/life"), "?limit=0.3"
+)
 
 
 def ask(

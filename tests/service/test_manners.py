@@ -213,6 +213,7 @@ READS = {
     "/v1/rotors/r1/residuals": "reading",
     "/v1/rotors/r1/plan": "reading",
     "/v1/rotors/r1/blades/B1/life?limit=0.3": "reading",
+    "/v1/rotors/r1/life?limit=0.3": "reading",
     "/v1/rotors/r1/series?times=8000": "reading",
     "/v1/audit": "reading",
 }

@@ -17,6 +17,7 @@ from service.api.answers.beliefs import (
     POSTERIOR_OF_ROTOR,
     PREDICTION,
     RESTS_ON,
+    ROTOR_LIFE,
     SERIES,
     STANDING,
     SUMMARY,
@@ -80,6 +81,7 @@ ANSWERS: dict[str, Json] = {
     f"GET {ROTOR}/blades/{{b}}/posterior": having(**SUMMARY, blade=TEXT),
     f"GET {ROTOR}/blades/{{b}}/prediction": PREDICTION,
     f"GET {ROTOR}/blades/{{b}}/life": LIFE,
+    f"GET {ROTOR}/life": ROTOR_LIFE,
     f"GET {ROTOR}/series": SERIES,
     f"GET {ROTOR}/plan": having(
         rotor=TEXT,

@@ -148,6 +148,20 @@ LIFE = having(
     health=HEALTH,
     rests_on=RESTS_ON,
 )
+ROTOR_LIFE = having(
+    rotor=TEXT,
+    quantity=TEXT,
+    unit=TEXT,
+    node=maybe(WHOLE),
+    component={"enum": ["x", "y", "z", None]},
+    limit=NUMBER,
+    time_h=each(NUMBER),
+    any=each(NUMBER),
+    expected=each(NUMBER),
+    blades=each(having(id=TEXT, passed=each(NUMBER), held_from_h=maybe(NUMBER))),
+    health=HEALTH,
+    rests_on=RESTS_ON,
+)
 SERIES = having(
     items=each(having(blade=TEXT, time=NUMBER, value=NUMBER, lower=NUMBER, upper=NUMBER, held=YES)),
     next=maybe(TEXT),

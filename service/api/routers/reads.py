@@ -1,4 +1,4 @@
-"""Posterior, prediction and life, with an ETag of everything that they rest on."""
+"""Posterior, prediction and lives, with an ETag of everything that they rest on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from service.api.which import Asked
 from service.export import sensorthings
 from service.export.tables import prediction_csv
 from service.handlers import reads as use
-from service.handlers.life import along_question, life
+from service.handlers.life import along_question, life, rotor_life
 from service.handlers.questions import question
 from service.names import is_number
 from service.ports import Which
@@ -29,6 +29,17 @@ DRAWS = 1000  # in a file; `…/draws?format=netcdf` gives as many as are asked 
 LONGEST_TIMES = 16_384  # characters of `times`
 Form = Annotated[
     Literal["json", "netcdf"], Query(description=f"netcdf: {DRAWS} draws in ArviZ's schema")
+]
+Passed = Annotated[FiniteFloat, Query(description="in the quantity's unit")]
+Quantity = Annotated[
+    str | None, Query(max_length=100, description="default: the model's first one")
+]
+Hours = Annotated[
+    str | None,
+    Query(max_length=LONGEST_TIMES, description="hours, with commas between; default: the model's"),
+]
+Axis = Annotated[
+    Literal["x", "y", "z"] | None, Query(description="of a vector; default: z, the radius")
 ]
 
 
@@ -71,9 +82,7 @@ def get_prediction(
     request: Request,
     services: Wired,
     which: Asked,
-    quantity: Annotated[
-        str | None, Query(max_length=100, description="default: the model's first one")
-    ] = None,
+    quantity: Quantity = None,
     times: Annotated[
         str | None, Query(max_length=LONGEST_TIMES, description="hours, with commas between")
     ] = None,
@@ -120,21 +129,11 @@ def get_life(
     request: Request,
     services: Wired,
     which: Asked,
-    limit: Annotated[FiniteFloat, Query(description="in the quantity's unit")],
-    quantity: Annotated[
-        str | None, Query(max_length=100, description="default: the model's first one")
-    ] = None,
-    times: Annotated[
-        str | None,
-        Query(
-            max_length=LONGEST_TIMES,
-            description="hours, with commas between; default: the model's",
-        ),
-    ] = None,
+    limit: Passed,
+    quantity: Quantity = None,
+    times: Hours = None,
     node: Annotated[str | None, Query(max_length=100)] = None,
-    component: Annotated[
-        Literal["x", "y", "z"] | None, Query(description="of a vector; default: z, the radius")
-    ] = None,
+    component: Axis = None,
 ) -> Response:
     def answer(request: Request) -> Response:
         found = use.basis(services.store, services.science, r, which, b)
@@ -144,6 +143,31 @@ def get_life(
         if (same := unchanged(request, tag)) is not None:
             return same
         told = life(services.store, services.science, found, asked, part, limit)
+        return tagged({"rotor": r} | told | {"rests_on": found.to_json()}, tag)
+
+    return answer(request)
+
+
+@router.get("/life", summary="Which blades pass a limit, how surely, and how likely any does")
+def get_rotor_life(
+    r: Name,
+    request: Request,
+    services: Wired,
+    which: Asked,
+    limit: Passed,
+    quantity: Quantity = None,
+    times: Hours = None,
+    node: Annotated[str | None, Query(max_length=100)] = None,
+    component: Axis = None,
+) -> Response:
+    def answer(request: Request) -> Response:
+        found = use.basis(services.store, services.science, r, which)
+        asked, part = along_question(found.card, quantity, read_times(times), node, component)
+        rests_on(request, found, which, answer)
+        tag = tag_of_basis(request, found)
+        if (same := unchanged(request, tag)) is not None:
+            return same
+        told = rotor_life(services.store, services.science, found, asked, part, limit)
         return tagged({"rotor": r} | told | {"rests_on": found.to_json()}, tag)
 
     return answer(request)

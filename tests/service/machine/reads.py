@@ -22,6 +22,7 @@ OF_ROTOR: tuple[tuple[str, Asked], ...] = (
     ("series", {"times": "8000,24000"}),
     ("field", {"quantity": "ceeq", "times": "8000", "blades": "B1"}),
     ("plan", {"count": "1"}),
+    ("life", {"limit": "0.3", "times": "8000,24000"}),
 )
 OF_BLADE: tuple[tuple[str, Asked], ...] = (
     ("posterior", {}),
@@ -46,7 +47,7 @@ class Reads(Log):
         3,
         rotor=rotors,
         blade=blades,
-        what=st.sampled_from([*(one for one, _ in OF_ROTOR), "prediction", "life"]),
+        what=st.sampled_from([*(one for one, _ in OF_ROTOR), "prediction"]),
         back=st.integers(0, 3),
     )
     def read(self, rotor: str, blade: str, what: str, back: int) -> None:
