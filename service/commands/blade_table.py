@@ -8,10 +8,11 @@ from collections.abc import Iterator, Sequence
 from itertools import compress
 from typing import Any
 
-from service.report.words import with_sd
+from service.report.words import percent, with_sd
 
 Told = dict[str, Any]
 FEW_SD = 2.0
+FEW = 0.023  # a chance: as normal, of a limit that is 2 sd off
 ROUNDING = 1e-9  # an sd below this share of the mean: all particles have one value
 
 
@@ -43,7 +44,8 @@ def blade_lines(told: Told, width: int | None) -> Iterator[str]:
         yield from lines
         return
     yield from _lines(told, short=True)
-    yield "slots, lots and parameters are left out: the terminal has "
+    margins = ", margins" if "limit" in told["question"] else ""
+    yield f"slots, lots{margins} and parameters are left out: the terminal has "
     yield f"{width} columns, and the whole table {max(map(len, lines))}"
 
 
@@ -71,14 +73,18 @@ def _lines(told: Told, *, short: bool) -> Iterator[str]:
     head = ["blade", "slot", "lot", "readings", "last entry [h]", "mean ± sd" if short else what]
     units = told["units"]
     named = [f"{name} [{units[name]}]" if name in units else name for name in local]
-    rows = [[*head, *([f"margin{' of z' if vector else ''} [sd]"] if margin else []), *named, ""]]
+    of_limit = ["" if short else f"margin{' of z' if vector else ''} [sd]", "passed"]
+    of_limit = of_limit if margin else []
+    rows = [[*head, *of_limit, *named, ""]]
     for blade in blades:
         readings, last = blade["readings"], blade["readings"]["last"]
         place = ["", ""] if short else [blade["slot"] or "", blade["lot"] or ""]
         row = [blade["id"], *place, str(readings["counting"])]
         row += ["" if last is None else f"{last['time_h']:.10g}", predicted(blade["prediction"])]
         left = blade.get("margin_sd")
-        row += ["" if left is None else f"{left:.1f}"] if margin else []
+        passed = blade.get("passed")
+        row += ["" if left is None or short else f"{left:.1f}"] if margin else []
+        row += ["" if passed is None else percent(passed)] if margin else []
         row += [around(one["mean"], one["sd"]) for one in map(blade["parameters"].get, local)]
         rows.append([*row, noted(blade, left)])
     used = [any(column) for column in zip(*rows[1:], strict=True)]
@@ -100,9 +106,22 @@ def predicted(told: Told) -> str:
 
 
 def noted(blade: Told, margin: float | None) -> str:
-    """What to look at."""
+    """What to look at: of a limit its chance; of a blade that has left, which has none, its margin.
+
+    >>> told = {"retired": False, "readings": {"counting": 2}}
+    >>> noted(told | {"passed": 0.84}, -1.0), noted(told | {"passed": 0.1}, 3.0)
+    ('beyond the limit (84 %)', 'limit passed with 10 %')
+    >>> noted(told | {"passed": 0.01}, 1.5), noted(told | {"passed": None, "retired": True}, 1.5)
+    ('', 'retired, limit within 2 sd')
+    """
     notes = ["retired"] if blade["retired"] else []
-    if margin is not None and margin < FEW_SD:
+    passed = blade.get("passed")
+    if passed is not None:
+        if passed >= FEW:
+            beyond = margin is not None and margin < 0 and passed >= 0.5
+            told = f"({percent(passed)})" if beyond else f"passed with {percent(passed)}"
+            notes.append(f"{'beyond the limit' if beyond else 'limit'} {told}")
+    elif margin is not None and margin < FEW_SD:
         notes.append("beyond the limit" if margin < 0 else f"limit within {FEW_SD:g} sd")
     if not blade["readings"]["counting"]:
         notes.append("no reading")

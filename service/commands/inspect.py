@@ -4,7 +4,8 @@ With a file of readings it tells what would become of them instead (`service.com
 
 Everything is of one version: the table, the parameters and the state that the header names. A
 margin is what is left to the limit in standard deviations of the blade itself, without a reading's
-noise, as on the rotor's page: (limit − mean) / sd.
+noise, as on the rotor's page: (limit − mean) / sd. It misleads where a blade is hardly known, so
+what is noted is the chance to have passed the limit (`GET …/life` of the rotor).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from core.errors import InputError
 from service.commands import Json
 from service.commands.blade_table import around, blade_lines, columns
 from service.commands.reach import reached
+from service.report.words import percent
 
 if TYPE_CHECKING:
     from core.network import Network
@@ -42,7 +44,7 @@ def gathered(
 
     rotor = twin.rotor(name)
     told: Told = {"rotor": rotor, "posterior": None, "blades": [], "units": {}, "question": None}
-    told["residuals"] = None
+    told |= {"residuals": None, "life": None}
     if rotor["posterior"] is None:
         return told
     version = rotor["version"]
@@ -89,13 +91,28 @@ def own_unit(network: Network, name: str) -> str | None:
     return None if unit in ("", "1") else unit
 
 
-def with_margins(told: Told, limit: float) -> Told:
-    """The same with `margin_sd` of each blade: sds left to the limit; of a vector: of its z."""
+def with_margins(twin: Client, told: Told, limit: float) -> Told:
+    """The same with `margin_sd` of each blade: sds left to the limit; of a vector: of its z.
+
+    With it `passed`, the chance that it has passed the limit by the hour (None: it has left), and
+    the rotor's `life`: the number of blades that are expected to have, and the chance that any has.
+    """
+    asked = told["question"]
+    if asked is None:
+        return told
+    of = {name: asked[name] for name in ("quantity", "node")}
+    rests = told["posterior"]["rests_on"]
+    life = twin.rotor_life(
+        told["rotor"]["id"], limit, times=[asked["time_h"]], version=rests["version"], **of
+    )
+    passed = {one["id"]: one["passed"][0] for one in life["blades"]}
+    told["life"] = {name: life[name][0] for name in ("time_h", "expected", "any")}
     for blade in told["blades"]:
         mean, sd = blade["prediction"]["mean"], blade["prediction"]["sd"]["blade"]
         mean, sd = (mean[-1], sd[-1]) if isinstance(mean, list) else (mean, sd)
         blade["margin_sd"] = (limit - mean) / sd if sd > 0 else None
-    told["question"] = told["question"] and told["question"] | {"limit": limit}
+        blade["passed"] = passed.get(blade["id"])
+    told["question"] = asked | {"limit": limit}
     return told
 
 
@@ -110,7 +127,7 @@ def inspect(
     ] = None,
     node: Annotated[str | None, typer.Option(help="Of a field: at which node.")] = None,
     limit: Annotated[
-        float | None, typer.Option(help="Of that quantity: tells each blade's margin to it.")
+        float | None, typer.Option(help="Of that quantity: tells whether blades pass it.")
     ] = None,
     file: Annotated[
         Path | None,
@@ -142,11 +159,10 @@ def inspect(
             lines = check_file.lines_of(told)
         else:
             told = gathered(twin, rotor, quantity, time_h, node)
+            told = told if limit is None else with_margins(twin, told, limit)
     if file is not None:
         typer.echo(json.dumps(told) if as_json else "\n".join(lines))
         raise typer.Exit(REFUSED if told["faults"] else 0)
-    if limit is not None:
-        told = with_margins(told, limit)
     typer.echo(json.dumps(told) if as_json else "\n".join(lines_of(told)))
 
 
@@ -177,8 +193,22 @@ def lines_of(told: Told) -> Iterator[str]:
     for name, one in posterior["parameters"].items():
         unit = told["units"].get(name, "")
         yield f"  {name} = {around(one['mean'], one['sd'])} {unit}".rstrip()
+    if told["life"] is not None:
+        yield f"  limit    {_passing(told['question'], told['life'])}"
     yield ""
     yield from blade_lines(told, columns())
+
+
+def _passing(asked: Told, life: Told) -> str:
+    """How many blades pass the limit, and how surely any does.
+
+    >>> life = {"time_h": 32000.0, "expected": 1.28, "any": 0.634}
+    >>> _passing({"limit": 0.4, "unit": "mm"}, life)
+    '0.4 mm by 32000 h of each blade: 1.3 expected past it, at least one with 63 %'
+    """
+    unit = "" if asked["unit"] == "1" else f" {asked['unit']}"
+    past = f"{life['expected']:.1f} expected past it, at least one with {percent(life['any'])}"
+    return f"{asked['limit']:.10g}{unit} by {life['time_h']:.10g} h of each blade: {past}"
 
 
 def _residuals(tested: Told | None) -> Iterator[str]:

@@ -60,6 +60,19 @@ def with_sd(value: float | None, sd: float | None) -> str:
     return f"{value:,.{places}f} ± {sd:,.{places}f}".replace("-", "−")
 
 
+def percent(share: float) -> str:
+    """A chance, to whole percents in the middle and to tenths at both ends.
+
+    >>> percent(0.0312), percent(0.634), percent(0.0042), percent(0.9958)
+    ('3 %', '63 %', '0.4 %', '99.6 %')
+    >>> percent(1e-9), percent(0.0), percent(1.0)
+    ('< 0.1 %', '< 0.1 %', '> 99.9 %')
+    """
+    if not 0.001 <= share <= 0.999:
+        return "< 0.1 %" if share < 0.5 else "> 99.9 %"
+    return f"{100 * share:.{0 if 0.0095 <= share <= 0.9905 else 1}f} %"
+
+
 def joined(names: Sequence[str], last: str = "and") -> str:
     """Names as a sentence has them.
 

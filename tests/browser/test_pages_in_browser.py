@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
+from service.report.words import percent
 from tests.browser.conftest import HOSTILE, Running, Watched, comes, ended, reading, scan, sealed
 from tests.service.told import told
 
@@ -607,6 +608,54 @@ def test_the_time_to_a_limit_is_the_service_s(watched: Watched, service: Running
         expect(panel.locator(".figure").last).to_have_text(re.compile(said))
         expect(panel).to_contain_text(f" h: {chance:.1f} %.")
     assert watched.errors == []
+
+
+def test_the_chances_to_pass_a_limit_are_the_service_s(watched: Watched, service: Running) -> None:
+    """Of each blade in a column that sorts, and of the rotor in a sentence; alarms go by them."""
+    page = watched.open("/rotors/r1?limit=0.4&time_h=32000")
+    asked = {"limit": 0.4, "times": 32_000}
+    told = service.client.get("/v1/rotors/r1/life", params=asked).json()
+    chance = page.evaluate(
+        """async (shares) => {
+            const { percent } = await import("/assets/format.js");
+            return shares.map(percent);
+        }""",
+        [told["any"][0], *(one["passed"][0] for one in told["blades"])],
+    )
+    heading = page.get_by_role("heading", name="Blades", exact=True)
+    panel = page.locator("section").filter(has=heading)
+    said = f"{told['expected'][0]:.1f} blades expected past 0.4\u00a0mm; at least one with "
+    expect(panel).to_contain_text(f"of each blade’s own operation: {said}{chance[0]}.")
+    table = page.get_by_role("region", name="Blades")
+    heads = table.locator("th").all_text_contents()
+    place = heads.index("Chance past the limit")
+    rows = table.locator("tbody tr")
+    for row, one, text in zip(rows.all(), told["blades"], chance[1:], strict=True):
+        assert row.locator("td").first.text_content() == one["id"]
+        assert row.locator("td").nth(place).text_content() == text
+        alarm = row.locator(".states").all_text_contents()
+        assert ("limit" in "".join(alarm)) == (one["passed"][0] >= 0.023)
+    assert max(one["passed"][0] for one in told["blades"]) >= 0.023, "the control: one is told"
+    table.get_by_role("button", name="Chance past the limit").click()
+    expect(table.locator("th[aria-sort=ascending]")).to_have_text(re.compile("Chance"))
+    last = max(told["blades"], key=lambda one: one["passed"][0])["id"]
+    expect(rows.last.locator("td").first).to_have_text(last)
+    page.get_by_role("combobox", name="Colour").select_option("chance")
+    expect(page.get_by_text("A blade's colour is its chance past the limit")).to_be_visible()
+    plain = watched.open("/rotors/r1")
+    expect(plain.get_by_role("columnheader", name="Chance")).to_have_count(0)
+    assert watched.errors == []
+
+
+def test_percents_are_whole_in_the_middle_and_tenths_at_the_ends(watched: Watched) -> None:
+    page = watched.open("/rotors/r1")
+    told = page.evaluate("""async () => {
+      const { percent } = await import("/assets/format.js");
+      return [0.0312, 0.634, 0.0042, 0.9958, 1e-9, 0, 1, null].map(percent);
+    }""")
+    words = [None if one == "–" else one.replace("\u00a0", " ") for one in told]
+    shares = (0.0312, 0.634, 0.0042, 0.9958, 1e-9, 0.0, 1.0)
+    assert words == [*map(percent, shares), None], "as in the terminal"
 
 
 def test_hours_and_ticks_have_the_decimals_that_their_range_needs(watched: Watched) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,7 @@ from service.client import ProblemError
 from service.client.table import Calls
 from service.commands.blade_table import around, blade_lines
 from service.handlers.blades import retire_blade
+from service.report.words import percent
 from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 
@@ -54,8 +56,15 @@ def test_the_summary_says_of_each_blade_what_the_api_says(api: httpx.Client, url
         "quantity": "elongation", "unit": "mm", "time_h": 50_000.0, "node": None, "limit": 0.9,
     }  # fmt: skip
     listed = api.get("/v1/rotors/r1/blades").json()["items"]
+    asked = {"limit": 0.9, "times": 50_000, "version": rotor["version"]}
+    life = api.get("/v1/rotors/r1/life", params=asked).json()
+    assert told["life"] == {name: life[name][0] for name in ("time_h", "expected", "any")}
+    passed = {one["id"]: one["passed"][0] for one in life["blades"]}
+    assert {*passed} == {"B1", "B2"}, "B3 has left"
     for blade, own in zip(told["blades"], listed, strict=True):
-        assert {k: v for k, v in blade.items() if k not in ("parameters", "margin_sd")} == own
+        added = ("parameters", "margin_sd", "passed")
+        assert {k: v for k, v in blade.items() if k not in added} == own
+        assert blade["passed"] == passed.get(blade["id"])
         mean, sd = own["prediction"]["mean"], own["prediction"]["sd"]["blade"]
         assert blade["margin_sd"] == (0.9 - mean) / sd
         posterior = api.get(f"/v1/rotors/r1/blades/{blade['id']}/posterior").json()
@@ -80,7 +89,22 @@ def test_people_get_a_table_with_what_to_look_at(api: httpx.Client, url: str) ->
     assert f"  rate = {around(rate['mean'], rate['sd'])} mm" in lines
     rows = {line.split()[0]: line for line in lines[lines.index(head) + 1 :]}
     assert list(rows) == ["B1", "B2", "B3"]
-    assert rows["B2"].endswith("limit within 2 sd")
+    told = json.loads(run("r1", "--url", url, "--limit", "1.0", "--json"))
+    chances = {one["id"]: one["passed"] for one in told["blades"]}
+    assert chances["B1"] < 0.001
+    assert 0.023 < chances["B2"] < 0.5
+    assert rows["B2"].endswith(f"limit passed with {percent(chances['B2'])}")
+    assert f" {percent(chances['B2'])} " in rows["B2"], "and in its column"
+    assert re.search(r"margin \[sd\]  passed +offset \[mm\]$", head)
+    assert "< 0.1 %" in rows["B1"]
+    assert not rows["B1"].endswith("%")
+    expected, at_all = told["life"]["expected"], percent(told["life"]["any"])
+    assert (
+        f"  limit    1 mm by 50000 h of each blade: {expected:.1f} expected past it, "
+        f"at least one with {at_all}"
+    ) in lines
+    beyond = run("r1", "--url", url, "--limit", "0.1")
+    assert beyond.count("beyond the limit (> 99.9 %)") == 2
     assert rows["B3"].endswith("retired, limit within 2 sd, no reading")
     assert "limit" not in run("r1", "--url", url), "negative control: none was given"
     assert rows["B1"].index(" 0.6") + 1 == head.index("elongation"), "columns are under their heads"
@@ -104,7 +128,9 @@ def test_a_vector_is_told_in_three_directions(api: httpx.Client, url: str) -> No
     path = "/v1/rotors/r1/blades?quantity=deformation&time_h=16000&node=17"
     told = api.get(path).json()["items"][1]["prediction"]
     assert f"0, 0, {around(told['mean'][2], told['sd']['blade'][2])}  " in text
-    assert "margin of z [sd]" in run("r1", "--url", url, *asked, "--limit", "1")
+    limited = run("r1", "--url", url, *asked, "--limit", "1")
+    assert "margin of z [sd]" in limited
+    assert "  limit    1 mm by 16000 h of each blade: 0.0 expected past it" in limited
 
 
 def test_a_field_is_told_at_its_node_and_what_nobody_chose_as_on_the_pages(
@@ -130,7 +156,10 @@ def test_a_narrow_terminal_gets_whole_lines(url: str) -> None:
     assert first == "predicted: elongation [mm] at 50000 h"
     assert "offset" not in head
     assert [row.split()[0] for row in rows] == ["B1", "B2", "B3"]
-    assert left.startswith("slots, lots and parameters are left out")
+    assert left.startswith("slots, lots, margins and parameters are left out")
+    assert head.split()[-1] == "passed", "the margin misleads more easily"
+    del told["question"]["limit"]
+    assert [*blade_lines(told, 70)][-2].startswith("slots, lots and parameters are left out")
     assert out == f"100 columns, and the whole table {most}"
 
 

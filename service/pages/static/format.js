@@ -80,6 +80,14 @@ export const words = (name) => String(name).replaceAll("_", " ");
 
 export const number = (count, one, many = `${one}s`) => `${fixed(count, 0)} ${count === 1 ? one : many}`;
 
+/** A chance, to whole percents in the middle and to tenths at both ends. */
+export function percent(share) {
+  if (share === null || share === undefined || Number.isNaN(share)) return "–";
+  if (share < 0.001) return `< 0.1${NBSP}%`;
+  if (share > 0.999) return `> 99.9${NBSP}%`;
+  return `${fixed(100 * share, share >= 0.0095 && share <= 0.9905 ? 0 : 1)}${NBSP}%`;
+}
+
 /** Ticks of an axis with as many decimals as tell them apart. */
 export function labels(values) {
   const step = values.length > 1 ? Math.abs(values[1] - values[0]) : Math.abs(values[0] ?? 0);

@@ -3,7 +3,7 @@
 import { usual } from "./ahead.js";
 import { get, offers, pages, path } from "./api.js";
 import { $, asked, facts, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
-import { decimals, fixed, hours, inUnit, number, plain, unit, withSd, words } from "./format.js";
+import { decimals, fixed, hours, inUnit, number, percent, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { ring } from "./ring.js";
 import { span } from "./scale.js";
@@ -32,24 +32,50 @@ function whereOf({ node, items }) {
   return `${Array.isArray(items[0]?.prediction.mean) ? ", z (radius)," : ""} at node ${node}${name ? ` (${name})` : ""}`;
 }
 
-function judged(found, health) {
-  const limit = chosen.limit === null || chosen.limit === "" ? null : Number(chosen.limit);
+const FEW = 0.023; // a chance: as normal, of a limit that is 2 sd off
+
+/** What a limit says of a blade: by its chance; of one that has left, which has none, by its margin. */
+function ofLimit(passed, margin) {
+  if (passed === null) {
+    if (margin === null || margin >= 2) return [];
+    return margin < 0 ? [["bad", "beyond the limit"]] : [["warn", "limit within 2 sd"]];
+  }
+  if (passed < FEW) return [];
+  if (passed < 0.5) return [["warn", `limit passed with ${percent(passed)}`]];
+  return [["bad", margin !== null && margin < 0 ? `beyond the limit (${percent(passed)})` : `limit passed with ${percent(passed)}`]];
+}
+
+/** The limit that was given; null: none was. */
+const limitOf = () => (chosen.limit && Number.isFinite(Number(chosen.limit)) ? Number(chosen.limit) : null);
+
+/** Which blades pass the limit by the hour, and how surely any does; null: none was given. */
+async function lifeOf(time_h) {
+  const limit = limitOf();
+  if (limit === null) return null;
+  const given = new URLSearchParams({ limit, times: time_h });
+  if (chosen.quantity) given.set("quantity", chosen.quantity);
+  return get(`${url}/life?${given}`); // a limit of ours, not a page's length
+}
+
+function judged(found, health, life) {
+  const limit = limitOf();
+  const chances = new Map((life?.blades ?? []).map((b) => [b.id, b.passed[0]]));
   const contradicted = new Set((health?.contradicted ?? []).map((c) => c.blade ?? c));
   const exchanged = new Set((health?.exchanged ?? []).flatMap((e) => e.blades));
   return found.items.map((blade) => {
     const mean = one(blade.prediction.mean);
     const sd = one(blade.prediction.sd.blade);
-    const margin = limit === null ? null : (limit - mean) / sd;
+    const margin = limit === null || !(sd > 0) ? null : (limit - mean) / sd;
+    const passed = chances.get(blade.id) ?? null;
     const alarms = [];
     if (contradicted.has(blade.id)) alarms.push(["bad", "contradicts the rotor"]);
     if (exchanged.has(blade.id)) alarms.push(["bad", "readings look exchanged"]);
-    if (margin !== null && margin < 0) alarms.push(["bad", "beyond the limit"]);
-    else if (margin !== null && margin < 2) alarms.push(["warn", "limit within 2 sd"]);
+    alarms.push(...ofLimit(passed, margin));
     const held = blade.prediction.held_from_h;
     if (held !== null && held <= found.time_h) alarms.push(["warn", `too little of an effect from ${hours(held)} on`]);
     if (blade.retired) alarms.push(["wait", "retired"]);
     if (blade.readings.counting === 0) alarms.push(["wait", "no readings: what the rotor tells"]);
-    return { ...blade, mean, sd, margin, alarms };
+    return { ...blade, mean, sd, margin, passed, alarms };
   });
 }
 
@@ -63,8 +89,10 @@ function coloured(blades, found) {
     sd: ["sd at that hour", (b) => b.sd, found.unit],
     readings: ["readings that count", (b) => b.readings.counting, ""],
     margin: ["margin to the limit", (b) => (b.margin === null ? null : Math.min(b.margin, 10)), "sd"],
+    chance: ["chance past the limit", (b) => (b.passed === null ? null : 100 * b.passed), "%"],
   };
-  const [what, value, unitName] = ways[chosen.colour === "margin" && !chosen.limit ? "mean" : chosen.colour] ?? ways.mean;
+  const asked = ["margin", "chance"].includes(chosen.colour) && limitOf() === null ? "mean" : chosen.colour;
+  const [what, value, unitName] = ways[asked] ?? ways.mean;
   const numbers = blades.map(value).filter((v) => v !== null);
   return { what, value, unitName, span: span(numbers) };
 }
@@ -80,7 +108,7 @@ function drawControls(found) {
     select("Quantity", quantities.map((q) => [q, words(q)]), found.quantity, (q) => change({ quantity: q, limit: null })),
     field("time_h", "at", "", found.time_h),
     field("limit", "Limit", found.unit, chosen.limit ?? ""),
-    select("Colour", [["mean", "mean"], ["sd", "sd"], ["readings", "readings"], ["margin", "margin (needs a limit)"]], chosen.colour, (c) => change({ colour: c })));
+    select("Colour", [["mean", "mean"], ["sd", "sd"], ["readings", "readings"], ["margin", "margin (needs a limit)"], ["chance", "chance (needs a limit)"]], chosen.colour, (c) => change({ colour: c })));
 }
 
 function change(given) {
@@ -90,7 +118,11 @@ function change(given) {
   redraw();
 }
 
-function drawBlades(found, blades) {
+/** The rotor's own line: its blades share parameters, and their chances do not multiply. */
+const together = (life) =>
+  h("p", {}, `By ${hours(life.time_h[0])} of each blade’s own operation: ${fixed(life.expected[0], 1)} blades expected past ${inUnit(String(life.limit).replace("-", "−"), life.unit)}; at least one with ${percent(life.any[0])}.`);
+
+function drawBlades(found, blades, life) {
   const places = decimals(Math.min(...blades.map((b) => b.sd).filter((v) => v > 0), Infinity), 2);
   const means = Number.isFinite(places) && places > 0 ? places : 3;
   const tell = (b) => `blade ${b.id}${b.slot ? `, slot ${b.slot}` : ""}: ${inUnit(withSd(b.mean, b.sd), found.unit)}, ${number(b.readings.counting, "reading")}${b.alarms.map((a) => `, ${a[1]}`).join("")}`;
@@ -103,7 +135,8 @@ function drawBlades(found, blades) {
     { name: "State", value: (b) => (b.alarms.length ? h("span", { class: "states" }, b.alarms.map(([kind, text]) => badge(kind, text))) : badge("ok", "no alarm")), sort: (b) => GRAVE[b.alarms[0]?.[0]] ?? 3 },
     { name: `Mean${unit(found.unit) ? ` [${unit(found.unit)}]` : ""}`, value: (b) => fixed(b.mean, means), sort: (b) => b.mean, number: true },
     { name: "± sd", value: (b) => fixed(b.sd, means), sort: (b) => b.sd, number: true },
-    chosen.limit ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
+    life ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
+    life ? { name: "Chance past the limit", value: (b) => percent(b.passed), sort: (b) => b.passed, number: true } : null,
     { name: "Readings", value: (b) => `${b.readings.counting}${b.readings.overruled ? ` (+${b.readings.overruled} void)` : ""}`, sort: (b) => b.readings.counting, number: true },
     { name: "Last entry", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
     { name: "Received", value: (b) => (b.readings.last ? since(b.readings.last.received_at) : "never"), sort: (b) => b.readings.last?.received_at },
@@ -113,7 +146,7 @@ function drawBlades(found, blades) {
     caption: `Predicted ${words(found.quantity)}${whereOf(found)} at ${hours(found.time_h)} of each blade's own operation; sd of the blade itself, without a reading's noise`,
     sorted: [Math.max(0, columns.findIndex((c) => c.name === sorted[0])), sorted[1]] });
   made.addEventListener("sorted", (event) => { sorted = [columns[event.detail[0]].name, event.detail[1]]; });
-  show(list, scroll("Blades", made));
+  show(list, life ? together(life) : null, scroll("Blades", made));
 }
 
 /** Whether tests of the residuals alarm: no blade's state says it. */
@@ -158,13 +191,16 @@ async function draw() {
   const tests = get(`${url}/residuals`, { limit: 1 }).catch(() => null);
   const quantity = chosen.quantity;
   const time_h = chosen.time_h ?? usual(model);
+  const passing = lifeOf(time_h);
+  passing.catch(() => {}); // what went wrong is told where it is waited for
   const first = await get(`${url}/blades`, { quantity, time_h, limit: 200 });
   if (first.next !== null) {
     const rest = await pages(`${url}/blades`, { quantity, time_h, cursor: first.next }, 2000);
     first.items.push(...rest.items);
   }
   drawControls(first);
-  drawBlades(first, judged(first, now.health));
+  const life = await passing;
+  drawBlades(first, judged(first, now.health, life), life);
   tested = await tests;
   drawState(now);
 }
