@@ -23,7 +23,8 @@ from core.prior import Prior
 
 Array = NDArray[np.float64]
 TAILS = 4
-FEW = 24  # readings of a noise up to which it has long tails
+FEW = 24  # numbers that tell a noise below which it has long tails
+FEWER = 12  # of every noise, below which all have: what they share spreads as the noise does
 
 
 class Sighted(Protocol):
@@ -51,7 +52,7 @@ class SharedSpace:
 
     joint  prior of several of them together
     tails  64 nodes so many times, at least: a population's sd has a long tail
-    heavy  numbers of the noises that few readings tell (`core.smc.proposal`)
+    heavy  coordinates of the noises that few readings tell, or all of them (`core.smc.proposal`)
     """
 
     names: tuple[str, ...]
@@ -128,7 +129,8 @@ def shared_space(
     for q in quantities:
         found |= {n: prior for n, prior in parameters(model, q).items() if n in met}
     found = found or {quantities[0].sigma_name: quantities[0].sigma_obs}
-    heavy = tuple(j for j, name in enumerate(found) if 0 < told[name] < FEW)
+    together = 0 < max(told.values(), default=0) < FEWER
+    heavy = tuple(j for j, name in enumerate(found) if together or 0 < told[name] < FEW)
     return SharedSpace(tuple(found), tuple(found.values()), joint, TAILS if hyper else 1, heavy)
 
 

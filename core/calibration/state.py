@@ -30,7 +30,7 @@ from core.smc.particles import Particles, ess, normalised
 
 Array = NDArray[np.float64]
 Get = Callable[[str], Array]
-ALGORITHM = "panels-17"
+ALGORITHM = "panels-18"
 DRAWS = "panels-15"  # since when draws are what they are: those of sound rotors stay
 
 

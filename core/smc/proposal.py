@@ -9,13 +9,20 @@ the box (so that a posterior leaning on a bound is proposed exactly there),
 Where a coordinate is known to have long tails φ is the density of a t-distribution in place of the
 normal's: the logarithm of a noise that n readings tell falls off as exp(−n log sigma), and with
 three readings half of its variance in natural units lies beyond its 99 % quantile, where a normal
-has no node. Moments become a proposal on a lattice, coarse (`rounded`) or fine (`finely_rounded`).
+has no node. Where all coordinates have them they have them together: z has the d-dimensional
+t-distribution of nu degrees, whose coordinates given those before are
+
+    z_i | z_<i ~ sqrt((nu + Σ_{j<i} z_j²) / (nu + i)) t(nu + i),      i = 0, 1, …
+
+so that nodes in one's tail are spread in all others (a funnel: what noise is large tells nothing).
+Moments become a proposal on a lattice, coarse (`rounded`) or fine (`finely_rounded`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -36,7 +43,7 @@ class Proposal:
     """Normal on the unit box: u = mean + chol z, cut coordinate by coordinate.
 
     mean (d,), chol (d, d) lower triangular. A `chol` of None stands for the uniform box.
-    heavy  coordinates in which z has a t-distribution
+    heavy  coordinates in which z has a t-distribution; a joint one, where it is all of them
     """
 
     mean: Array
@@ -57,10 +64,14 @@ class Proposal:
         if self.chol is None:
             return u.copy(), np.zeros(n)
         u, z, log_q = u.copy(), np.empty((n, d)), np.zeros(n)
+        joint = len(self.heavy) == d
         for i in range(d):
-            sd = self.chol[i, i]
+            sd = np.full(n, self.chol[i, i])
             centre = self.mean[i] + z[:, :i] @ self.chol[i, :i]
-            shape = _HEAVY if i in self.heavy else _NORMAL
+            shape = _heavy(FREEDOM) if i in self.heavy else _NORMAL
+            if joint and i > 0:
+                shape = _heavy(FREEDOM + i)
+                sd *= np.sqrt((FREEDOM + np.sum(z[:, :i] ** 2, axis=1)) / (FREEDOM + i))
             ends = (0.0 - centre) / sd, (1.0 - centre) / sd
             f0, f1 = shape.below(ends[0]), shape.below(ends[1])
             mass = np.maximum(f1 - f0, 1e-300)
@@ -68,14 +79,14 @@ class Proposal:
             far = (ends[0] > FAR) | (ends[1] < -FAR)
             if far.any():
                 tail = _Tail.of(shape, ends[0][far], ends[1][far])
-                log_mass[far] = np.log(sd) + tail.log_mass
+                log_mass[far] = np.log(sd[far]) + tail.log_mass
             if base is not None:
                 step = shape.quantile(f0 + base[:, i] * mass)
                 if far.any():
                     step[far] = tail.quantile(base[far, i])
                 u[:, i] = np.clip(centre + sd * step, 0.0, 1.0)
-            z[:, i] = (u[:, i] - centre) / sd
-            log_q += shape.log_density(z[:, i]) - log_mass
+            z[:, i] = (u[:, i] - centre) / self.chol[i, i]
+            log_q += shape.log_density((u[:, i] - centre) / sd) - log_mass
         return u, log_q
 
     def spread(self, factor: float) -> Proposal:
@@ -165,14 +176,19 @@ _NORMAL = _Shape(
     log_ndtr,
     ndtri_exp,
 )
-_PEAK = gammaln((FREEDOM + 1) / 2) - gammaln(FREEDOM / 2) - 0.5 * np.log(FREEDOM * np.pi)
-_HEAVY = _Shape(
-    lambda z: stdtr(FREEDOM, z),
-    lambda p: stdtrit(FREEDOM, p),
-    lambda z: _PEAK - 0.5 * (FREEDOM + 1) * np.log1p(z**2 / FREEDOM),
-    lambda z: np.log(stdtr(FREEDOM, z)),
-    lambda log_p: stdtrit(FREEDOM, np.exp(log_p)),
-)
+
+
+@lru_cache(maxsize=16)
+def _heavy(freedom: float) -> _Shape:
+    """The t-distribution of so many degrees of freedom."""
+    peak = gammaln((freedom + 1) / 2) - gammaln(freedom / 2) - 0.5 * np.log(freedom * np.pi)
+    return _Shape(
+        lambda z: stdtr(freedom, z),
+        lambda p: stdtrit(freedom, p),
+        lambda z: peak - 0.5 * (freedom + 1) * np.log1p(z**2 / freedom),
+        lambda z: np.log(stdtr(freedom, z)),
+        lambda log_p: stdtrit(freedom, np.exp(log_p)),
+    )
 
 
 def rounded(mean: Array, covariance: Array, heavy: tuple[int, ...] = ()) -> Proposal:

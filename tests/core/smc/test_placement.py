@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import norm, truncnorm
+from scipy.stats import multivariate_t, norm, truncnorm
 from scipy.stats import t as t_distribution
 
 from core.calibration.surface import foreseen
@@ -98,6 +98,22 @@ def test_a_coordinate_with_long_tails_has_nodes_there_and_the_same_density() -> 
     assert heavy.spread(2.0).heavy == (1,)
     following = improved(heavy, unit, -0.5 * np.sum(z**2, axis=1), log_q, 0.3)
     assert following.heavy == (1,)
+
+
+def test_where_all_coordinates_have_long_tails_they_have_them_together() -> None:
+    """The joint t-distribution by scipy, cut at the box: not the product of t-distributions."""
+    turn = np.array([[0.01, 0.0, 0.0], [0.005, 0.008, 0.0], [0.0, -0.002, 0.006]])
+    place = Proposal(np.array([0.5, 0.6, 0.4]), turn, (0, 1, 2))
+    unit, log_q = place.nodes(sobol(1024, 3, 0))
+    assert place.log_density(unit) == pytest.approx(log_q, abs=1e-6)
+    joint = multivariate_t(place.mean, turn @ turn.T, df=FREEDOM)
+    assert log_q == pytest.approx(joint.logpdf(unit), abs=1e-3)  # the box cuts a little
+    z = (unit - place.mean) @ np.linalg.inv(turn).T
+    apart = t_distribution.logpdf(z, FREEDOM).sum(axis=1) - np.log(np.diag(turn)).sum()
+    assert np.abs(log_q - apart).max() > 1.0
+    cut = Proposal(np.array([0.02, 1.3]), np.array([[0.1, 0.0], [0.05, 0.1]]), (0, 1))
+    grid = (np.stack(np.meshgrid(*2 * [np.arange(800)]), axis=-1).reshape(-1, 2) + 0.5) / 800
+    assert np.exp(cut.log_density(grid)).mean() == pytest.approx(1.0, abs=2e-3)
 
 
 def test_a_noise_told_thrice_is_integrated_by_nodes_with_long_tails_alone() -> None:
