@@ -154,7 +154,7 @@ def test_over_http(api: httpx.Client, store: SqlStore) -> None:
     assert now["policy_since"] >= told["created_at"]
     assert api.get("/v1/rotors/r1").json()["policy_since"] == now["policy_since"]
     (listed,) = api.get("/v1/rotors").json()["items"]
-    assert listed == now
+    assert listed == now | {"sealed": None, "health": None}, "no state was made yet"
     assert api.post(POLICY, json={"adopt": "effect"}).json() == now, "nothing new is decided"
     again = api.post("/v1/rotors", json=body | {"adopt": "effect"})
     assert again.json() == first.json(), "the same creation, whatever was decided since"

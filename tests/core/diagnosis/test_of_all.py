@@ -148,13 +148,13 @@ def test_blades_of_several_ages_are_compiled_for_at_once(monkeypatch: pytest.Mon
     facts = {b: Facts(coating_lot="C" if b == "B3" else "D") for b in hours}
     model = with_effects(rotor_blade_wide(), [wear], facts, {"elongation": 0.02}, hours)
     state = update(model, RotorSpec("r", tuple(hours), 400, 3), data)
-    made, whole = [], Driven._compiled
+    made, whole = [], Driven.compiled
 
     def counted(self: Driven, wanted: Any, times: Any, *more: Any) -> Any:
         made.append(([one.quantity for one in wanted], list(times)))
         return whole(self, wanted, times, *more)
 
-    monkeypatch.setattr(Driven, "_compiled", counted)
+    monkeypatch.setattr(Driven, "compiled", counted)
     asked = [c for c in candidates(model, tuple(hours), data, [0.0]) if c.quantity == "elongation"]
     several = expected(model, state, asked)
     length, shape = ["elongation"], ["deformation"]
