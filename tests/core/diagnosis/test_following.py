@@ -179,3 +179,17 @@ def test_blades_that_are_read_at_hours_of_their_own_cost_no_more_than_alike(
     assert alike == other
     between = sum(0 < hour < 21e3 for hour in wear.course.cuts(following.PARTS))
     assert alike == count * POINTS * (between + 2 + 2), "two readings with the wear and without"
+
+
+def test_at_hour_0_nothing_has_moved_whatever_else_was_read() -> None:
+    """One blade read at hour 0 and later, lengths and strain, and one read at hour 0 alone."""
+    read = (("A", "elongation", 0.0, 0.001), ("A", "elongation", 8e3, 0.1))
+    read += (("B", "elongation", 0.0, 0.001), ("A", "ceeq", 8e3, 0.001))
+    data = [Inspection(f"{i}", b, q, h, np.array([y])) for i, (b, q, h, y) in enumerate(read)]
+    seen = scores(MODEL, update(MODEL, RotorSpec("r", ("A", "B"), 100, 1), data), data)
+    gas = Moving("t1t_rate", "times", 0.01, Cell(FAMILY["fouling"], "linear", "all").course, True)
+    facts = {"A": Facts(), "B": Facts(offset_h=100.0)}
+    found = change(Physics.of(MODEL.network, MODEL.surrogate, {}), seen, facts, gas, {})
+    hours = np.where(seen.real, seen.hours, np.nan)
+    assert np.all(found[np.repeat(hours[:, None] == 0, found.shape[1], axis=1)] == 0.0)
+    assert np.all(found[np.repeat(hours[:, None] > 0, found.shape[1], axis=1)] > 0.0)
