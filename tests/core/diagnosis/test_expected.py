@@ -134,3 +134,16 @@ def test_what_a_scan_tells_of_its_noise_alone_no_effect_changes(values: int) -> 
     assert whole == pytest.approx(expected)
     known = tuple(replace(r, sigma=(SIGMA,) * len(r.sigma), dense=()) for r in rows)
     assert _quieter(replace(seen, rows=known), g, np.ones(1), {})[1] == 1.0
+
+
+def test_an_amplitude_is_surer_by_the_noise_of_the_rows_that_tell_it() -> None:
+    """The second visit has a noise of its own and is off: that of the others falls less."""
+    seen, _ = rotor(5, lambda b, k: 0.5 * (k == 1))
+    own = ("sigma_obs.y", "sigma_obs.y@g", "sigma_obs.y")
+    rows = tuple(replace(r, sigma=(*own, *r.sigma[3:])) for r in seen.rows)
+    g = np.zeros((*seen.q.shape, 1))
+    g[:, 1] = 0.5
+    noise = dict.fromkeys(own, SIGMA)
+    fall, whole = _quieter(replace(seen, rows=rows), g, np.ones(1), noise)
+    assert fall["sigma_obs.y@g"] < 0.7 * fall["sigma_obs.y"]
+    assert whole == pytest.approx(fall["sigma_obs.y@g"])
