@@ -74,6 +74,7 @@ VARIANTS = {
     for v in (
         Variant("rotor-100"),
         Variant("rotor-20", blades=20),
+        Variant("first-outage", blades=20, outages_h=(8_000.0,), held_out_h=16_000.0),
         Variant("six-outages", outages_h=SIX, held_out_h=49_000.0),
         Variant("mixed", mixed=True),
         Variant("thin-coating", tbc=(2 / 3, 2 / 3 + 2 / 30)),

@@ -16,6 +16,7 @@ from service.studies import adaptive as adaptive  # noqa: E402
 from service.studies import commands as commands  # noqa: E402  (they register with `app`)
 from service.studies import effects as effects  # noqa: E402
 from service.studies import histories as histories  # noqa: E402
+from service.studies import lives as lives  # noqa: E402
 from service.studies import power as power  # noqa: E402
 from service.studies import reduction as reduction  # noqa: E402
 from service.studies import references as references  # noqa: E402
@@ -26,6 +27,6 @@ from service.studies.load import commands as load  # noqa: E402
 from service.studies.paper import commands as paper  # noqa: E402
 
 __all__ = [
-    "adaptive", "app", "chaos", "commit", "contest", "effects", "histories", "load", "paper",
-    "power", "reduction", "slips",
+    "adaptive", "app", "chaos", "commit", "contest", "effects", "histories", "lives", "load",
+    "paper", "power", "reduction", "slips",
 ]  # fmt: skip

@@ -16,8 +16,9 @@ Out = Annotated[Path | None, typer.Option(help="Folder of the result and its plo
 Seed = Annotated[int, typer.Option(help="Seed of the truths and the noise.")]
 Blades = Annotated[int | None, typer.Option(help="Blades of each rotor; default: the variant's.")]
 VARIANT_HELP = (
-    "rotor-100, rotor-20, six-outages, mixed, thin-coating, coating-at-bounds, eight-shared, "
-    "fe, fe-six-outages, fe-mixed, fe-nu, fe-nu-six-outages, fe-nu-mixed or six-locals."
+    "rotor-100, rotor-20, first-outage, six-outages, mixed, thin-coating, coating-at-bounds, "
+    "eight-shared, fe, fe-six-outages, fe-mixed, fe-nu, fe-nu-six-outages, fe-nu-mixed or "
+    "six-locals."
 )
 
 

@@ -34,6 +34,17 @@ def test_a_coverage_study_leaves_a_result_and_two_plots(tmp_path: Path) -> None:
     assert len((tmp_path / "out/ranks.png").read_bytes()) > 20_000
 
 
+def test_a_study_of_lives_leaves_a_result_and_a_plot(tmp_path: Path) -> None:
+    small = ("--rotors", "2", "--blades", "2", "--particles", "500", "--work", tmp_path / "work")
+    said = invoke("study", "lives", "rotor-20", *small, "--out", tmp_path / "out")
+    kept = json.loads((tmp_path / "out/result.json").read_text())
+    assert json.loads(said) == kept
+    assert (kept["rotors"], kept["next_outage_h"], kept["passed"]) == (2, 32_000.0, False)
+    assert kept["table"]["1 x"]["pit"]["truths"] == 4
+    assert sum(row["blades"] for row in kept["reliability"]["twin"]) == 12
+    assert (tmp_path / "out/lives.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_seed_study_says_the_spread_of_every_mean(tmp_path: Path) -> None:
     small = ("--seeds", "2", "--rotors", "1", "--blades", "2", "--particles", "500")
     kept = json.loads(invoke("study", "seeds", "rotor-20", *small))
