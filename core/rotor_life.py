@@ -21,6 +21,10 @@ the same factor at all nodes, so that its mean over them is that number. Then `a
 what `core.life` tells of it.
 
 A blade that was never read has the rotor's prior of it: the state has draws of each.
+
+Hours are of each blade's own operation, and one outage is another hour of each blade where some
+came later. With `ages` the hours count from now on, the same for all: blade b's own are its age and
+as many more.
 """
 
 from __future__ import annotations
@@ -45,9 +49,10 @@ LEAST = 1e-300  # of a sum that is divided by
 
 @dataclass(frozen=True, slots=True)
 class RotorLife:
-    """How a rotor's blades pass `limit` [unit] of `quantity`, by hours of each blade's operation.
+    """How a rotor's blades pass `limit` [unit] of `quantity`, by hours.
 
-    time_h    hours (T,); passed: by blade, chance that it has passed it by then (T,)
+    time_h    hours (T,), from now on where ages were given; passed: by blade, chance that it has
+              passed it by then (T,)
     expected  number of blades that have (T,); any: chance that at least one has (T,)
     """
 
@@ -71,23 +76,25 @@ def rotor_life(
     *,
     component: int | None = None,
     known: Mapping[str, Mapping[str, float]] | None = None,
+    ages: Mapping[str, float] | None = None,
     most: int | None = ENOUGH,
 ) -> RotorLife:
     """The chances that these blades of a state have passed a limit, alone and together.
 
     known  values of known parameters, by blade
+    ages   operating hours of each blade at hour 0 of `times`; none: 0, and times are its own
     most   particles of a blade that are used, every n-th of each node; None: all
 
     Raises what `core.life.life` raises.
     """
     asked = np.unique(checked_times(model, quantity, times))
     hours = instants(model, quantity)
-    time = np.union1d(asked, hours[hours < asked[-1]])  # what comes later has no part in it
-    shown = np.isin(time, asked)
     node_w = normalised(state.arrays["shared/log_w"])
     passed, none = dict[str, Array](), np.ones((len(node_w), len(asked)))
     for blade in blades:
         own, drawn = model.for_blade(blade), Drawn.of(state, blade, most)
+        ends = checked_times(model, quantity, asked + (ages or {}).get(blade, 0.0))
+        time = np.union1d(ends, hours[hours < ends[-1]])  # what comes later has no part in it
         beyond = margins(
             own,
             drawn.posterior,
@@ -97,7 +104,7 @@ def rotor_life(
             component=component,
             known=(known or {}).get(blade),
         )
-        passed[blade], given = chances(drawn, beyond, time, shown)
+        passed[blade], given = chances(drawn, beyond, time, np.isin(time, ends))
         none *= 1.0 - given
     expected = np.sum([np.zeros(len(asked)), *passed.values()], axis=0)
     at_all = np.maximum.accumulate(np.clip(node_w @ (1.0 - none), 0.0, 1.0))

@@ -103,6 +103,7 @@ class Beliefs:
         node: int | None,
         *,
         component: int | None,
+        ages: Mapping[str, float] | None = None,
     ) -> RotorLife:
         from core.rotor_life import rotor_life
 
@@ -116,6 +117,7 @@ class Beliefs:
             node,
             component=component,
             known={blade.id: blade.known for blade in blades if blade.known is not None},
+            ages=ages,
         )
 
     def held_from(

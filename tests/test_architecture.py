@@ -24,6 +24,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
         "core.response",
         "core.mixture",
         "core.observation",
+        "core.ages",
         "core.log",
         "core.columns",
         "core.readings",

@@ -1,6 +1,6 @@
 """Every reading predicted before it is used.
 
-Readings are ordered by the rotor's hour at which they were taken (`core.diagnosis.clock`), not by
+Readings are ordered by the rotor's hour at which they were taken (`core.ages`), not by
 arrival. Those of one hour, or of hours closer than `SAME` of the longest history, are one *visit*
 D_k; each is predicted from the visits before it alone,
 

@@ -183,6 +183,8 @@ class Life(TypedDict):
 
 class RotorLifeBlade(TypedDict):
     id: str
+    age_h: float | None
+    age_by: Literal["campaign", "reading", "rotor"] | None
     passed: list[float]
     held_from_h: float | None
 
@@ -194,6 +196,7 @@ class RotorLife(TypedDict):
     node: int | None
     component: Literal["x", "y", "z"] | None
     limit: float
+    ahead: bool
     time_h: list[float]
     any: list[float]
     expected: list[float]

@@ -76,6 +76,7 @@ def rotor_life(
     quantity: str | None = None,
     *,
     times: Sequence[float] | None = None,
+    ahead: Sequence[float] | None = None,
     node: int | str | None = None,
     component: str | None = None,
     version: int | None = None,
@@ -83,9 +84,11 @@ def rotor_life(
 ) -> Steps[answers.RotorLife]:
     """Which blades pass a limit [the quantity's unit] by when, how surely, and whether any does.
 
-    Hours are of each blade's own operation. By `time_h`: of each of ``answer["blades"]`` the chance
-    `passed`; of the rotor the number `expected`, and the chance `any` that at least one has. Blades
-    share parameters, so `any` is not what independent ones would have.
+    `times` are hours of each blade's own operation, `ahead` hours from now on, the same for blades
+    of all ages, which is what an outage asks: each blade then has its `age_h`, and what tells it
+    (`age_by`). By `time_h`: of each of ``answer["blades"]`` the chance `passed`; of the rotor the
+    number `expected`, and the chance `any` that at least one has. Blades share parameters, so `any`
+    is not what independent ones would have.
 
     quantity, component   as of `life`
     """
@@ -93,6 +96,7 @@ def rotor_life(
         limit=limit,
         quantity=quantity,
         times=listed(times),
+        ahead=listed(ahead),
         node=node,
         component=component,
         version=version,

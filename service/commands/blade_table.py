@@ -73,7 +73,7 @@ def _lines(told: Told, *, short: bool) -> Iterator[str]:
     head = ["blade", "slot", "lot", "readings", "last entry [h]", "mean ± sd" if short else what]
     units = told["units"]
     named = [f"{name} [{units[name]}]" if name in units else name for name in local]
-    of_limit = ["" if short else f"margin{' of z' if vector else ''} [sd]", "passed"]
+    of_limit = ["" if short else f"margin{' of z' if vector else ''} [sd]", "age [h]", "passed"]
     of_limit = of_limit if margin else []
     rows = [[*head, *of_limit, *named, ""]]
     for blade in blades:
@@ -82,8 +82,9 @@ def _lines(told: Told, *, short: bool) -> Iterator[str]:
         row = [blade["id"], *place, str(readings["counting"])]
         row += ["" if last is None else f"{last['time_h']:.10g}", predicted(blade["prediction"])]
         left = blade.get("margin_sd")
-        passed = blade.get("passed")
+        passed, age = blade.get("passed"), blade.get("age_h")
         row += ["" if left is None or short else f"{left:.1f}"] if margin else []
+        row += ["" if age is None else f"{age:.10g}"] if margin else []
         row += ["" if passed is None else percent(passed)] if margin else []
         row += [around(one["mean"], one["sd"]) for one in map(blade["parameters"].get, local)]
         rows.append([*row, noted(blade, left)])

@@ -91,27 +91,33 @@ def own_unit(network: Network, name: str) -> str | None:
     return None if unit in ("", "1") else unit
 
 
-def with_margins(twin: Client, told: Told, limit: float) -> Told:
+def with_margins(twin: Client, told: Told, limit: float, ahead: float | None = None) -> Told:
     """The same with `margin_sd` of each blade: sds left to the limit; of a vector: of its z.
 
     With it `passed`, the chance that it has passed the limit by the hour (None: it has left), and
     the rotor's `life`: the number of blades that are expected to have, and the chance that any has.
+    With hours `ahead` from now on these are by then, each blade has its age, and no margin, which
+    would be of the table's hour.
     """
     asked = told["question"]
     if asked is None:
         return told
     of = {name: asked[name] for name in ("quantity", "node")}
     rests = told["posterior"]["rests_on"]
-    life = twin.rotor_life(
-        told["rotor"]["id"], limit, times=[asked["time_h"]], version=rests["version"], **of
-    )
+    by: Told = {"times": [asked["time_h"]]} if ahead is None else {"ahead": [ahead]}
+    life = twin.rotor_life(told["rotor"]["id"], limit, version=rests["version"], **by, **of)
     passed = {one["id"]: one["passed"][0] for one in life["blades"]}
+    ages = {one["id"]: {name: one[name] for name in ("age_h", "age_by")} for one in life["blades"]}
     told["life"] = {name: life[name][0] for name in ("time_h", "expected", "any")}
+    told["life"]["ahead"] = life["ahead"]
     for blade in told["blades"]:
+        blade["passed"] = passed.get(blade["id"])
+        if ahead is not None:
+            blade |= ages.get(blade["id"], {"age_h": None, "age_by": None})
+            continue
         mean, sd = blade["prediction"]["mean"], blade["prediction"]["sd"]["blade"]
         mean, sd = (mean[-1], sd[-1]) if isinstance(mean, list) else (mean, sd)
         blade["margin_sd"] = (limit - mean) / sd if sd > 0 else None
-        blade["passed"] = passed.get(blade["id"])
     told["question"] = asked | {"limit": limit}
     return told
 
@@ -128,6 +134,10 @@ def inspect(
     node: Annotated[str | None, typer.Option(help="Of a field: at which node.")] = None,
     limit: Annotated[
         float | None, typer.Option(help="Of that quantity: tells whether blades pass it.")
+    ] = None,
+    ahead: Annotated[
+        float | None,
+        typer.Option(help="With --limit: by that many hours from now on, of blades of any age."),
     ] = None,
     file: Annotated[
         Path | None,
@@ -146,6 +156,8 @@ def inspect(
     """
     if limit is not None and not math.isfinite(limit):
         raise InputError("--limit", limit, "is no number", "give it in the quantity's unit")
+    if ahead is not None and limit is None:
+        raise InputError("--ahead", ahead, "is given without --limit", "give the limit as well")
     other = {"--quantity": quantity, "--time-h": time_h, "--node": node, "--limit": limit}
     odd = [name for name, value in other.items() if value is not None]
     if file is not None and odd:
@@ -159,7 +171,7 @@ def inspect(
             lines = check_file.lines_of(told)
         else:
             told = gathered(twin, rotor, quantity, time_h, node)
-            told = told if limit is None else with_margins(twin, told, limit)
+            told = told if limit is None else with_margins(twin, told, limit, ahead)
     if file is not None:
         typer.echo(json.dumps(told) if as_json else "\n".join(lines))
         raise typer.Exit(REFUSED if told["faults"] else 0)
@@ -202,13 +214,17 @@ def lines_of(told: Told) -> Iterator[str]:
 def _passing(asked: Told, life: Told) -> str:
     """How many blades pass the limit, and how surely any does.
 
-    >>> life = {"time_h": 32000.0, "expected": 1.28, "any": 0.634}
+    >>> life = {"time_h": 32000.0, "ahead": False, "expected": 1.28, "any": 0.634}
     >>> _passing({"limit": 0.4, "unit": "mm"}, life)
     '0.4 mm by 32000 h of each blade: 1.3 expected past it, at least one with 63 %'
+    >>> _passing({"limit": 0.4, "unit": "1"}, life | {"time_h": 8000.0, "ahead": True})
+    '0.4 within 8000 h from now on: 1.3 expected past it, at least one with 63 %'
     """
     unit = "" if asked["unit"] == "1" else f" {asked['unit']}"
     past = f"{life['expected']:.1f} expected past it, at least one with {percent(life['any'])}"
-    return f"{asked['limit']:.10g}{unit} by {life['time_h']:.10g} h of each blade: {past}"
+    hour = f"{life['time_h']:.10g} h"
+    when = f"within {hour} from now on" if life["ahead"] else f"by {hour} of each blade"
+    return f"{asked['limit']:.10g}{unit} {when}: {past}"
 
 
 def _residuals(tested: Told | None) -> Iterator[str]:

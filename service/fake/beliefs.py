@@ -153,6 +153,7 @@ class FakeBeliefs:
         node: int | None,
         *,
         component: int | None,
+        ages: Mapping[str, float] | None = None,
     ) -> FakeRotorLife:
         names = [blade.id for blade in blades]
-        return rotor_life_of(card, get, names, quantity, limit, times, node, component)
+        return rotor_life_of(card, get, names, quantity, limit, times, node, component, ages or {})

@@ -149,14 +149,16 @@ def rotor_life_of(
     times: Sequence[float],
     node: int | None,
     component: int | None,
+    ages: Mapping[str, float],
 ) -> FakeRotorLife:
     """Blades know of each other by the rotor's rate m alone: summed over m by the trapezoid."""
     time_h = np.unique(np.asarray(times, float))
-    h = time_h / HORIZON_H * along(card, quantity, node)[0 if component is None else component]
+    part = along(card, quantity, node)[0 if component is None else component]
     off = np.linspace(-9.0, 9.0, GRID)
     weight, passed = np.exp(-0.5 * off**2), dict[str, Array]()
-    none = np.ones((GRID, len(h)))
+    none = np.ones((GRID, len(time_h)))
     for blade in blades:
+        h = (time_h + ages.get(blade, 0.0)) / HORIZON_H * part
         mean, covariance = moments(get, blade)
         variance, cross = covariance.sum(), covariance[0].sum()  # of r, and of r with m
         passed[blade] = passed_by(float(mean.sum()), float(np.sqrt(variance)), limit, h)
@@ -164,7 +166,7 @@ def rotor_life_of(
         left = float(np.sqrt(variance - cross**2 / covariance[0, 0]))
         none *= 1.0 - passed_by(given, left, limit, h)
     at_all = weight @ (1.0 - none) / weight.sum()
-    return FakeRotorLife(time_h, passed, np.sum([0.0 * h, *passed.values()], axis=0), at_all)
+    return FakeRotorLife(time_h, passed, np.sum([0.0 * time_h, *passed.values()], axis=0), at_all)
 
 
 def field_of(

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from core.ages import Age, ages
 from core.errors import InputError, RangeError
 from service.errors import FaultsError
+from service.handlers.plans import counting
 from service.handlers.questions import Question, question
 from service.handlers.reads import Basis, health, held_from
 from service.handlers.rows import everyone_running
-from service.ports import Json, ModelCard, Science, Store
+from service.ports import BladeRecord, Json, ModelCard, Science, Store
 
 AXES = ("x", "y", "z")
 RADIUS = "z"
@@ -86,17 +88,22 @@ def rotor_life(
     asked: Question,
     component: int | None,
     limit: float,
+    ahead: bool = False,
 ) -> Json:
     """The chances that the blades that run have passed the limit, alone and together.
 
-    Raises RangeError for more hours than one answer should hold; the model's own may be asked of
-    any number of blades.
+    ahead   the hours that are asked for count from now on, for each blade from its own age; else
+            they are of each blade's own operation
+
+    Raises RangeError for more hours than one answer should hold (the model's own may be asked of
+    any number of blades), and where a blade would be older than its model.
     """
     blades = everyone_running(store, found)
     most = max(MOST_CHANCES // max(len(blades), 1), len(found.card.time_h))
     if len(asked.times) > most:
         problem = f"hours of {len(blades)} blades are more than one answer holds"
         raise RangeError("times", len(asked.times), problem, f"ask for 1 … {most} times at once")
+    old = aged(store, found, blades, max(asked.times)) if ahead else {}
     get = found.arrays(store)
     told = science.rotor_life(
         found.card,
@@ -108,15 +115,19 @@ def rotor_life(
         asked.times,
         asked.node,
         component=component,
+        ages={blade: age.hours for blade, age in old.items()},
     )
     return {
         **_asked(found, asked, component, limit),
+        "ahead": ahead,
         **{
             name: np.asarray(getattr(told, name)).tolist() for name in ("time_h", "any", "expected")
         },
         "blades": [
             {
                 "id": blade.id,
+                "age_h": old[blade.id].hours if ahead else None,
+                "age_by": old[blade.id].by if ahead else None,
                 "passed": np.asarray(told.passed[blade.id]).tolist(),
                 "held_from_h": held_from(science, found, get, blade),
             }
@@ -124,6 +135,26 @@ def rotor_life(
         ],
         "health": health(found.state),
     }
+
+
+def aged(
+    store: Store, found: Basis, blades: Sequence[BladeRecord], longest: float
+) -> dict[str, Age]:
+    """How old the blades are as of a version, and what tells it (`core.ages`).
+
+    Raises RangeError where one would be beyond its model in `longest` hours.
+    """
+    with store.read() as tx:
+        readings = counting(tx, found.state.rotor_id, found.state.through_seq)
+    old = ages([blade.id for blade in blades], readings)
+    last = found.card.horizon_h
+    oldest = max(old, key=lambda blade: old[blade].hours, default=None)
+    if oldest is not None and (age := old[oldest].hours) + longest > last:
+        problem = f"is hour {age + longest:g} of blade {oldest}; the model ends at {last:g} h"
+        left = last - age
+        remedy = f"ask for {left:g} h ahead at most" if left >= 0 else "ask for times instead"
+        raise RangeError("ahead", longest, problem, remedy)
+    return old
 
 
 def _asked(found: Basis, asked: Question, component: int | None, limit: float) -> Json:

@@ -108,8 +108,12 @@ class Beliefs(Protocol):
         node: int | None,
         *,
         component: int | None,
+        ages: Mapping[str, float] | None = None,
     ) -> RotorLife:
-        """Which of these blades pass a limit by when, and how surely any does."""
+        """Which of these blades pass a limit by when, and how surely any does.
+
+        ages   hours of each blade at hour 0 of `times`; none: times are of each blade's own
+        """
         ...
 
     def held_from(

@@ -216,6 +216,28 @@ def test_what_was_passed_stays_passed_and_what_falls_passes_from_above() -> None
     assert up.passed["b0"][0] < up.passed["b1"][0] < 1.0
 
 
+def test_hours_from_now_on_are_each_blade_s_own_from_its_age() -> None:
+    """What was passed before stays passed, and `any` is of one outage, not of one age."""
+    state, two = even(np.array([0.1, 0.2])), BLADES[:2]
+    ages = {"b0": 20_000.0, "b1": 3_000.0}
+    ahead = rotor_life(growing(), state, two, "y", 2.9, [0.0, 7_000.0], known=KNOWN, ages=ages)
+    assert ahead.time_h.tolist() == [0.0, 7_000.0]
+    for blade, age in ages.items():
+        own = rotor_life(growing(), state, [blade], "y", 2.9, [age, age + 7_000.0], known=KNOWN)
+        assert ahead.passed[blade] == pytest.approx(own.passed[blade], abs=1e-12)
+    same = rotor_life(growing(), state, two, "y", 2.9, [27_000.0], known=KNOWN)
+    assert same.passed["b0"][0] == pytest.approx(ahead.passed["b0"][1], abs=1e-12)
+    assert same.any[0] > ahead.any[1] + 0.05, "negative control: one hour of all"
+    zero = rotor_life(growing(), state, two, "y", 2.9, [27_000.0], known=KNOWN, ages={})
+    assert zero.any == same.any
+    shrunk = growing(shrinks=True)
+    late = rotor_life(shrunk, state, two, "y", 2.9, [1_000.0], known=KNOWN, ages={"b0": 48_000.0})
+    before = rotor_life(shrunk, state, two, "y", 2.9, [49_000.0], known=KNOWN)
+    assert late.passed["b0"] == pytest.approx(before.passed["b0"], abs=1e-12)
+    with pytest.raises(RangeError, match="not all within"):
+        rotor_life(growing(), state, two, "y", 2.9, [1e4], known=KNOWN, ages={"b1": 45_000.0})
+
+
 def test_a_blade_s_own_known_inputs_are_its_own() -> None:
     state, two = even(np.array([0.1, 0.2])), BLADES[:2]
     wide = KNOWN | {"b1": {"size": 5.0}}

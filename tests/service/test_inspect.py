@@ -58,7 +58,9 @@ def test_the_summary_says_of_each_blade_what_the_api_says(api: httpx.Client, url
     listed = api.get("/v1/rotors/r1/blades").json()["items"]
     asked = {"limit": 0.9, "times": 50_000, "version": rotor["version"]}
     life = api.get("/v1/rotors/r1/life", params=asked).json()
-    assert told["life"] == {name: life[name][0] for name in ("time_h", "expected", "any")}
+    assert told["life"] == {
+        **{name: life[name][0] for name in ("time_h", "expected", "any")}, "ahead": False,
+    }  # fmt: skip
     passed = {one["id"]: one["passed"][0] for one in life["blades"]}
     assert {*passed} == {"B1", "B2"}, "B3 has left"
     for blade, own in zip(told["blades"], listed, strict=True):
@@ -70,6 +72,29 @@ def test_the_summary_says_of_each_blade_what_the_api_says(api: httpx.Client, url
         posterior = api.get(f"/v1/rotors/r1/blades/{blade['id']}/posterior").json()
         offset = posterior["parameters"]["offset"]
         assert blade["parameters"] == {"offset": {"mean": offset["mean"], "sd": offset["sd"]}}
+
+
+def test_hours_ahead_are_of_each_blade_from_its_own_age(api: httpx.Client, url: str) -> None:
+    words = ("r1", "--url", url, "--limit", "0.5", "--ahead", "8000")
+    told = json.loads(run(*words, "--json"))
+    life = api.get("/v1/rotors/r1/life", params={"limit": 0.5, "ahead": 8000}).json()
+    assert told["life"] == {
+        "time_h": 8000.0, "expected": life["expected"][0], "any": life["any"][0], "ahead": True,
+    }  # fmt: skip
+    own = {one["id"]: one for one in life["blades"]}
+    for blade in told["blades"][:2]:
+        for name in ("age_h", "age_by"):
+            assert blade[name] == own[blade["id"]][name]
+        assert blade["passed"] == own[blade["id"]]["passed"][0]
+        assert "margin_sd" not in blade, "it would be of another hour"
+    assert [one["age_h"] for one in told["blades"]] == [8000.0, 16_000.0, None]
+    text = run(*words)
+    assert "  limit    0.5 mm within 8000 h from now on: " in text
+    head = next(line for line in text.splitlines() if line.startswith("blade "))
+    assert re.search(r"age \[h\]  passed ", head)
+    assert "margin" not in head
+    with pytest.raises(BladetwinError, match="is given without --limit"):
+        run("r1", "--url", url, "--ahead", "8000")
 
 
 def test_people_get_a_table_with_what_to_look_at(api: httpx.Client, url: str) -> None:

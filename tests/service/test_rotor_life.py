@@ -139,6 +139,10 @@ def test_an_answer_has_an_etag_and_is_the_version_s(api: httpx.Client, read: str
         ("limit=0.3&times=", "times"),
         ("limit=0.3&node=tip", "node"),
         ("limit=0.3&blade=B1", "blade"),
+        ("limit=0.3&times=8000&ahead=8000", "ahead"),
+        ("limit=0.3&ahead=8,000", "ahead"),
+        ("limit=0.3&ahead=60000", "times"),
+        ("limit=0.3&ahead=41001", "ahead"),
     ],
 )
 def test_what_cannot_be_asked_is_refused(
@@ -170,9 +174,43 @@ def test_a_direction_of_a_vector_has_chances_of_its_own(api: httpx.Client, read:
     assert (found["x"]["any"][-1], found["x"]["expected"][-1]) == (0.0, 0.0)
 
 
+def test_an_outage_is_another_hour_of_blades_of_other_ages(
+    api: httpx.Client, rotor: str, post: Post, reading: Reading, worker: Worker
+) -> None:
+    """B2 came 10,000 h after B1, B3 was never read."""
+    post(
+        rotor,
+        reading("a", time_h=20_000.0, campaign="c1"),
+        reading("b", blade="B2", time_h=10_000.0, campaign="c1"),
+        reading("c", time_h=24_000.0, campaign="c2"),
+    )
+    worker.drain()
+    body = ask(api, ahead="0,8000")
+    ages = {"B1": (24_000.0, "campaign"), "B2": (14_000.0, "campaign"), "B3": (24_000.0, "rotor")}
+    assert (body["ahead"], body["time_h"]) == (True, [0.0, 8000.0])
+    assert {one["id"]: (one["age_h"], one["age_by"]) for one in body["blades"]} == ages
+    for one in body["blades"]:
+        hours = f"{one['age_h']},{one['age_h'] + 8000}"
+        own = api.get(f"/v1/rotors/r1/blades/{one['id']}/life?limit=0.5&times={hours}").json()
+        assert one["passed"] == pytest.approx(own["passed"], abs=1e-12)
+    same = ask(api, times="32000")
+    assert (same["ahead"], {one["age_h"] for one in same["blades"]}) == (False, {None})
+    assert same["any"][0] > body["any"][1], "negative control: B2 would be 32,000 h old"
+    told = refuse(api.get(f"{URL}?limit=0.5&ahead=26001"), 422, "ahead")["faults"][0]
+    assert told["problem"] == "is hour 50001 of blade B1; the model ends at 50000 h"
+    assert told["remedy"] == "ask for 26000 h ahead at most"
+    before = body["rests_on"]["version"]
+    post(rotor, reading("d", blade="B2", time_h=16_000.0))
+    worker.drain()
+    assert [one["age_h"] for one in ask(api, ahead="0")["blades"]] == [26_000.0, 16_000.0, 26_000.0]
+    assert ask(api, ahead="0,8000", version=before) == body, "as of the version"
+
+
 def test_the_client_asks_for_it(api: httpx.Client, read: str) -> None:
     told = Client(http=api).rotor_life("r1", 0.3, "elongation", times=[8000, 50_000])
     assert told == api.get(f"{URL}?limit=0.3&quantity=elongation&times=8000.0,50000.0").json()
+    told = Client(http=api).rotor_life("r1", 0.3, ahead=[8000])
+    assert told == api.get(f"{URL}?limit=0.3&ahead=8000.0").json()
 
 
 def test_the_real_science_says_which(settings: Settings, reading: Reading) -> None:
@@ -186,6 +224,8 @@ def test_the_real_science_says_which(settings: Settings, reading: Reading) -> No
     found = basis(store, science, "r1", Which())
     asked, part = along_question(found.card, None, None, None, None)
     told = use.rotor_life(store, science, found, asked, part, 0.3)
+    later, _ = along_question(found.card, None, [0.0, 42_000.0], None, None)
+    ahead = use.rotor_life(store, science, found, later, part, 0.3, True)
     with store.read() as tx:
         get = tx.states.reader(found.state)
         names = ("B1", "B2")
@@ -199,4 +239,11 @@ def test_the_real_science_says_which(settings: Settings, reading: Reading) -> No
         alone = life(rotor_blade(), particles, "elongation", 0.3, asked.times)
         assert one["passed"] == pytest.approx(alone.passed, abs=1e-12)
     assert told["time_h"] == sorted(asked.times)
+    at = told["time_h"].index(50_000.0)
+    assert ahead["time_h"] == [0.0, 42_000.0]
+    assert ahead["any"][1] == pytest.approx(told["any"][at], abs=1e-12)
+    assert {(one["age_h"], one["age_by"]) for one in ahead["blades"]} == {
+        (8000.0, "reading"),
+        (8000.0, "rotor"),
+    }
     assert 0.0 < told["blades"][1]["passed"][-1] < told["any"][-1] < told["expected"][-1]

@@ -155,10 +155,19 @@ ROTOR_LIFE = having(
     node=maybe(WHOLE),
     component={"enum": ["x", "y", "z", None]},
     limit=NUMBER,
+    ahead=YES,
     time_h=each(NUMBER),
     any=each(NUMBER),
     expected=each(NUMBER),
-    blades=each(having(id=TEXT, passed=each(NUMBER), held_from_h=maybe(NUMBER))),
+    blades=each(
+        having(
+            id=TEXT,
+            age_h=maybe(NUMBER),
+            age_by={"enum": ["campaign", "reading", "rotor", None]},
+            passed=each(NUMBER),
+            held_from_h=maybe(NUMBER),
+        )
+    ),
     health=HEALTH,
     rests_on=RESTS_ON,
 )

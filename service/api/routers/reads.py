@@ -38,6 +38,10 @@ Hours = Annotated[
     str | None,
     Query(max_length=LONGEST_TIMES, description="hours, with commas between; default: the model's"),
 ]
+Ahead = Annotated[
+    str | None,
+    Query(max_length=LONGEST_TIMES, description="hours from now on, with commas between"),
+]
 Axis = Annotated[
     Literal["x", "y", "z"] | None, Query(description="of a vector; default: z, the radius")
 ]
@@ -157,23 +161,30 @@ def get_rotor_life(
     limit: Passed,
     quantity: Quantity = None,
     times: Hours = None,
+    ahead: Ahead = None,
     node: Annotated[str | None, Query(max_length=100)] = None,
     component: Axis = None,
 ) -> Response:
+    if times is not None and ahead is not None:
+        one = fault("ahead", ahead, "is given beside times", "give one of the two")
+        raise invalid([one])
+    hours = read_times(times) if ahead is None else read_times(ahead, "ahead")
+
     def answer(request: Request) -> Response:
         found = use.basis(services.store, services.science, r, which)
-        asked, part = along_question(found.card, quantity, read_times(times), node, component)
+        asked, part = along_question(found.card, quantity, hours, node, component)
         rests_on(request, found, which, answer)
         tag = tag_of_basis(request, found)
         if (same := unchanged(request, tag)) is not None:
             return same
-        told = rotor_life(services.store, services.science, found, asked, part, limit)
+        by = ahead is not None
+        told = rotor_life(services.store, services.science, found, asked, part, limit, by)
         return tagged({"rotor": r} | told | {"rests_on": found.to_json()}, tag)
 
     return answer(request)
 
 
-def read_times(text: str | None) -> list[float] | None:
+def read_times(text: str | None, name: str = "times") -> list[float] | None:
     """Hours with commas between.
 
     >>> read_times("0, 8000,2.5e4")
@@ -187,6 +198,6 @@ def read_times(text: str | None) -> list[float] | None:
     for part in parts:
         if not is_number(part) or re.match(r"0\d", part):
             what = "is what a comma for thousands leaves" if is_number(part) else "is not a number"
-            remedy = "give hours with commas between, e.g. times=8000,24000"
-            raise invalid([fault("times", part, what, remedy)])
+            remedy = f"give hours with commas between, e.g. {name}=8000,24000"
+            raise invalid([fault(name, part, what, remedy)])
     return [float(part) for part in parts]

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.ages import undated
 from core.diagnosis.adopt import _bounded, amplitude_of, typical_noise
-from core.diagnosis.clock import of_no_day, readers, undated, with_offsets
+from core.diagnosis.clock import of_no_day, readers, with_offsets
 from core.diagnosis.families import FAMILIES
 from core.diagnosis.grammar import UNTIL, Cell, Facts, Readers, cells
 from core.errors import InputError
