@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from typing import Any, Protocol
 
@@ -80,6 +80,18 @@ class Inspection:
     @staticmethod
     def from_json(data: dict[str, Any]) -> Inspection:
         return Inspection(**data)
+
+    def apart(self) -> Inspection:
+        """The same with arrays of its own, to be kept: of readings that were made of columns
+        (`core.readings`) each shares its arrays with all others, and would hold them, too."""
+        shared = self.values.base is not None or (
+            self.nodes is not None and self.nodes.base is not None
+        )
+        if not shared:
+            return self
+        own = replace(self)
+        object.__setattr__(own, "_digest", self._digest)
+        return own
 
     def digest(self) -> str:
         """128 bits over everything the reading says, as hex; equal exactly for equal readings."""

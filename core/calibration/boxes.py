@@ -58,6 +58,13 @@ class Pieces:
     s2: Array
     rest: Array
 
+    @property
+    def nbytes(self) -> int:
+        """Of its arrays."""
+        own = self.boxes
+        boxes = (own.node, own.low, own.high, own.a, own.b, own.error)
+        return sum(one.nbytes for one in (*boxes, self.sums, self.y, self.s2, self.rest))
+
 
 @lru_cache(maxsize=8)
 def _tools(d: int) -> tuple[Array, Array, Array]:

@@ -24,11 +24,13 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from functools import cached_property
+from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration import collapsed_kernels as kernels
+from core.calibration.at_nodes import AtNodes
 from core.calibration.collapsed_fit import REPLICATES, Fit, Plan, average
 from core.calibration.collapsed_split import Split, pivots, split_of
 from core.calibration.layout import monomials_of
@@ -51,6 +53,7 @@ OFF_BELL = 0.4  # nats by which its profile may miss a bell's at `REACH` standar
 REACH = 2.5
 CARRIED = 0.05  # share of effective points below which a node gets a proposal of its own
 TURNS, ROUGH_TURNS = 6, 2  # proposals at most
+MOST_ERRORS = 20_000  # of columns, by message and nodes, that a process remembers
 _ERRORS: OrderedDict[tuple[str, bytes], tuple[float, float]] = OrderedDict()
 
 
@@ -60,8 +63,8 @@ class CollapsedMessage(BladeMessage):
     smooth = False  # its points are common to the nodes of one call
 
     @cached_property
-    def _fits(self) -> OrderedDict[tuple[bytes, bool], Fit]:
-        return OrderedDict()
+    def _fits(self) -> AtNodes[Fit]:
+        return AtNodes()
 
     def column(self, unit: Array, rough: bool = False, parts: int = PARTS) -> Array:
         """log m_b at nodes `unit` (n, d) of the unit box, (n,); one thread does a blade."""
@@ -69,23 +72,12 @@ class CollapsedMessage(BladeMessage):
 
     def error(self, unit: Array) -> tuple[float, float]:
         """Errors of the column at these nodes [nat], from its replicates; see `Fit.error`."""
-        key = (self.name, unit.tobytes())
-        if key not in _ERRORS:
-            self.fit(unit)
-        return _ERRORS[key]
+        told = _ERRORS.get((self.name, _digest(unit)))
+        return self.fit(unit).error if told is None else told
 
     def fit(self, unit: Array, rough: bool = False) -> Fit:
         """The column with its replicates and its plans."""
-        key = (unit.tobytes(), rough)
-        if key not in self._fits:
-            self._fits[key] = self._fitted(unit, rough)
-            while len(self._fits) > 2:
-                self._fits.popitem(last=False)
-            if not rough:
-                _ERRORS[self.name, key[0]] = self._fits[key].error
-                while len(_ERRORS) > 20_000:
-                    _ERRORS.popitem(last=False)
-        return self._fits[key]
+        return self._fits.of((_digest(unit), rough), lambda: self._fitted(unit, rough))
 
     def draws(
         self,
@@ -234,4 +226,13 @@ class CollapsedMessage(BladeMessage):
         for plan in plans:
             log_w = self._log_weights(unit[plan.members], plan.split, plan.proposal, base)
             column[plan.members], scatter[plan.members] = average(log_w)
-        return Fit(column, scatter, pilot.plans)
+        made = Fit(column, scatter, pilot.plans)
+        _ERRORS[self.name, _digest(unit)] = made.error
+        while len(_ERRORS) > MOST_ERRORS:
+            _ERRORS.popitem(last=False)
+        return made
+
+
+def _digest(unit: Array) -> bytes:
+    """What nodes are known by: sixteen bytes in place of some thousands."""
+    return blake2b(np.ascontiguousarray(unit).tobytes(), digest_size=16).digest()

@@ -48,6 +48,12 @@ class Fit:
         own = self.scatter - self.scatter.mean(axis=0)
         return _of_mean(self.scatter), _of_mean(own)
 
+    @property
+    def nbytes(self) -> int:
+        """Of its arrays, nearly all of them the proposals'."""
+        plans = sum(one.members.nbytes + one.proposal.nbytes for one in self.plans)
+        return self.column.nbytes + self.scatter.nbytes + plans
+
 
 def _of_mean(scatter: Array) -> float:
     return float(np.sqrt(np.mean(scatter.var(axis=1, ddof=1)) / scatter.shape[1]))

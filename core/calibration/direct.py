@@ -13,7 +13,6 @@ coefficients of its own, and the factors only say which are whose.
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from core.calibration import draws as drawing
 from core.calibration import kernel
+from core.calibration.at_nodes import AtNodes
 from core.calibration.boxes import Boxes, Pieces, boxes, laid_out, picked
 from core.calibration.layout import cut_offset
 from core.calibration.message import PARTS, BladeMessage, prior_draws, side_by_side, split
@@ -74,8 +74,8 @@ class DirectMessage(BladeMessage):
         return sum(cut_offset(p) for p in locals_of(self.model, self._rows.names))
 
     @cached_property
-    def _kept(self) -> OrderedDict[bytes, Pieces]:
-        return OrderedDict()
+    def _kept(self) -> AtNodes[Pieces]:
+        return AtNodes()
 
     def column(self, unit: Array, rough: bool = False, parts: int = PARTS) -> Array:
         """log m_b at nodes `unit` (n, d) of the unit box, (n,)."""
@@ -161,12 +161,7 @@ class DirectMessage(BladeMessage):
         return Readings(answer, y, s2, falling, labels), rest
 
     def _pieces(self, unit: Array, parts: int) -> Pieces:
-        key = unit.tobytes()
-        if key not in self._kept:
-            self._kept[key] = self._made(unit, parts)
-            while len(self._kept) > 2:
-                self._kept.popitem(last=False)
-        return self._kept[key]
+        return self._kept.of(unit.tobytes(), lambda: self._made(unit, parts))
 
     def _made(self, unit: Array, parts: int) -> Pieces:
         _, low, high = self._local

@@ -57,7 +57,7 @@ class Workspace:
     def rows_of(self, model: Model, readings: Sequence[Inspection]) -> BladeRows:
         key = (model.digest, digest_of(readings))
         if key not in self.rows:
-            made = assemble(model, readings)
+            made = assemble(model, [reading.apart() for reading in readings])
             assert made is not None
             self.rows[key] = made
             while len(self.rows) > KEPT:

@@ -55,6 +55,10 @@ class Kernels:
     edges: Array
     mass: Array
 
+    @property
+    def nbytes(self) -> int:
+        return self.weight.nbytes + self.edges.nbytes + self.mass.nbytes
+
     @staticmethod
     def uniform(d: int) -> Kernels:
         return Kernels(np.ones(1), np.tile([-1.0, 1.0], (d, 1)), np.ones((d, 1, 1)))
