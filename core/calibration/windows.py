@@ -85,6 +85,8 @@ def narrowed(readings: Readings, low: Array, high: Array) -> tuple[Index, Array,
     """Windows inside a box (D,): node (W,), low, high (W, D); lower bounds of log ∫ L dl, (K,).
 
     A window with a gap along a coordinate, or a valley between two summits, becomes two.
+    Raises CalibrationError where a row is no number, naming it and the place, and for readings with
+    more than `MOST` summits.
     """
     k, d = len(readings.y), len(low)
     floor, (shares, first, last) = np.full(k, -np.inf), _grid(d)
@@ -98,6 +100,7 @@ def narrowed(readings: Readings, low: Array, high: Array) -> tuple[Index, Array,
         at = lows[:, None, :] + turned[None] * wide[:, None, :]
         rows = readings.answer(np.repeat(node, corners), at.reshape(-1, d))
         rows = rows.reshape(len(node), corners, -1)
+        _check_numbers(readings, rows, at)
         y, s2 = readings.y[node, None], readings.s2[node, None]
         upper, lower = between(rows[:, first], rows[:, last], y, s2)
         volume = np.sum(np.log(wide / cells), axis=1)
@@ -133,6 +136,19 @@ def narrowed(readings: Readings, low: Array, high: Array) -> tuple[Index, Array,
             )
     n, a, b = (np.concatenate(v) for v in zip(*found, strict=True))
     return n, a, b, floor
+
+
+def _check_numbers(readings: Readings, rows: Array, at: Array) -> None:
+    """Rows (W, C, R) at local parameters (W, C, D) are numbers; an infinite one is excluded."""
+    wrong = np.argwhere(np.isnan(rows))
+    if not len(wrong):
+        return
+    window, corner, row = wrong[0].tolist()
+    raise CalibrationError(
+        f"{readings.labels[row]} is not a number where the local parameters are "
+        f"{at[window, corner].tolist()} (at {len(wrong)} of {rows.size} values that were asked). "
+        "Correct the formula, or narrow the priors: it needs a value at their bounds, too."
+    )
 
 
 def _gaps(kept: NDArray[np.bool_], begin: Array) -> Array:

@@ -321,6 +321,25 @@ def test_a_local_prior_in_log_x_is_refused_and_a_shared_one_enters_exactly() -> 
     assert column_of(model("shared"), readings) == pytest.approx(np.full(2, exact), abs=1e-9)
 
 
+def test_a_formula_that_is_no_number_at_the_end_of_a_prior_is_refused_by_row_and_place() -> None:
+    """As x log x is at 0: no probe of `ClosedForm` lies there, and every window begins there."""
+
+    def formula(x: Array, t: Array) -> Array:
+        own, s = np.moveaxis(x, -1, 0)
+        return np.where(own > 0.0, own, np.nan) * s * t
+
+    box, noise = Prior("uniform", 0.0, 1.0), Prior("log_uniform", 0.01, 1.0)
+    form = ClosedForm(
+        (FormulaInput("l", 0.0, 1.0), FormulaInput("s", 0.5, 1.5)), {"y": formula}, "f",
+        rising=("l", "s"),
+    )  # fmt: skip
+    both = (Parameter("l", "local", box), Parameter("s", "shared", Prior("uniform", 0.5, 1.5)))
+    model = Model(Network("f", both, (Quantity("y", "1", "scalar", noise, -9.0, 9.0),)), form)
+    read = [Inspection("i", "a", "y", 2.0, np.array([1.1]))]
+    with pytest.raises(CalibrationError, match=r"y at 2 h is not a number where .* \[0\.0\]"):
+        update(model, RotorSpec("r", ("a",), 1000), read)
+
+
 def test_what_needs_polynomials_says_so() -> None:
     own, _ = message({}, 3)
     with pytest.raises(ModelError, match="answers by closed formulas"):
