@@ -165,8 +165,13 @@ def _told(one: Drift | Bias) -> dict[str, Any]:
 
 def _read(told: Mapping[str, Any]) -> dict[str, Any]:
     given = {**told, "shape": Course.of([(h, v) for h, v in told["shape"]])}
+    for name, kind, said in (("blades", list | tuple, "list"), ("since", Mapping, "mapping")):
+        if given.get(name) is not None and not isinstance(given[name], kind):
+            what = f"{name} of {told.get('name')}"
+            raise InputError(what, given[name], f"is no {said}", f"give a {said} of blades")
     if given.get("blades") is not None:
         given["blades"] = tuple(given["blades"])
     if "since" in given:
-        given["since"] = tuple(sorted((str(b), float(h)) for b, h in given["since"].items()))
+        since = given["since"] or {}
+        given["since"] = tuple(sorted((str(b), float(h)) for b, h in since.items()))
     return given

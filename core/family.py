@@ -53,6 +53,9 @@ class Family:
     cause: str = ""
 
     def __post_init__(self) -> None:
+        for name in ("name", "sentence", "of", "cause"):
+            if not isinstance(text := getattr(self, name), str):
+                raise InputError(f"{name} of an effect", text, "is no text", "give one, in quotes")
         for what, given, known in (
             ("shapes", self.shapes, SHAPES),
             ("whom", self.whom, WHOM),

@@ -205,7 +205,7 @@ class Network:
                 families=tuple(Family.from_json(d) for d in body.pop("families", ())),
                 **body,
             )
-        except (TypeError, KeyError, ValueError) as error:
+        except (TypeError, KeyError, ValueError, AttributeError) as error:
             raise InputError(
                 "network", str(error), "does not fit the schema", "see Network"
             ) from error

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from core.builtin.paper_network import rotor_blade_network
-from core.errors import FaultsError
+from core.errors import FaultsError, InputError
+from core.network import Network
 from service.declared import read_network
 from tests.exchanger import NETWORK
 
@@ -85,3 +86,34 @@ def test_what_no_rotor_could_be_calibrated_with_is_refused() -> None:
 def test_what_the_network_itself_refuses_is_told_as_well() -> None:
     found = faults(NETWORK.replace("low: 1, high: 9", "low: 9, high: 1"))
     assert list(found.values()) == ["are not an interval"]
+
+
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        ("drifts: [{name: fouling_rate, input: roughness, shape: [[0, 0], [9, 1]], since: 3}]",
+         "since of fouling_rate = 3.0 is no mapping"),
+        ("drifts: [{name: fouling_rate, input: roughness, shape: [[0, 0], [9, 1]], blades: B07}]",
+         "blades of fouling_rate = 'B07' is no list"),
+        ("biases: [{name: fouling_rate, quantity: drop, shape: [[0, 1]], since: [B07]}]",
+         "since of fouling_rate = ['B07'] is no mapping"),
+        ("families: [{name: [dust], sentence: it settles, target: input, of: roughness, how: plus, "
+         "size: 1, sign: 0, shapes: [constant], whom: [all], clock: blade, kind: physics}]",
+         "name of an effect = ['dust'] is no text"),
+    ],
+)  # fmt: skip
+def test_effects_that_are_none_are_told_and_not_stumbled_over(own: str, words: str) -> None:
+    with pytest.raises(FaultsError) as caught:
+        read_network(f"{NETWORK}\n{own}\n")
+    assert words in str(caught.value)
+
+
+def test_what_is_no_network_is_refused_by_python_as_well() -> None:
+    for spoilt in (
+        {"quantities": ["drop"]},
+        {"quantities": [{"name": "drop", "discrepancy": 5}]},
+        {"parameters": [{"name": "a", "level": "local", "prior": {}, "population": 3}]},
+    ):
+        told = json.loads(json.dumps(read_network(NETWORK).to_json())) | spoilt
+        with pytest.raises(InputError, match="does not fit the schema"):
+            Network.from_json(told)
