@@ -26,7 +26,8 @@ LOG = "refinement.json"
 class Plan:
     """How runs are added.
 
-    start      runs of the first design; None: four for each input, and what training needs
+    start      runs of the first design; None: four for each input, and what training needs, as
+               far as `most` allows
     batch      runs of a round
     most       runs in all, at which it ends
     elsewhere  share of the weight that is spread over the whole box
@@ -41,20 +42,27 @@ class Plan:
     def first(self, d: int) -> int:
         """Size of the first design of d inputs.
 
-        >>> Plan().first(4), Plan().first(2)
-        (16, 9)
+        >>> Plan().first(4), Plan().first(2), Plan(most=15).first(4)
+        (16, 9, 15)
         """
         need = MINIMUM_RUNS * (d + 1)
-        if self.start is not None and self.start < need:
-            problem = f"runs are too few for {d} inputs"
-            raise InputError("start", self.start, problem, f"start with {need} or more")
-        return max(need, 4 * d) if self.start is None else self.start
+        for name, value, verb in (
+            ("start", self.start, "start with"),
+            ("most", self.most, "allow"),
+        ):
+            if value is not None and value < need:
+                problem = f"runs are too few for {d} inputs"
+                raise InputError(name, value, problem, f"{verb} {need} or more")
+        return min(max(need, 4 * d), self.most) if self.start is None else self.start
 
     def check(self) -> None:
         """Raises InputError for numbers that make no sense."""
         for name, value in (("batch", self.batch), ("most", self.most)):
             if value < 1:
                 raise InputError(name, value, "is not positive", "give 1 or more")
+        if self.start is not None and self.start > self.most:
+            problem = f"runs are more than there may be in all, {self.most}"
+            raise InputError("start", self.start, problem, "start with fewer, or allow more")
         if not 0 <= self.elsewhere <= 1:
             raise InputError("elsewhere", self.elsewhere, "is no share", "give 0 … 1")
 

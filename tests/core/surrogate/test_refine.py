@@ -163,6 +163,13 @@ def test_runs_that_fail_are_named_counted_and_tried_again(tmp_path: Path) -> Non
 def test_a_damaged_log_and_a_plan_without_sense_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="start with 9 or more"):
         refined(tmp_path / "a", start=5)
+    with pytest.raises(
+        InputError, match=r"most = 8 runs are too few for 2 inputs.*allow 9 or more"
+    ):
+        refined(tmp_path / "a", most=8)
+    with pytest.raises(InputError, match="start = 12 runs are more than there may be in all, 10"):
+        refined(tmp_path / "a", start=12, most=10)
+    assert not read_log(tmp_path / "a"), "none of them has begun"
     with pytest.raises(InputError, match="batch = 0"):
         refined(tmp_path / "a", batch=0)
     with pytest.raises(InputError, match="names no quantity"):
@@ -172,6 +179,13 @@ def test_a_damaged_log_and_a_plan_without_sense_are_refused(tmp_path: Path) -> N
         refined(tmp_path / "a")
     with pytest.raises(InputError, match="is not positive"):
         Goal("drop", 0.0)
+
+
+def test_a_first_design_is_no_larger_than_all_runs_may_be(tmp_path: Path) -> None:
+    """Of five inputs four each would be 20."""
+    assert Plan(most=19).first(5) == 19
+    assert Plan(most=21).first(5) == 20
+    assert Plan(start=18, most=19).first(5) == 18
 
 
 def test_a_round_is_read_as_it_was_written(done: tuple[Path, Refined]) -> None:
