@@ -21,6 +21,7 @@ from core.archive.faults import Findings
 Array = NDArray[np.float64]
 LEAST_SHARE = 0.5  # of the median run's last hour
 SAME = 1e-9
+LEAST = 4  # instants of a run, and of the common axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +94,8 @@ def common(time_h: Array, labels: Sequence[str], skip: Sequence[bool], found: Fi
         and np.allclose(time_h[k][np.isfinite(time_h[k])], axis, rtol=SAME, atol=0.0)
         for k in rows
     )
+    shortest = rows[int(np.argmin(last))]
     if not same:
-        shortest = rows[int(np.argmin(last))]
         odd = [labels[k] for k in rows if not np.array_equal(time_h[k], time_h[first], True)]
         shown = ", ".join(odd[:10]) + (" …" if len(odd) > 10 else "")
         problem = (
@@ -102,6 +103,11 @@ def common(time_h: Array, labels: Sequence[str], skip: Sequence[bool], found: Fi
             f"{axis[-1] if len(axis) else 0:g} h, where run {labels[shortest]} ends"
         )
         found.warn("runs", shown, problem, "write all runs at the same instants")
+    if len(axis) < LEAST:
+        problem = f"instants of run {labels[first]} are left up to {last.min():g} h, where run "
+        problem += f"{labels[shortest]} ends: fewer than {LEAST}"
+        remedy = f"write all runs at the same instants, or leave run {labels[shortest]} out"
+        found.fault("runs", len(axis), problem, remedy)
     return Axis(axis, time_h)
 
 
@@ -111,7 +117,7 @@ def check(time_h: Array, what: str, found: Findings) -> None:
     if len(bad):
         found.fault(f"{what}[{bad[0]}]", float("nan"), "is no instant", "give finite hours")
         return
-    if len(time_h) < 4:
+    if len(time_h) < LEAST:
         found.fault(what, len(time_h), "instants are fewer than four", "write more of the course")
         return
     back = np.flatnonzero(np.diff(time_h) <= 0)

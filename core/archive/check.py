@@ -56,7 +56,7 @@ def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wa
             remedy = f"the runs have the inputs {have}; give it to them, or take it out"
             found.fault(f"parameter {p.name}", None, "is no input of the runs", remedy)
     known = {p.name for p in network.parameters}
-    for name in source.inputs.keys() - known:
+    for name in sorted(source.inputs.keys() - known):
         values = source.inputs[name].values[~skip]
         if len(values) and np.ptp(values) <= LEAST_MOVED * abs(float(values[0])):
             problem = "never varies and is no parameter of the network: left out"

@@ -10,7 +10,8 @@ a unit that is none             refused; one that differs: converted and told, o
                                 measures something else
 numbers of another magnitude    a warning with the factor that would fit (mm given as m)
 numbers beyond 1e30, 1e-30      refused (`core.archive.unfit`)
-unequal instants                a common axis and a warning (`core.archive.axis`)
+unequal instants                a common axis and a warning (`core.archive.axis`); refused where
+                                hardly an instant is common
 a quantity that never changes   refused, for nothing can be learnt from it
 an input that never varies      refused, or left out where the network does not know it
 an input outside its bounds     refused

@@ -44,7 +44,7 @@ class InTime:
         known = {i.name: i for i in self.own}
         names = [d.name for d in self.drifts]
         moved = {d.input for d in self.drifts}
-        for name in {*self.ranges, *self.fixed, *moved} - known.keys() - set(names):
+        for name in sorted({*self.ranges, *self.fixed, *moved} - known.keys() - set(names)):
             raise InputError("input", name, "is unknown", f"use one of {', '.join(known)}")
         if len(set(names)) < len(names) or known.keys() & set(names):
             raise InputError("drifts", names, "need names of their own", "rename one")

@@ -238,6 +238,41 @@ def test_unequal_instants_are_put_on_a_common_axis_and_the_runs_are_named(tmp_pa
     assert fault.what == "run 9: time"
 
 
+def test_runs_with_hardly_an_instant_in_common_are_refused_by_name(tmp_path: Path) -> None:
+    """Control: with one instant more before the shortest run ends they are taken."""
+    for early, fits in ((2, False), (3, True)):
+        data, x = dataset(), points()
+        own = np.tile(
+            np.concatenate([np.linspace(0, 5e3, early), np.linspace(9e3, 15e3, 7)]), (24, 1)
+        )
+        own[9] = np.nan
+        own[9, :5] = [0, 2e3, 4e3, 6e3, 8e3]
+        at = np.where(np.isfinite(own), own, 0.0)
+        values = np.array([drop(a, t) for a, t in zip(x, at, strict=True)])
+        data = data.drop_vars(["time", "drop", "transfer"])
+        data["time_of_run"] = (("run", "time"), own, {"units": "h"})
+        data["drop"] = (("run", "time"), values, {"units": "kPa"})
+        folder = tmp_path / str(early)
+        folder.mkdir()
+        if fits:
+            assert len(taken(data, folder)[0].declaration.time_h) == 4
+            continue
+        (fault,) = refused(data, folder)
+        assert (fault.what, fault.value) == ("runs", 3)
+        assert "up to 8000 h, where run 9 ends: fewer than 4" in fault.problem
+        assert "leave run 9 out" in fault.remedy
+
+
+def test_faults_stand_in_one_order_whatever_the_process(tmp_path: Path) -> None:
+    """Inputs that no network knows came in the order of a set of texts, of each process its own."""
+    names = ["salt", "dust", "water", "iron", "clay", "sand", "lime"]
+    data = dataset()
+    for k, name in enumerate(names):
+        data[name] = ("run", np.linspace(0, 1 + k, 24), {"units": "1"})
+    told = [one.what for one in refused(data, tmp_path) if one.what.startswith("input ")]
+    assert told == [f"input {name}" for name in sorted(names)]
+
+
 def test_instants_that_do_not_increase_or_begin_late_are_refused(tmp_path: Path) -> None:
     data = dataset(time_h=TIME_H + 100)
     assert "begin with 0" in refused(data, tmp_path)[0].remedy
