@@ -107,9 +107,15 @@ def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
     return found
 
 
-def compared(readings: Sequence[Inspection]) -> str:
-    """The quantity that both models are held against: that of most readings."""
-    count = Counter(r.quantity for r in readings if r.values.size == 1)
+def compared(model: Model, readings: Sequence[Inspection]) -> str:
+    """The quantity that both models are held against: that of most readings, of those that a model
+    tells without a node's number; "" where there is none."""
+    asked = {
+        q.name
+        for q in model.network.quantities
+        if q.kind == "scalar" or q.default_node in model.part(q.name).named
+    }
+    count = Counter(r.quantity for r in readings if r.values.size == 1 and r.quantity in asked)
     return max(sorted(count), key=count.__getitem__, default="")
 
 
@@ -150,7 +156,7 @@ def diagnosed(
         progress(what, 1 + done, total)
 
     found = diagnose(model, state, case, during, work)
-    quantity = compared(readings)
+    quantity = compared(model, readings)
     claimed = found.verdict.word == "effect"
     wide, after = None, found.after if claimed else None
     if found.verdict.word == "unattributed" and quantity:

@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from core.builtin import creep_specimens
+from core.builtin.paper_network import rotor_blade_network
 from core.calibration.state import RotorState
 from core.diagnosis import FAMILIES, Case, Diagnosis, Facts
 from core.diagnosis.adopt import with_effects
@@ -23,6 +24,7 @@ from core.errors import InputError
 from core.model import Model, rotor_blade
 from core.observation import Inspection
 from core.prior import Prior
+from core.surrogate.formula import FormulaInput, FormulaModel
 from service import effects
 from service.bootstrap import make_worker
 from service.diagnose_command import lines_of
@@ -424,6 +426,37 @@ def test_a_family_of_readings_at_many_nodes_is_refused() -> None:
         effects.families_of(rotor_blade(), [scans])
     (found,) = effects.families_of(rotor_blade(), [scans | {"of": "ceeq", "size": 1e-4}])
     assert found.of == "ceeq"
+
+
+@dataclass(frozen=True)
+class Unnamed(FormulaModel):
+    """A mesh without a named node, as users' runs may have."""
+
+    @property
+    def named(self) -> dict[str, int]:
+        return {}
+
+
+@pytest.mark.parametrize(("form", "told"), [(FormulaModel, "ceeq"), (Unnamed, "elongation")])
+def test_models_are_compared_by_what_they_tell_without_the_number_of_a_node(
+    form: type[FormulaModel], told: str
+) -> None:
+    """CEEQ was read more often, at nodes by their number; a forecast of it would have no node, and
+    the diagnosis would end with that, after all calibrations."""
+    network = rotor_blade_network()
+    inputs = tuple(FormulaInput(p.name, p.prior.low, p.prior.high) for p in network.parameters)
+    model = Model(network, form(inputs, {"elongation": elongation, "ceeq": elongation}, "two"))
+    of = {"ceeq": 3, "elongation": 2}
+    readings = [
+        Inspection(f"{q}{k}", "B", q, 1e3 * (k + 1), np.array([0.1]),
+                   np.array([7]) if q == "ceeq" else None)
+        for q, count in of.items() for k in range(count)
+    ]  # fmt: skip
+    assert effects.compared(model, readings) == told
+    (made,) = (own for own in network.quantities if own.name == told)
+    node = None if made.kind == "scalar" else made.node_among(model.part(told).named)
+    assert (node is None) == (told == "elongation")
+    assert effects.compared(model, readings[: of["ceeq"]]) == ("ceeq" if told == "ceeq" else "")
 
 
 def test_a_dormant_input_that_woke_is_told_and_woken_again_in_its_place() -> None:
