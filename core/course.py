@@ -54,8 +54,8 @@ class Course:
         return np.array([value for _, value in self.points])
 
     def over(self, start: float, end: float) -> Array:
-        """The values at both ends of an interval and at the points inside; none is outside these,
-        nor before a step at its end.
+        """The values at both ends of an interval and at the points inside, those of a step at its
+        end before and after it: the course is nowhere larger or smaller there.
 
         >>> Course.of([(0.0, 0.0), (60.0, 1.2)]).over(0.0, 50.0).tolist()
         [0.0, 1.0]

@@ -80,7 +80,7 @@ def of_state(
 
 
 def of_prior(network: Network, names: Sequence[str], seed: int = 0, count: int = DRAWS) -> Region:
-    """Points even in the priors' quantiles; inputs of other levels at their nominal value."""
+    """Points even in the priors' quantiles; inputs that are dormant at their nominal value."""
     free = [p for p in network.parameters if p.name in names and p.level != "dormant"]
     unit = sobol(count, np.zeros(len(free)), np.ones(len(free)), seed_of(seed, "prior"))
     drawn = {p.name: p.prior.quantile(unit[:, j]) for j, p in enumerate(free)}

@@ -14,6 +14,7 @@ from core.diagnosis.adopt import amplitude
 from core.diagnosis.grammar import Cell
 from core.model import Model
 from core.prior import Prior
+from core.smc.particles import weighted_quantile
 
 if TYPE_CHECKING:
     from core.diagnosis.diagnose import Diagnosis
@@ -81,9 +82,7 @@ def quantiles(a: Array, w: Array, levels: Sequence[float]) -> list[float]:
     >>> quantiles(np.array([1.0, 3.0]), np.array([0.5, 0.5]), [0.5])
     [2.0]
     """
-    order = np.argsort(a, kind="stable")
-    middle = np.cumsum(w[order]) - 0.5 * w[order]
-    return [float(v) for v in np.interp(levels, middle, a[order])]
+    return [float(v) for v in weighted_quantile(a, w, np.array(levels))]
 
 
 def density(a: Array, w: Array, x: Array, low: float, high: float) -> Array:

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from core.calibration.space import nominal, shared_prior
 from core.calibration.state import RotorState, blade_posterior
 from core.calibration.target import BladeRows
-from core.curves import spread
+from core.curves import IRRATIONAL, spread
 from core.discrepancy import total
 from core.model import Model
 from core.rng import stream
@@ -87,7 +87,7 @@ def foretold(
     def of_particles(name: str) -> Array:
         if name in posterior.names:
             return posterior.column(name)
-        at = places.setdefault(name, len(places)) % 7
+        at = places.setdefault(name, len(places)) % len(IRRATIONAL)
         return spread(shared_prior(model, name), len(w), at)
 
     per = len(w) // nodes

@@ -13,13 +13,13 @@ means,
 
 g is known at some particles of each blade; its regression over these on answers f and inputs x, g ≈
 Σ_j kappa_ij phi_j, and what is known over all particles give the mean of g, corrected by kappa's
-share of what the few are off, and h_bi = Σ_j kappa_ij Cov[phi_j, r_i]. For a
-gain that is kappa f_i and h < 0,
-without which a gain would be found in every clean rotor, as residuals lean to where priors pull
-the fit, and accelerating creep, which grows faster than the answer, in most of them even with a
-gain's h. How much of a
-shift the parameters would imitate is told by the sensitivities J (local) and S (shared), mean
-derivatives of f over the same particles, and by the priors' covariances P and P_s:
+share of what the few are off, and h_bi = Σ_j kappa_ij Cov[phi_j, r_i]. Of a gain g is kappa f_i,
+and h < 0, for residuals lean to where priors pull the fit: without h a gain would be found in every
+clean rotor. Accelerating creep grows faster than the answer: with a gain's h in place of its own it
+would be found in most of them.
+
+How much of a shift the parameters would imitate is told by the sensitivities J (local) and S
+(shared), mean derivatives of f over the same particles, and by the priors' covariances P and P_s:
 
     Q_b = (V + J P Jᵀ)⁻¹
     I   = −d²/da² = Σ_b gᵀ Q_b g − |Dᵀ g|²,     D_b = Q_b S_b A^−½,  A = P_s⁻¹ + Σ_b S_bᵀ Q_b S_b

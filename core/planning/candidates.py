@@ -20,7 +20,7 @@ from core.model import Model
 from core.network import Quantity
 from core.observation import Inspection
 
-AHEAD = (0.0, 0.5, 1.0, 2.0)  # of the usual interval: now, at the next visit, before it, after it
+AHEAD = (0.0, 0.5, 1.0, 2.0)  # of the usual interval: now, before the next visit, at it, after it
 UNREAD = 0.16  # of a model's hours: the interval of blades that were never read
 ANOTHER = "another"  # an instrument that is none of those that read
 MOST = 48  # hours of all candidates, beyond which they lie at common ones
