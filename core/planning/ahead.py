@@ -29,6 +29,7 @@ from core.smc.particles import Particles, normalised
 
 Array = NDArray[np.float64]
 TO_COME = "to come"  # a campaign that is none of those that were
+SQRT2 = 2.0**0.5
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def expected(
     """Moments of the readings, by the particles of a state.
 
     noise  False: the blades themselves, without readings' noise and biases
-    most   particles of a blade that are used, every n-th of each node; None: all
+    most   particles of a blade that are used, as many of each node; None: all
 
     Raises InputError where there is no candidate.
     """
@@ -122,16 +123,22 @@ class Drawn:
 
     @staticmethod
     def of(state: RotorState, blade: str, most: int | None = None) -> Drawn:
-        """All of a state's, or every n-th of each node."""
+        """All of a state's, or one of so many that they are `most` or fewer, as many of each node.
+
+        A node's draws stand in the order of the blade's outer parameter, ten to a value of it
+        (`core.calibration.draws`). Every third of them would be four of the first value and of the
+        last, and three of others, the same at all nodes: 5 % too much below its 5 % quantile. So
+        every node begins elsewhere.
+        """
         found = blade_posterior(state.meta, state.arrays.__getitem__, blade)
         node_w = normalised(state.arrays["shared/log_w"])
-        log_w = found.particles.log_w.reshape(len(node_w), -1)
-        step = 1
-        if most is not None:
-            step = max(1, int(np.ceil(log_w.shape[1] / max(1, most // len(node_w)))))
-        kept = np.zeros(log_w.shape, bool)
-        kept[:, ::step] = True
-        few = Particles(found.particles.psi[kept.ravel()], log_w[kept])
+        nodes, count = len(node_w), len(found.particles.log_w) // len(node_w)
+        each = count if most is None else max(1, most // nodes)
+        own = -(-count // -(-count // each))  # one of two, or three, or so many
+        begin = np.arange(nodes)[:, None] * SQRT2 % 1.0
+        kept = np.floor((np.arange(own) + begin) * (count / own)).astype(np.int64)
+        kept = (np.minimum(kept, count - 1) + count * np.arange(nodes)[:, None]).ravel()
+        few = Particles(found.particles.psi[kept], found.particles.log_w[kept])
         return Drawn(Posterior(found.names, few), few.w, node_w)
 
     def centred(self, f: Array) -> tuple[Array, Array, Array]:

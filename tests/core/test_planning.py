@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.calibration.draws import even_points
 from core.calibration.online import update
-from core.calibration.state import RotorSpec, RotorState, blade_posterior, shared_posterior
+from core.calibration.state import Arrays, RotorSpec, RotorState, blade_posterior, shared_posterior
 from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
+from core.planning.ahead import Drawn
 from core.planning.campaigns import campaigns
 from core.planning.candidates import ANOTHER, Candidate, candidates, usual_interval_h
 from core.planning.worth import Target, worth
@@ -211,3 +213,30 @@ def test_blades_read_at_hours_of_their_own_are_asked_about_at_common_ones() -> N
     few = [r for r in data if r.blade in names[:5]]
     exact = {round(c.time_h - c.ahead_h, 9) for c in candidates(MODEL, names[:5], few)}
     assert exact == {round(last[b], 9) for b in names[:5]}, "few hours stay what they are"
+
+
+@pytest.mark.parametrize(("nodes", "each"), [(64, 160), (128, 80), (256, 40)])
+@pytest.mark.parametrize(("most", "off"), [(800, 0.1), (4000, 0.05)])
+def test_a_part_of_a_blades_draws_has_the_tails_of_all(
+    nodes: int, each: int, most: int, off: float
+) -> None:
+    """Draws of a node are in the order of the outer parameter, ten to a value. Every n-th of them
+    put up to a fifth too much, or too little, below the 5 % quantile."""
+    u = even_points(np.random.default_rng(0), nodes, each, 10, 3)[:, :, :1]
+    own = {
+        "blade/b/local": u,
+        "blade/b/log_w": np.full((nodes, each), -np.log(each)),
+        "shared/x": np.zeros((nodes, 1)),
+        "shared/log_w": np.full(nodes, -np.log(nodes)),
+    }
+    state = RotorState({"local": ["l"], "shared": ["s"]}, Arrays(own, own, own.__getitem__))
+    every, some = Drawn.of(state, "b"), Drawn.of(state, "b", most)
+    assert every.w.size == nodes * each
+    assert 0.75 * most <= some.w.size <= most
+    values = some.posterior.column("l")
+    assert len(np.unique(values)) > 0.9 * min(nodes * each // 10, some.w.size)
+    for share in (0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95):
+        tail = min(share, 1.0 - share)
+        assert some.w[values <= share].sum() == pytest.approx(share, abs=off * tail), share
+    given = some.w.reshape(nodes, -1).sum(axis=1)
+    np.testing.assert_allclose(given, 1.0 / nodes, rtol=1e-12)
