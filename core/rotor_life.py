@@ -24,7 +24,8 @@ A blade that was never read has the rotor's prior of it: the state has draws of 
 
 Hours are of each blade's own operation, and one outage is another hour of each blade where some
 came later. With `ages` the hours count from now on, the same for all: blade b's own are its age and
-as many more.
+as many more. What is past the limit by now has passed it by any later hour, so that hour 0 tells
+how much of a chance is of the past.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def rotor_life(
 
     known  values of known parameters, by blade
     ages   operating hours of each blade at hour 0 of `times`; none: 0, and times are its own
-    most   particles of a blade that are used, every n-th of each node; None: all
+    most   particles of a blade that are used, as many of each node; None: all
 
     Raises what `core.life.life` raises.
     """
@@ -93,7 +94,8 @@ def rotor_life(
     passed, none = dict[str, Array](), np.ones((len(node_w), len(asked)))
     for blade in blades:
         own, drawn = model.for_blade(blade), Drawn.of(state, blade, most)
-        ends = checked_times(model, quantity, asked + (ages or {}).get(blade, 0.0))
+        age = (ages or {}).get(blade, 0.0)
+        ends, back = np.unique(checked_times(model, quantity, asked + age), return_inverse=True)
         time = np.union1d(ends, hours[hours < ends[-1]])  # what comes later has no part in it
         beyond = margins(
             own,
@@ -104,8 +106,9 @@ def rotor_life(
             component=component,
             known=(known or {}).get(blade),
         )
-        passed[blade], given = chances(drawn, beyond, time, np.isin(time, ends))
-        none *= 1.0 - given
+        told, given = chances(drawn, beyond, time, np.isin(time, ends))
+        passed[blade] = told[back]  # hours that are one at its age
+        none *= 1.0 - given[:, back]
     expected = np.sum([np.zeros(len(asked)), *passed.values()], axis=0)
     at_all = np.maximum.accumulate(np.clip(node_w @ (1.0 - none), 0.0, 1.0))
     unit = model.network.quantity(quantity).unit

@@ -124,6 +124,8 @@ def noted(blade: Told, margin: float | None) -> str:
             notes.append(f"{'beyond the limit' if beyond else 'limit'} {told}")
     elif margin is not None and margin < FEW_SD:
         notes.append("beyond the limit" if margin < 0 else f"limit within {FEW_SD:g} sd")
+    if blade.get("age_by") == "reading":
+        notes.append("age as of its last reading")
     if not blade["readings"]["counting"]:
         notes.append("no reading")
     return ", ".join(notes)

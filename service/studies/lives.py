@@ -14,6 +14,10 @@ from service.studies import app
 from service.studies.result import commit, write
 
 INK, TREND, CONTROL, BAND = "#1f3b63", "#b35806", "#c0392b", "#c9d6e8"
+ROWS = (
+    ("pit", "narrow", "each blade, when it passes"),
+    ("any", "worst", "the rotor, when its first does"),
+)
 HELP = "rotor-20, rotor-100, first-outage, six-outages, fe, fe-nu or their like."
 
 
@@ -78,18 +82,50 @@ def lives_plot(
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     from core.validation.sbc import PLACES
 
-    figure, axes = plt.subplots(1, 1 + len(of), figsize=(13.0, 4.0), layout="constrained")
-    left = axes[0]
-    left.plot([0, 100], [0, 100], color="0.55", lw=1, ls=":")
+    figure = plt.figure(figsize=(13.5, 6.6), layout="constrained")
+    grid = figure.add_gridspec(2, 1 + len(of), width_ratios=[1.35, *(1.0 for _ in of)])
+    _by_next(figure.add_subplot(grid[:, 0]), result["reliability"], next_h)
+    for row, (key, wrong, label) in enumerate(ROWS):
+        for column, (name, own) in enumerate(of.items()):
+            axis, one = figure.add_subplot(grid[row, 1 + column]), own[key]
+            axis.fill_between(PLACES, one.lower - PLACES, one.upper - PLACES, color=BAND, lw=0)
+            axis.axhline(0, color="0.5", lw=0.8)
+            for found, colour, dashes in ((own[wrong], CONTROL, "--"), (one, INK, "-")):
+                axis.plot(PLACES, found.share - PLACES, color=colour, ls=dashes, lw=1.5)
+            axis.set(xlim=(0, 1))
+            axis.tick_params(labelsize=8)
+            if row == 0:
+                axis.set_title(f"limit {name.replace(' x', ' ×')} the mean", fontsize=10)
+            else:
+                axis.set_xlabel("chance z told of that hour", fontsize=9)
+            if column == 0:
+                axis.set_ylabel(f"{label}\nF(z) − z", fontsize=9)
+    handles = [
+        Patch(color=BAND),
+        Line2D([], [], color=INK, lw=1.5),
+        Line2D([], [], color=CONTROL, lw=1.5, ls="--"),
+    ]
+    words = ["95 % simultaneous band", "bladetwin", "controls: too sure; the worst blade alone"]
+    figure.legend(handles, words, loc="outside lower right", ncols=3, fontsize=9, frameon=False)
+    figure.suptitle(title, fontsize=11)
+    figure.savefig(file, dpi=120)
+    plt.close(figure)
+
+
+def _by_next(axis: Any, told: Mapping[str, Any], next_h: float) -> None:
+    """Shares that pass by the next outage over the chances that were told."""
+    axis.plot([0, 100], [0, 100], color="0.55", lw=1, ls=":")
     for who, colour, mark, label in (
         ("trend", TREND, "s", "trend through own readings"),
         ("twin", INK, "o", "bladetwin"),
     ):
-        rows = result["reliability"][who]
-        left.errorbar(
+        rows = told[who]
+        axis.errorbar(
             [100 * r["told"] for r in rows],
             [100 * r["passed"] for r in rows],
             yerr=[200 * r["error"] for r in rows],
@@ -100,26 +136,11 @@ def lives_plot(
             capsize=2,
             label=label,
         )
-    left.set(
+    axis.set(
         xlabel=f"chance told to pass by {next_h:,.0f} h [%]",
         ylabel="share that passes by then [%], ± 2 standard errors",
         xlim=(-3, 103),
         ylim=(-8, 108),
         title="by the next outage",
     )
-    left.legend(loc="upper left", fontsize=8, frameon=False)
-    for axis, (name, own) in zip(axes[1:], of.items(), strict=True):
-        one = own["pit"]
-        axis.fill_between(PLACES, one.lower - PLACES, one.upper - PLACES, color=BAND, lw=0)
-        axis.axhline(0, color="0.5", lw=0.8)
-        lines = (("pit", INK, "-", "blades"), ("any", TREND, "-", "first of a rotor"))
-        wrong = (("narrow", CONTROL, "--", "control: too sure"),)
-        for key, colour, dashes, label in (*lines, *wrong):
-            axis.plot(PLACES, own[key].share - PLACES, color=colour, ls=dashes, lw=1.5, label=label)
-        axis.set(xlim=(0, 1), xlabel="chance z told by the hour at which it passes")
-        axis.set_title(f"limit {name.replace(' x', ' ×')} what is expected then")
-    axes[1].set_ylabel("F(z) − z; shaded: 95 % band of blades")
-    axes[1].legend(loc="lower right", fontsize=8, frameon=False)
-    figure.suptitle(title, fontsize=11)
-    figure.savefig(file, dpi=120)
-    plt.close(figure)
+    axis.legend(loc="upper left", fontsize=9, frameon=False)

@@ -228,6 +228,9 @@ def test_hours_from_now_on_are_each_blade_s_own_from_its_age() -> None:
     same = rotor_life(growing(), state, two, "y", 2.9, [27_000.0], known=KNOWN)
     assert same.passed["b0"][0] == pytest.approx(ahead.passed["b0"][1], abs=1e-12)
     assert same.any[0] > ahead.any[1] + 0.05, "negative control: one hour of all"
+    near = [0.0, 1e-12, 7_000.0]
+    merged = rotor_life(growing(), state, two, "y", 2.9, near, known=KNOWN, ages=ages)
+    assert merged.any == pytest.approx(ahead.any[[0, 0, 1]], abs=1e-12), "one hour at such ages"
     zero = rotor_life(growing(), state, two, "y", 2.9, [27_000.0], known=KNOWN, ages={})
     assert zero.any == same.any
     shrunk = growing(shrinks=True)

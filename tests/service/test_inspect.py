@@ -93,6 +93,7 @@ def test_hours_ahead_are_of_each_blade_from_its_own_age(api: httpx.Client, url: 
     head = next(line for line in text.splitlines() if line.startswith("blade "))
     assert re.search(r"age \[h\]  passed ", head)
     assert "margin" not in head
+    assert text.count("age as of its last reading") == 2, "no campaign tells that B1 has run since"
     with pytest.raises(BladetwinError, match="is given without --limit"):
         run("r1", "--url", url, "--ahead", "8000")
 
