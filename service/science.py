@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from core.calibration.state import SUPERSEDED, RotorState
 from core.calibration.state import RotorSpec as Calibrated
-from core.calibration.state import RotorState
 from core.model import Model
 from core.network import Network
 from core.observation import Inspection
@@ -55,6 +55,7 @@ class CoreScience(Beliefs):
     ) -> None:
         super().__init__(Models(folder, model, files))
         self.builtins = self.models.builtins
+        self.superseded = SUPERSEDED
         self._kept = kept
         self._workspace: Any = None
 

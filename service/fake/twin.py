@@ -39,6 +39,7 @@ class FakeScience(FakeBeliefs):
     provisional: bool = False
     network: Network = default(default_factory=fake_network)
     builtins: tuple[str, ...] = ("rotor-blade",)
+    superseded: tuple[str, ...] = ()
 
     def builtin(self, name: str) -> ModelCard:
         if name not in self.builtins:

@@ -27,6 +27,11 @@ class Science(Beliefs, Protocol):
         """Names of the models that come with it; the first is registered without being asked."""
         ...
 
+    @property
+    def superseded(self) -> tuple[str, ...]:
+        """State algorithms before that of `update`: what rests on one is to be computed anew."""
+        ...
+
     def builtin(self, name: str) -> ModelCard: ...
     def train(
         self,

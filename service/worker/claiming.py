@@ -167,7 +167,7 @@ def _longest(
     return select(c.rotor_id, c.sealing).where(due).order_by(c.dirty_since).limit(1)
 
 
-def _take(lease_s: float, kind: Kind) -> Update:
+def take(lease_s: float, kind: Kind) -> Update:
     """The claim of rotors that a condition is still to name."""
     return update(t.cursor).values(
         fence=c.fence + 1,
@@ -197,8 +197,8 @@ def _first_taken(
     Where nothing is due no row is locked and no transaction number taken.
     """
     first = locked(_longest(kind, lease_s, quiet_s, overdue_s, conditions)).cte("first")
-    take = _take(lease_s, kind).where(c.rotor_id == first.c.rotor_id)
-    return take.returning(*TAKEN, first.c.sealing.label("before"))
+    taken = take(lease_s, kind).where(c.rotor_id == first.c.rotor_id)
+    return taken.returning(*TAKEN, first.c.sealing.label("before"))
 
 
 def _claim_at_once(engine: Engine, owner: str, asked: Asked) -> Lease | None:
@@ -217,8 +217,8 @@ def _claim(engine: Engine, owner: str, asked: Asked) -> Lease | None:
         found = connection.execute(first).one_or_none()
         if found is None:
             return None
-        take = _take(lease_s, kind).where(c.rotor_id == found.rotor_id).returning(*TAKEN)
-        row = connection.execute(take, {"by": owner}).one()
+        taken = take(lease_s, kind).where(c.rotor_id == found.rotor_id).returning(*TAKEN)
+        row = connection.execute(taken, {"by": owner}).one()
     return _lease(owner, row, after_sealing=found.sealing)
 
 

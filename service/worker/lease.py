@@ -45,6 +45,7 @@ class Lease:
     """A claimed rotor: what its cursor said, and the fence that the claim raised.
 
     after_sealing   the claim before, of which no version came, was one to seal
+    renews          a sealed version of an older algorithm is to be computed anew
     """
 
     rotor_id: str
@@ -55,6 +56,7 @@ class Lease:
     attempts: int
     sealing: bool
     after_sealing: bool = False
+    renews: bool = False
 
 
 Condition = Callable[[Lease], ColumnElement[bool]]

@@ -37,6 +37,7 @@ from service.worker.interrupt import Interrupt, Interrupted
 from service.worker.lease import Lease
 from service.worker.memory import Memories
 from service.worker.new_version import Change
+from service.worker.older import Older
 from service.worker.overdue import Bound, endless
 from service.worker.task import Task
 from service.worker.traced import Told, told
@@ -66,6 +67,7 @@ class Updater:
         self.interrupt = Interrupt(stopping)
         self.bound: Bound = endless
         self._memory = Memories(settings.rotors_in_memory, settings.states_mb, settings.readings_mb)
+        self._older = Older(science, owner, settings.lease_s, role)
         self._thinned: dict[str, int] = {}
 
     @property
@@ -82,6 +84,7 @@ class Updater:
             quiet_s=self.settings.seal_after_s,
             overdue_s=self.settings.seal_within_s,
         )
+        lease = lease or self._older.claim(self.engine)
         if lease is None:
             return False
         if lease.attempts > self.settings.max_attempts:
@@ -183,7 +186,15 @@ class Updater:
             leases.return_unused(self.engine, lease)
 
     def give_back(self, lease: Lease, task: Task | None, error: Exception) -> None:
-        """Pause and try again, or block the rotor and name the entry that stops it."""
+        """Pause and try again, or block the rotor and name the entry that stops it.
+
+        A version of an older algorithm that cannot be computed anew stays, and the rotor is as it
+        was.
+        """
+        if lease.renews:
+            self._older.leave(lease, error)
+            self.return_unused(lease)
+            return
         block = lease.attempts >= self.settings.max_attempts
         event = error.event if isinstance(error, CalibrationError) else None
         text = f"{type(error).__name__}: {error}"
