@@ -7,10 +7,12 @@ from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from core.errors import InputError
 from service.errors import KeysMissingError, SchemaError
 from service.handlers.keys import list_keys
 from service.ports import Science
 from service.settings import Settings
+from service.store.backup import sqlite_path
 from service.store.engine import is_sqlite, open_engine
 from service.store.migrate import migrate, newest, revisions, standing
 from service.store.unit_of_work import SqlStore
@@ -59,10 +61,23 @@ def make_store(settings: Settings) -> SqlStore:
     return SqlStore(open_engine(settings.database_url), settings.cache_mb)
 
 
-def prepare(store: SqlStore, settings: Settings) -> None:
-    """Migrate where the settings say so; SchemaError where this release may not run on it."""
+def prepare(store: SqlStore, settings: Settings, *, looks: bool = False) -> None:
+    """Migrate where the settings say so; SchemaError where this release may not run on it.
+
+    looks   at what is there already, which is neither made nor migrated unless the settings say
+            `always`: an empty database would be sound, and a newer schema may be one that the
+            service, of an older release, cannot run on
+
+    InputError: there is no SQLite file to look at.
+    """
+    path = sqlite_path(settings.database_url)
+    if looks and path is not None and not (path.is_file() and path.stat().st_size):
+        problem = f"names no database: there is none at {path.absolute()}"
+        remedy = "run it in the folder of the service, or set {} as the service has it"
+        name = "BLADETWIN_DATABASE_URL"
+        raise InputError(name, settings.database_url, problem, remedy.format(name))
     wanted = settings.migrate == "always" or (
-        settings.migrate == "auto" and is_sqlite(store.engine)
+        settings.migrate == "auto" and is_sqlite(store.engine) and not looks
     )
     needed = newest()
     if wanted:

@@ -25,14 +25,17 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 @contextmanager
-def opened() -> Iterator[Store]:
-    """The store of BLADETWIN_DATABASE_URL with this release's schema."""
+def opened(*, looks: bool = False) -> Iterator[Store]:
+    """The store of BLADETWIN_DATABASE_URL with this release's schema.
+
+    looks   only at what is there (`service.bootstrap.prepare`)
+    """
     from service.bootstrap import make_store, prepare
 
     settings = Settings.load()
     store = make_store(settings)
     try:
-        prepare(store, settings)
+        prepare(store, settings, looks=looks)
         yield store
     finally:
         store.close()
@@ -99,7 +102,7 @@ def list_all(as_json: Json = False) -> None:
     """Every key, usable or not; no secret."""
     from service.handlers.keys import list_keys
 
-    with opened() as store:
+    with opened(looks=True) as store:
         found = list_keys(store)
     if as_json:
         typer.echo(json.dumps({"items": [key_out(*one) for one in found]}))
@@ -115,7 +118,7 @@ def revoke(
     """Accept a key no more, from the next request on."""
     from service.handlers.keys import revoke_key
 
-    with opened() as store:
+    with opened(looks=True) as store:
         key, now = revoke_key(store, key_id, act_of("keys revoke"))
     if as_json:
         typer.echo(json.dumps(key_out(key, "revoked")))
@@ -134,7 +137,7 @@ def audit(
     from service.api.routers.audit import row_out
     from service.handlers.audit import list_audit
 
-    with opened() as store:
+    with opened(looks=True) as store:
         rows = [row_out(row) for row in list_audit(store, before, limit, rotor, key)]
     if as_json:
         typer.echo(json.dumps({"items": rows}))

@@ -33,13 +33,16 @@ def say(data: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
 
 
 @contextmanager
-def opened(settings: Settings) -> Iterator[SqlStore]:
-    """The database of the settings, with this release's schema; closed at the end."""
+def opened(settings: Settings, *, looks: bool = False) -> Iterator[SqlStore]:
+    """The database of the settings, with this release's schema; closed at the end.
+
+    looks   only at what is there (`service.bootstrap.prepare`)
+    """
     from service.bootstrap import make_store, prepare
 
     store = make_store(settings)
     try:
-        prepare(store, settings)
+        prepare(store, settings, looks=looks)
         yield store
     finally:
         store.close()

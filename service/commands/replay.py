@@ -42,7 +42,7 @@ def replay(
     from service.worker.replay import replay as compare
 
     settings = Settings.load()
-    with opened(settings) as store:
+    with opened(settings, looks=True) as store:
         science, updater = _wired(store, settings)
         told = compare(store, science, rotor)
         done = None
@@ -99,7 +99,7 @@ def verify(
     from service.worker.rebuild import repair
 
     settings = Settings.load()
-    with opened(settings) as store:
+    with opened(settings, looks=True) as store:
         science, updater = _wired(store, settings)
         rotors = [rotor] if rotor is not None else _rotors(store)
         found = _models(store, science) if rotor is None else []

@@ -56,13 +56,13 @@ def export(
         raise InputError("FILE", str(file), "is in a folder that does not exist", "make it first")
     settings = Settings.load()
     if form is not Form.BUNDLE:
-        with opened(settings) as store:
+        with opened(settings, looks=True) as store:
             write(store, settings, rotor, wanted, file)
         size = file.stat().st_size
         facts = {"rotor": rotor, "format": form.value, "file": str(file), "bytes": size}
         say(facts, [f"rotor {rotor}: {form.value} in {file} ({size} bytes)"], as_json=as_json)
         return
-    with opened(settings) as store:
+    with opened(settings, looks=True) as store:
         manifest = export_rotor(store, rotor, file, release())
     size = file.stat().st_size
     text = f"rotor {rotor}: {manifest['head_seq']} entries in {file} ({size} bytes)"

@@ -37,7 +37,7 @@ def umbridge(
 
     settings = Settings.load()
     configure_logs(settings.log_level)
-    with opened(settings) as store:
+    with opened(settings, looks=True) as store:
         science = make_science(settings, store)
         found = basis(store, science, rotor, Which(version), blade)
         models = served(store, science, found)

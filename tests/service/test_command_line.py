@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -101,8 +102,14 @@ def test_a_shell_completes_commands_options_and_their_values() -> None:
     ],
 )
 def test_an_error_is_one_line_with_what_to_do_and_a_status(
-    tmp_path: Path, given: list[str], environment: dict[str, str], status: int, told: str
+    tmp_path: Path,
+    sqlite_template: Path,
+    given: list[str],
+    environment: dict[str, str],
+    status: int,
+    told: str,
 ) -> None:
+    shutil.copy(sqlite_template, tmp_path / "x.db")
     database = {"BLADETWIN_DATABASE_URL": f"sqlite:///{tmp_path / 'x.db'}"}
     done = bladetwin(*given, **database | {"BLADETWIN_SCIENCE": "fake"} | environment)
     assert done.returncode == status, done.stderr
