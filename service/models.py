@@ -40,6 +40,16 @@ MOST_VARIED = 64  # varied models kept with the rows compiled for them
 MOST_OWN = 8  # models of users' runs that are kept loaded
 
 
+def _else(name: str) -> str:
+    """What is to be done with rotors of a model of another release, but to run that one."""
+    if name == NAME:
+        return "set BLADETWIN_MODEL_DIR to the folder of that model"
+    return (
+        "create the rotor anew, which takes this release's model, and post its readings there "
+        "(`bladetwin export ROTOR FILE --format csv`)"
+    )
+
+
 class Models:
     """The models of one process; of users' own and of varied ones the last used are kept.
 
@@ -96,8 +106,7 @@ class Models:
             if card.version != model.version:
                 raise ModelError(
                     f"model {card.id} {card.version} is registered, but this release has "
-                    f"{model.version}. Run the release that registered it, or set "
-                    "BLADETWIN_MODEL_DIR to the folder of that model."
+                    f"{model.version}. Run the release that registered it, or {_else(card.id)}."
                 )
             if card.digest == model.digest:
                 return model

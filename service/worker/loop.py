@@ -18,7 +18,7 @@ from typing import Protocol
 
 from core.errors import ModelError
 from service.errors import StoreAwayError
-from service.ports import Science
+from service.ports import ModelCard, Science
 from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.worker.asking import Asking
@@ -78,7 +78,11 @@ class Worker:
     def warm(self) -> None:
         """Load the models and compile what they need, so that the first update is as fast.
 
-        A worker that only diagnoses loads them when it has something to do.
+        A worker that only diagnoses loads them when it has something to do. Rotors of a model that
+        is none of this release's (of users' runs, or registered by another release) wait for
+        others; those of all others do not.
+
+        ModelError: this release's own cannot be loaded, and nothing can be updated.
         """
         if self.role == "diagnose":
             return
@@ -88,9 +92,14 @@ class Worker:
             try:
                 self.science.warm(card)
             except ModelError as error:
-                if "artefact" not in card.summary:
+                if self._comes_with_it(card):
                     raise
                 log.error("model %s cannot be used: %s", card.id, error)
+
+    def _comes_with_it(self, card: ModelCard) -> bool:
+        """The model is this release's own. ModelError: that one is damaged."""
+        known = "artefact" not in card.summary and card.id in self.science.builtins
+        return known and self.science.builtin(card.id).version == card.version
 
     def drain(self, *, jobs: bool = True) -> None:
         """Apply everything that can be applied now."""
@@ -119,7 +128,7 @@ class Worker:
                         cold = False
                     self.drain(jobs=jobs)
                 except StoreAwayError as error:
-                    log.error("%s The worker looks again in 1 s.", error)
+                    log.error("%s The worker looks again in 1 s: %s", error, error.reason)
                     self._stop.wait(1.0)
                     continue
                 if self.role == "seal":
