@@ -19,6 +19,7 @@ from service.commands import builtin, campaigns, register
 from service.commands import models as own_runs
 from service.diagnose_command import diagnose
 from service.environment import table
+from service.errors import StoreAwayError
 from service.key_commands import audit, keys
 from service.progress import bar
 from service.settings import Settings
@@ -194,6 +195,11 @@ def main() -> None:
         app()
     except kernels.CompiledError as error:
         kernels.again(error)
+    except StoreAwayError as error:
+        from service.store.engine import away
+
+        typer.echo(f"bladetwin: {away(Settings.load().database_url, error)}", err=True)
+        raise SystemExit(1) from None
     except BladetwinError as error:
         typer.echo(f"bladetwin: {error}", err=True)
         raise SystemExit(1) from None

@@ -225,8 +225,13 @@ class LostLeaseError(BladetwinError):
 
 
 class StoreAwayError(BladetwinError):
-    """The database does not answer, or is too busy; the transaction was rolled back."""
+    """The database does not answer, or is too busy; the transaction was rolled back.
 
-    def __init__(self, cause: str) -> None:
+    cause    the kind of error, as strangers are told it
+    reason   what the driver says, for logs and commands
+    """
+
+    def __init__(self, cause: str, reason: str = "") -> None:
         self.cause = cause
+        self.reason = reason or cause
         super().__init__(f"the database does not answer ({cause}); nothing was stored. Try again.")

@@ -115,7 +115,8 @@ def _read(path: Path) -> Iterator[sqlite3.Connection]:
             opened.execute(f"PRAGMA busy_timeout={int(1000 * BUSY_S)}")
             yield opened
     except sqlite3.Error as error:
-        raise BackupError(f"{path} cannot be read as a database: {error}", "check it") from error
+        remedy = "see that it is whole, and that this user may read it and write in its folder"
+        raise BackupError(f"{path} cannot be read as a database: {error}", remedy) from error
 
 
 def _facts(connection: sqlite3.Connection, path: Path) -> tuple[str, int, int]:
@@ -134,9 +135,10 @@ def _copied(source: Path, target: Path, hold: bool = False) -> Copied:
     try:
         os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
         with _read(source) as opened, closing(sqlite3.connect(part)) as copy:
-            copy_pages(opened, copy)
-            # one file, without a write-ahead log beside it; whoever opens it chooses anew
-            copy.execute("PRAGMA journal_mode=DELETE")
+            with _room(target):
+                copy_pages(opened, copy)
+                # one file, without a write-ahead log beside it; whoever opens it chooses anew
+                copy.execute("PRAGMA journal_mode=DELETE")
             held = _held(copy) if hold else 0
             wrong = [row[0] for row in copy.execute("PRAGMA integrity_check")]
             if wrong != ["ok"]:
@@ -164,6 +166,18 @@ def _copied(source: Path, target: Path, hold: bool = False) -> Copied:
         for side in ("", *SIDES):
             Path(f"{part}{side}").unlink(missing_ok=True)
     return Copied(str(target), target.stat().st_size, digest, *facts, held)
+
+
+@contextmanager
+def _room(target: Path) -> Iterator[None]:
+    """BackupError where the copy, and not what is copied, is why it failed: the disk is full."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_FULL:
+            raise
+        problem = f"{target} cannot be written: {error}"
+        raise BackupError(problem, "make room on the disk, or name another folder") from error
 
 
 def _named(part: Path, target: Path) -> None:

@@ -156,7 +156,21 @@ def transaction(engine: Engine, *, write: bool, alone: bool = False) -> Iterator
         lost = lost or getattr(getattr(error, "orig", None), "sqlstate", None) == READ_ONLY
         if not (lost or isinstance(error, (OperationalError, PoolTimeoutError))):
             raise
-        raise StoreAwayError(type(getattr(error, "orig", None) or error).__name__) from error
+        said = getattr(error, "orig", None) or error
+        raise StoreAwayError(type(said).__name__, " ".join(str(said).split())) from error
+
+
+def away(url: str, error: StoreAwayError) -> str:
+    """What a command says of a database that does not answer: which, why, what to do."""
+    place = make_url(url)
+    remedy = "see that the server runs, has that database, and takes this user and its password"
+    if place.get_backend_name() == "sqlite":
+        remedy = (
+            "see that this user may write the file and its folder, that the disk has room, and "
+            "that no other process holds the database"
+        )
+    shown, why = place.render_as_string(hide_password=True), error.reason[:300].rstrip(".?")
+    return f"{shown} does not answer: {why}. To mend it: {remedy}."
 
 
 def _options(engine: Engine, write: bool, alone: bool) -> dict[str, Any]:

@@ -205,7 +205,7 @@ class Deliverer:
             try:
                 self.drain()
             except StoreAwayError as error:
-                log.error("%s The worker looks again in 1 s.", error)
+                log.error("%s The worker looks again in 1 s: %s", error, error.reason)
                 self._stop.wait(1.0)
             except Exception:
                 log.exception("a delivery failed in the worker itself; it looks again in 1 s")

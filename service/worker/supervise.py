@@ -143,7 +143,7 @@ class Supervisor(Generic[R]):
         try:
             release(self._engine, child.owner, counted=counted)
         except StoreAwayError as error:
-            log.error("leases of %s stay until they run out: %s", child.owner, error)
+            log.error("leases of %s stay until they run out: %s", child.owner, error.reason)
 
     @staticmethod
     def _close(child: Child[R]) -> None:

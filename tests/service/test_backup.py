@@ -307,6 +307,22 @@ def test_what_is_no_backup_of_ours_is_refused_and_leaves_nothing_behind(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
 
 
+def test_a_full_disk_is_told_of_the_copy_and_not_of_the_database(
+    tmp_path: Path, sqlite_template: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(source: sqlite3.Connection, copy: sqlite3.Connection) -> None:
+        copy.execute("PRAGMA max_page_count=2")
+        copy.execute("CREATE TABLE large (bytes BLOB)")
+        copy.execute("INSERT INTO large VALUES (zeroblob(100000))")
+
+    monkeypatch.setattr(use, "copy_pages", full)
+    source, target = tmp_path / "twin.db", tmp_path / "twin.backup"
+    shutil.copy(sqlite_template, source)
+    with pytest.raises(BackupError, match=r"twin\.backup cannot be written: .*full.*make room"):
+        use.backup_file(source, target)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["twin.db"]
+
+
 def test_a_damaged_database_is_not_backed_up(tmp_path: Path, sqlite_template: Path) -> None:
     source = tmp_path / "b.db"
     shutil.copy(sqlite_template, source)

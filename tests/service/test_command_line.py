@@ -99,6 +99,19 @@ def test_a_shell_completes_commands_options_and_their_values() -> None:
         (["migrate"], {"BLADETWIN_WORKER": "3"}, 1, "BLADETWIN_WORKER"),
         (["migrate"], {"BLADETWIN_DATABASE_URL": "sqlite:////nowhere/x.db"}, 1, "database"),
         (["verify"], {"BLADETWIN_DATABASE_URL": "postgresql://127.0.0.1:9/x"}, 1, "database"),
+        (
+            ["migrate"],
+            {"BLADETWIN_DATABASE_URL": "sqlite:////nowhere/x.db"},
+            1,
+            "sqlite:////nowhere/x.db does not answer: unable to open database file. To mend it: "
+            "see that this user may write the file and its folder",
+        ),
+        (
+            ["verify"],
+            {"BLADETWIN_DATABASE_URL": "postgresql://me:secret@127.0.0.1:9/x"},
+            1,
+            "postgresql://me:***@127.0.0.1:9/x does not answer: connection failed: ",
+        ),
     ],
 )
 def test_an_error_is_one_line_with_what_to_do_and_a_status(
@@ -115,6 +128,7 @@ def test_an_error_is_one_line_with_what_to_do_and_a_status(
     assert done.returncode == status, done.stderr
     assert told in done.stderr
     assert "Traceback" not in done.stderr
+    assert "secret" not in done.stderr
     if status == 1:
         assert done.stderr.count("\n") == 1, done.stderr
         assert done.stderr.startswith("bladetwin: ")
