@@ -137,4 +137,7 @@ def make_worker(
     owner: str | None = None,
     role: Role = "all",
 ) -> Worker:
-    return Worker(store, science, settings, owner or owner_name(), role)
+    def remedy() -> str | None:
+        return standing(store.engine, *_release())[1]
+
+    return Worker(store, science, settings, owner or owner_name(), role, remedy)

@@ -12,6 +12,7 @@ import math
 import os
 import signal
 import threading
+from collections.abc import Callable
 from time import monotonic
 from types import FrameType
 from typing import Protocol
@@ -37,6 +38,7 @@ IDLE_S = 0.5
 # looks for jobs, which take seconds, no more often than this.
 REST_S = 0.1
 JOBS_S = 0.25
+SCHEMA_S = 5.0  # how often a worker looks whether its release may still run on the database
 
 
 def owner_name() -> str:
@@ -45,7 +47,12 @@ def owner_name() -> str:
 
 
 class Worker:
-    """Applies what is pending until it is stopped."""
+    """Applies what is pending until it is stopped.
+
+    remedy   what is to be done before this release may run on the database; None: it may. While it
+             may not, for a newer release migrated the database meanwhile, `run` claims nothing: it
+             would take what it does not know for damage
+    """
 
     def __init__(
         self,
@@ -54,8 +61,11 @@ class Worker:
         settings: Settings,
         owner: str,
         role: Role = "all",
+        remedy: Callable[[], str | None] = lambda: None,
     ) -> None:
         self.store = store
+        self._remedy = remedy
+        self._look, self._outdated = math.inf, False
         self.science = science
         self._stop = threading.Event()
         self.updater = Updater(store, science, settings, owner, role, self._stop.is_set)
@@ -103,8 +113,21 @@ class Worker:
 
     def drain(self, *, jobs: bool = True) -> None:
         """Apply everything that can be applied now."""
-        while not self._stop.is_set() and self.run_once(jobs=jobs):
+        while not (self._stop.is_set() or self.outdated()) and self.run_once(jobs=jobs):
             pass
+
+    def outdated(self) -> bool:
+        """The database is one that this release may not run on (any more)."""
+        if monotonic() >= self._look:
+            self._look = monotonic() + SCHEMA_S
+            do, before = self._remedy(), self._outdated
+            self._outdated = do is not None
+            if self._outdated and not before:
+                log.error(
+                    "this release may not run on the database; its worker rests. To mend it: %s.",
+                    do,
+                )
+        return self._outdated
 
     def run_once(self, *, jobs: bool = True) -> bool:
         """One piece of work, of any kind that the role has; False: there was none.
@@ -119,11 +142,12 @@ class Worker:
         """Work until stopped; a database that is away is waited for."""
         wake = open_wake(self.store.engine, "bladetwin_work", self.settings.poll_ms)
         cold, looked = True, -math.inf
+        self._look = -math.inf
         try:
             while not self._stop.is_set():
                 jobs = self.role != "apply" or monotonic() >= looked + JOBS_S
                 try:
-                    if cold:
+                    if cold and not self.outdated():
                         self.warm()
                         cold = False
                     self.drain(jobs=jobs)

@@ -22,14 +22,17 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, event, text
 from typer.testing import CliRunner
 
+from core.observation import Inspection
 from service.bootstrap import prepare
 from service.cli import app
 from service.errors import SchemaError, StoreAwayError
+from service.handlers.rotors import view_rotor
 from service.settings import Settings
 from service.store import migrate as migrations
 from service.store import postgres, standstill
 from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.unit_of_work import SqlStore
+from service.worker import loop
 from service.worker.loop import Worker
 from tests.patience import AGES_S, PATIENCE_S, until
 
@@ -419,3 +422,40 @@ def locked(engine: Engine) -> bool:
     )
     with transaction(engine, write=False) as connection:
         return bool(connection.execute(text(query)).scalar_one())
+
+
+def test_a_worker_rests_while_a_newer_release_says_that_its_own_may_not_run(
+    store: SqlStore,
+    worker: Worker,
+    rotor: str,
+    post: Callable[..., int],
+    reading: Callable[..., Inspection],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A rotor with fields that it does not know it would block, and call damaged."""
+    monkeypatch.setattr(loop, "SCHEMA_S", 0.05)
+    monkeypatch.setattr(loop, "IDLE_S", 0.02)
+    running = threading.Thread(target=worker.run)
+    running.start()
+    try:
+        until("its first version", lambda: view_rotor(store, rotor).rotor.version > 0)
+        say(store.engine, "9999", "9999")
+        until("it noticed", worker.outdated)
+        post(rotor, reading("a"))
+        time.sleep(0.5)
+        assert view_rotor(store, rotor).rotor.applied_seq == 0
+        say(store.engine, "9999", migrations.newest())
+        until("it went on", lambda: view_rotor(store, rotor).rotor.applied_seq == 1)
+    finally:
+        worker.stop()
+        running.join(PATIENCE_S)
+    (told,) = [one.getMessage() for one in caplog.records if "rests" in one.getMessage()]
+    assert "To mend it: upgrade this process" in told
+
+
+def say(engine: Engine, revision: str, since: str) -> None:
+    """What a newer release writes, with the oldest revision whose processes may go on."""
+    with transaction(engine, write=True) as connection:
+        connection.execute(text(f"UPDATE alembic_version SET version_num = '{revision}'"))
+        connection.execute(text(f"UPDATE compatible_since SET revision = '{since}'"))
