@@ -8,6 +8,8 @@ outside of the grammar. Clean sets come with normal noise, with heavy tails (t w
 freedom), and with material that creeps in bursts: increments between visits from a gamma
 distribution with a coefficient of variation of `BURSTS`.
 
+Of `PAIRS` two are planted together, of physics one at most.
+
 In ``one scanner a visit`` every visit has an instrument of its own, and one of them reads too much:
 an offset of the instrument and of the campaign are the same thing, and no reading tells them apart.
 
@@ -43,6 +45,11 @@ NAMED = (*SENSORS, *PHYSICS)
 ALIKE = ("one scanner a visit",)
 OUTSIDE = ("pulse", "alternating", "some blades late")
 CONDITIONS = (*CLEAN, *NAMED, *ALIKE, *OUTSIDE)
+AND = " + "
+PAIRS = (
+    *("campaign + instrument", "campaign + gain", "worn lot + campaign", "wear + instrument"),
+    *("fouling + campaign", "step + gain", "pulse + campaign"),
+)
 COATING, GAS = ("coating wear", "coating loss"), ("firing temperature step", "gas temperature")
 
 
@@ -50,6 +57,7 @@ COATING, GAS = ("coating wear", "coating loss"), ("firing temperature step", "ga
 class Set:
     """A simulated rotor: readings, facts of its blades, and the names that would be right.
 
+    each   of what is planted, the names of each that has any
     exact  readings without noise, by their id, shaped as they are; sound: those without what is
            planted as well
     ahead  blades' elongation at the plan's horizon; sound_ahead: without what is planted
@@ -57,6 +65,7 @@ class Set:
 
     case: Case
     truth: frozenset[str]
+    each: tuple[frozenset[str], ...]
     exact: dict[str, Array]
     sound: dict[str, Array]
     ahead: dict[str, float]
@@ -113,7 +122,7 @@ class Labels:
 
 def effect_of(condition: str, plan: Plan) -> str | None:
     """What is planted by finite elements, if anything."""
-    return condition if condition in plan.shares else None
+    return next((part for part in condition.split(AND) if part in plan.shares), None)
 
 
 def conditions(plan: Plan) -> tuple[str, ...]:
@@ -124,12 +133,18 @@ def conditions(plan: Plan) -> tuple[str, ...]:
     return tuple(c for c in CONDITIONS if c not in lacking)
 
 
+def pairs(plan: Plan) -> tuple[str, ...]:
+    """Those of `PAIRS` that the plan has truths for."""
+    possible = conditions(plan)
+    return tuple(c for c in PAIRS if all(part in possible for part in c.split(AND)))
+
+
 def made(
     plan: Plan, condition: str, number: int, seed: int, particles: int, size: float = SIZE
 ) -> Set:
     """Set `number` of a condition; `size` in noises where the plan's effects are scaled."""
     rng = stream(seed, "effects", condition, number)
-    effect = effect_of(condition, plan)
+    effect, planted = effect_of(condition, plan), condition.split(AND)
     among = (
         plan.with_effect(effect, size if plan.scaled else None)
         if effect
@@ -153,9 +168,10 @@ def made(
             by = v % INSTRUMENTS if condition in ALIKE else (b + v) % INSTRUMENTS
             noise = rng.standard_t(3) / np.sqrt(3) if condition == CLEAN[1] else rng.normal()
             y = float(curves[b, v])
-            y *= 1.0 + gain * (condition == "gain" and by == 0)
-            y += offset * (condition in ("campaign", *ALIKE) and v == odd_visit)
-            y += offset * (condition == "instrument" and by == 0)
+            y *= 1.0 + gain * ("gain" in planted and by == 0)
+            y += offset * (planted[0] in ALIKE and v == odd_visit)
+            y += offset * ("campaign" in planted and v == odd_visit)
+            y += offset * ("instrument" in planted and by == 0)
             y += odd * (-1) ** (b // 2 + v) * (condition == "alternating")
             y += odd * (condition == "some blades late" and b in late and v >= odd_from)
             name = f"r{rng.integers(10**9)}"
@@ -187,7 +203,8 @@ def made(
         {} if y is None else dict(zip(labels.blades, y.tolist(), strict=True))
         for y in (plan.ahead(rotor, what, strength) for what in (effect, None))
     )
-    return Set(case, labels.right(condition, plan), exact, sound, ahead, sound_ahead)
+    each = tuple(right for part in planted if (right := labels.right(part, plan)))
+    return Set(case, frozenset().union(*each), each, exact, sound, ahead, sound_ahead)
 
 
 def scans(

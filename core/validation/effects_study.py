@@ -9,6 +9,13 @@ A verdict on one of the sets of `effect_sets` is
     silent        `unattributed` or `adequate`, where something is planted that has a name
     wrong         any other: a name that is not there
 
+and where two effects are planted
+
+    right         the names of both, and no other; of what has no name: none
+    one           that of one, alone or surely beside a set
+    in the set    `not separable`, with one of the names in the set, none claimed
+    silent, wrong as above
+
 What an effect in the model changes is in `effect_gains`.
 """
 
@@ -27,7 +34,17 @@ from core.errors import BladetwinError, InputError
 from core.model import Model, rotor_blade_wide
 from core.validation.effect_gains import compared
 from core.validation.effect_plans import plan as plan_of
-from core.validation.effect_sets import ALIKE, CLEAN, CONDITIONS, NAMED, OUTSIDE, SIZE, made
+from core.validation.effect_sets import (
+    ALIKE,
+    CLEAN,
+    CONDITIONS,
+    NAMED,
+    OUTSIDE,
+    PAIRS,
+    SIZE,
+    made,
+    pairs,
+)
 from core.validation.effect_sets import conditions as conditions_of
 from core.validation.records import Record, code_digest, records
 
@@ -47,6 +64,22 @@ def judged(condition: str, truth: frozenset[str], verdict: Verdict) -> str:
     if verdict.word == "not separable":
         return "in the set" if truth & set(verdict.names) else "wrong"
     return "right" if len(verdict.names) == 1 and set(verdict.names) <= truth else "wrong"
+
+
+def judged_two(each: Sequence[frozenset[str]], verdict: Verdict) -> str:
+    """The same where two effects are planted: `each` has the names of each that has any."""
+    if verdict.word in ("adequate", "unattributed"):
+        return "silent"
+    claimed = set(verdict.names if verdict.word == "effect" else verdict.beside)
+    there = frozenset[str]().union(*each)
+    found = sum(bool(claimed & own) for own in each)
+    if claimed - there or len(claimed) > found:
+        return "wrong"
+    if found == len(each):
+        return "right"
+    if found:
+        return "one"
+    return "in the set" if set(verdict.names) & there else "wrong"
 
 
 @cache
@@ -76,10 +109,13 @@ def one(
         return found | {"outcome": "wrong", "alarm": alarm, "error": str(error)}
     verdict = told.verdict
     return found | {
-        "outcome": judged(condition, given.truth, verdict),
+        "outcome": judged_two(given.each, verdict)
+        if condition in PAIRS
+        else judged(condition, given.truth, verdict),
         "word": verdict.word,
         "alarm": told.first.word != "adequate",
         "names": list(verdict.names),
+        **({"beside": list(verdict.beside)} if condition in PAIRS else {}),
         "truth": sorted(given.truth),
         "p": verdict.p,
         "gained_nat": round(told.gained, 2),
@@ -95,13 +131,16 @@ def one(
 def table(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
     """By condition: sets, alarms, and each outcome as a share of all sets."""
     found: dict[str, Mapping[str, float]] = {}
-    for condition in CONDITIONS:
+    for condition in (*CONDITIONS, *PAIRS):
         own = [r for r in records if r["condition"] == condition]
         if not own:
             continue
         shares = {
             what: sum(r["outcome"] == what for r in own) / len(own)
-            for what in ("right", "in the set", "silent", "wrong")
+            for what in (
+                *("right", "in the set", "silent", "wrong"),
+                *(["one"] * (condition in PAIRS)),
+            )
         }
         alarms = sum(bool(r.get("alarm")) for r in own) / len(own)
         found[condition] = {"sets": len(own), "alarms": alarms, **shares}
@@ -121,7 +160,7 @@ def run(
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Record]:
     """All sets of the conditions, by name and number of sets; `folder` as in `coverage.run`."""
-    possible = conditions_of(plan_of(plan))
+    possible = (*conditions_of(plan_of(plan)), *pairs(plan_of(plan)))
     unknown = sorted(set(conditions) - set(possible))
     if unknown:
         raise InputError("conditions", unknown, "are unknown", f"use {', '.join(possible)}")
@@ -168,6 +207,9 @@ def marks(found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         "named, wrong": (NAMED, ("wrong",)),
         "alike, not separable": (ALIKE, ("right",)),
         "outside, no name": (OUTSIDE, ("right",)),
+        "pairs, both": (PAIRS, ("right",)),
+        "pairs, both or one": (PAIRS, ("right", "one")),
+        "pairs, wrong": (PAIRS, ("wrong",)),
     }
     out: dict[str, float] = {}
     for mark, (kinds, what) in asked.items():

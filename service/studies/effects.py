@@ -14,10 +14,11 @@ from service.progress import bar
 from service.studies import app
 from service.studies.result import commit, write
 
-OUTCOMES = ("right", "in the set", "silent", "wrong")
-COLOURS = ("#1b7837", "#a6dba0", "#bbbbbb", "#b2182b")
+OUTCOMES = ("right", "one", "in the set", "silent", "wrong")
+COLOURS = ("#1b7837", "#5aae61", "#a6dba0", "#bbbbbb", "#b2182b")
 WORDS = {
     "right": "right",
+    "one": "one of two",
     "in the set": "not separable, truth in the set",
     "silent": "no name given",
     "wrong": "wrong name",
@@ -36,7 +37,8 @@ def effects(
         float, typer.Option(help="Change at the last visit in noises, where the plan is scaled.")
     ] = 2.0,
     only: Annotated[
-        list[str] | None, typer.Option(help="These conditions alone; may be given again.")
+        list[str] | None,
+        typer.Option(help='These conditions alone, or "pairs"; may be given again.'),
     ] = None,
     particles: Annotated[int, typer.Option(help="Particles per blade.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of noise, labels and calibrations.")] = 7,
@@ -51,11 +53,13 @@ def effects(
     from core.validation.effect_gains import improvement
     from core.validation.effect_oracle import bounds
     from core.validation.effect_plans import plan as plan_of
-    from core.validation.effect_sets import CLEAN, conditions
+    from core.validation.effect_sets import CLEAN, conditions, pairs
 
     start, made_by = time.monotonic(), commit()
     possible = conditions(plan_of(plan))
-    sets = {c: clean if c in CLEAN else planted for c in only or possible}
+    two = pairs(plan_of(plan))
+    chosen = [c for name in only or possible for c in (two if name == "pairs" else (name,))]
+    sets = {c: clean if c in CLEAN else planted for c in chosen}
     with bar("sets", sum(sets.values())) as step:
         found = study.run(
             sets,
@@ -69,7 +73,7 @@ def effects(
             progress=lambda done, total: step(done),
         )
     table = study.table(found)
-    planted_ones = [c for c in sets if c not in CLEAN]
+    planted_ones = [c for c in sets if c not in (*CLEAN, *two)]
     with bar("bounds", len(planted_ones)) as step:
         best = bounds(plan_of(plan), planted_ones, seed, particles, size, step, processes)
     facts = {
@@ -144,7 +148,9 @@ def outcome_plot(table: Mapping[str, Mapping[str, float]], file: Path) -> None:
     figure, axes = plt.subplots(figsize=(8.5, 0.42 * len(names) + 1.7), layout="constrained")
     left, at = np.zeros(len(names)), np.arange(len(names))
     for what, colour in zip(OUTCOMES, COLOURS, strict=True):
-        share = np.array([100.0 * table[n][what] for n in names])
+        share = np.array([100.0 * table[n].get(what, 0.0) for n in names])
+        if what == "one" and not share.any():
+            continue
         axes.barh(at, share, left=left, color=colour, label=WORDS[what], height=0.72)
         left += share
     labels = [f"{n} ({table[n]['sets']:.0f} sets)" for n in names]
@@ -152,6 +158,6 @@ def outcome_plot(table: Mapping[str, Mapping[str, float]], file: Path) -> None:
     axes.invert_yaxis()
     axes.set_xlim(0, 100)
     axes.set_xlabel("share of the sets [%]")
-    figure.legend(loc="outside upper center", ncols=4, frameon=False, fontsize=9)
+    figure.legend(loc="outside upper center", ncols=5, frameon=False, fontsize=9)
     figure.savefig(file, dpi=110)
     plt.close(figure)

@@ -129,6 +129,49 @@ def test_outcomes_are_counted_as_said(condition: str, verdict: Verdict, outcome:
     assert study.judged(condition, frozenset({"a"}), verdict) == outcome
 
 
+@pytest.mark.parametrize(
+    ("each", "verdict", "outcome"),
+    [
+        ("ab", said("effect", "a", "b"), "right"),
+        ("ab", said("effect", "b"), "one"),
+        ("ab", said("effect", "a", "c"), "wrong"),
+        ("ab", said("effect", "a", "A"), "wrong"),
+        ("ab", replace(said("not separable", "b", "c"), beside=("a",)), "one"),
+        ("ab", replace(said("not separable", "b", "c"), beside=("d",)), "wrong"),
+        ("ab", said("not separable", "b", "c"), "in the set"),
+        ("ab", said("not separable", "c", "d"), "wrong"),
+        ("ab", said("unattributed"), "silent"),
+        ("a", said("effect", "a"), "right"),
+        ("a", said("effect", "a", "c"), "wrong"),
+        ("a", said("unattributed"), "silent"),
+    ],
+)
+def test_outcomes_of_two_are_counted_as_said(each: str, verdict: Verdict, outcome: str) -> None:
+    """A and a are two names of one thing."""
+    names = [frozenset({n, n.upper()}) for n in each]
+    assert study.judged_two(names, verdict) == outcome
+
+
+def test_two_are_planted_together_and_each_as_it_is_alone() -> None:
+    fleet = plan("fleet-100")
+    both, alone = (sets.made(fleet, c, 1, 5, 100) for c in ("wear + instrument", "wear"))
+    assert both.truth == frozenset.union(*both.each)
+    assert [len(own) for own in both.each] == [2, 2]
+    assert {name.split()[0] for name in both.truth} == {"coating", "instrument", "wrong"}
+
+    def moved(made: sets.Set, by: str | None = None) -> float:
+        own = [r.id for r in made.case.readings if by in (None, r.instrument)]
+        return sum(float(made.exact[name][0] - made.sound[name][0]) for name in own)
+
+    (reader,) = {name.split()[-1].rstrip(")") for name in both.each[1]}
+    offset = sets.faults(fleet, 1, sets.SIZE)[0]
+    assert moved(alone) > 0.5
+    assert moved(both) == pytest.approx(moved(alone) + 100 * offset, rel=1e-9)
+    assert moved(both, reader) > 100 * offset
+    ahead = [np.sort([*one.ahead.values()]) for one in (both, alone)]
+    assert ahead[0] == pytest.approx(ahead[1]), "who reads moves no blade"
+
+
 def test_tables_and_marks_count_every_set() -> None:
     records = [
         {"condition": "gain", "number": 0, "outcome": "right", "alarm": True},
@@ -145,6 +188,16 @@ def test_tables_and_marks_count_every_set() -> None:
     assert marks["named, right or in the set"] == pytest.approx(2 / 3)
     assert marks["clean, alarms"] == 0.0
     assert "outside, no name" not in marks
+    two = [
+        {"condition": "campaign + gain", "number": n, "outcome": outcome, "alarm": True}
+        for n, outcome in enumerate(("right", "one", "one", "wrong"))
+    ]
+    table = study.table([*records, *two])
+    assert table["campaign + gain"]["one"] == 0.5
+    marks = study.marks(table)
+    told = [marks[f"pairs, {what}"] for what in ("both", "both or one", "wrong")]
+    assert told == [0.25, 0.75, 0.25]
+    assert marks["named, right"] == pytest.approx(1 / 3), "pairs are no part of it"
 
 
 def test_improvement_is_over_all_sets_with_an_effect_in_the_model() -> None:
@@ -342,5 +395,8 @@ def test_conditions_are_those_with_a_truth() -> None:
     assert "fouling" in sets.conditions(plan("fleet-100"))
     assert not {"wear", "fouling"} & set(sets.conditions(TWENTY))
     assert set(sets.conditions(plan("fleet-100"))) == set(sets.CONDITIONS)
+    assert sets.pairs(plan("fleet-100")) == sets.PAIRS
+    assert "wear + instrument" not in sets.pairs(TWENTY)
+    assert "worn lot + campaign" in sets.pairs(TWENTY)
     with pytest.raises(InputError, match="unknown"):
         study.run({"fouling": 1}, seed=1, particles=100)
