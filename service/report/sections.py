@@ -171,7 +171,7 @@ def life(found: Json, limit: float | None) -> Markup | None:
     ]
     head = ["blade", "hours when last read", "hours left from then"]
     if both:
-        head[2:] = ["hours left from then, before", "after", "median moves by [h]"]
+        head[2:] = ["hours left from then, before", "after", "its median hour moves by [h]"]
     parts.append(table(head, rows, (1, 4)))
     first = f"The {SHOWN} of {len(every)} blades that pass first. " * (len(every) > SHOWN)
     parts.append(note(f"{first}Median and, in brackets, 95 % of the hours left."))

@@ -11,11 +11,23 @@ def table(
     head: Sequence[str], rows: Sequence[Sequence[Child]], numeric: Sequence[int] = ()
 ) -> Markup:
     """A table; columns of `numeric` stand right. A cell of markup ``<td …>`` stays as it is."""
-    top = el("tr", *(el("th", h, class_="n" if i in numeric else None) for i, h in enumerate(head)))
+    top = el(
+        "tr",
+        *(
+            el("th", h, class_="n" if i in numeric else None, scope="col")
+            for i, h in enumerate(head)
+        ),
+    )
     body = [
         el("tr", *(cell(one, numeric=i in numeric) for i, one in enumerate(row))) for row in rows
     ]
-    return el("div", el("table", el("thead", top), el("tbody", *body)), class_="wide")
+    made = el("table", el("thead", top), el("tbody", *body))
+    return across(made, "Table: " + ", ".join(one for one in head if one))
+
+
+def across(made: Markup, name: str) -> Markup:
+    """What is wider than a small screen is scrolled where it stands, by keyboard too."""
+    return el("div", made, class_="wide", tabindex="0", role="region", aria_label=name)
 
 
 def cell(child: Child, *, numeric: bool = False, kind: str = "") -> Markup:
@@ -27,7 +39,7 @@ def cell(child: Child, *, numeric: bool = False, kind: str = "") -> Markup:
 
 
 def figure(drawn: Markup, caption: str) -> Markup:
-    return el("figure", drawn, el("figcaption", caption))
+    return el("figure", across(drawn, f"Picture: {caption}"), el("figcaption", caption))
 
 
 def facts(told: Sequence[tuple[str, str]]) -> Markup:

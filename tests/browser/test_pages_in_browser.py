@@ -11,7 +11,17 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from service.report.words import percent
-from tests.browser.conftest import HOSTILE, Running, Watched, comes, ended, reading, scan, sealed
+from tests.browser.conftest import (
+    HOSTILE,
+    PATIENCE_MS,
+    Running,
+    Watched,
+    comes,
+    ended,
+    reading,
+    scan,
+    sealed,
+)
 from tests.service.told import told
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text()
@@ -288,7 +298,7 @@ def test_the_band_on_the_page_is_the_service_s(watched: Watched, service: Runnin
     last = page.get_by_role("region", name="Prediction as a table").locator("tbody tr").last
     mean, sd = told["mean"][-1], told["sd"]["total"][-1]
     shown = [
-        float(cell.replace("−", "-").replace(" ", ""))
+        float("".join(cell.replace("−", "-").split()))
         for cell in last.locator("td").all_inner_texts()
     ]
     assert shown[0] == told["time_h"][-1]
@@ -418,6 +428,7 @@ def test_the_field_is_played_over_the_hours_in_the_same_colours(watched: Watched
     bar = page.locator("svg.bar").first
     legend, picture = bar.get_attribute("aria-label"), canvas.evaluate("c => c.toDataURL()")
     expect(page.get_by_text("instant 9 of 11, version")).to_be_visible()
+    expect(page.locator("[role=status]", has_text="instant")).to_have_count(0)  # three a second
     assert bar.get_attribute("aria-label") == legend
     assert canvas.evaluate("c => c.toDataURL()") != picture, "another hour, another picture"
     slider = page.get_by_role("slider")
@@ -556,7 +567,7 @@ def test_a_blade_whose_input_is_held_at_the_runs_end_is_shown_as_such(watched: W
     page.route("**/v1/rotors/r1/blades/B1/prediction*", held)
     page = watched.open("/rotors/r1/blades/B1")
     notice = page.locator("#notice .warn")
-    expect(notice).to_contain_text(re.compile(r"From 41\s000 h on an adopted effect"))
+    expect(notice).to_contain_text(re.compile(r"From 41\s000\sh on an adopted effect"))
     expect(notice).to_contain_text("Later hours have too little of the effect.")
 
 
@@ -570,7 +581,7 @@ def test_blades_held_by_the_hour_of_a_rotor_s_table_are_marked_there(watched: Wa
 
     watched.page.route("**/v1/rotors/r1/blades?*", held)
     page = watched.open("/rotors/r1?time_h=50000")
-    marked = page.get_by_text(re.compile(r"^▲? ?too little of an effect from 41\s000 h on$"))
+    marked = page.get_by_text(re.compile(r"^▲? ?too little of an effect from 41\s000\sh on$"))
     expect(marked).to_have_count(1)
     expect(page.locator(".ring .mark")).to_have_text("▲")
 
@@ -599,14 +610,14 @@ def test_the_time_to_a_limit_is_the_service_s(watched: Watched, service: Running
     ):
         asked = {"quantity": quantity, "limit": limit} | more
         told = service.client.get("/v1/rotors/r1/blades/B1/life", params=asked).json()
-        half, chance = told["quantiles"]["0.5"], 100 * told["passed"][-1]
+        half, chance = told["quantiles"]["0.5"], percent(told["passed"][-1])
         page = watched.open(f"/rotors/r1/blades/B1?quantity={quantity}&limit={limit}")
         heading = page.get_by_role("heading", name="At the end")
         panel = page.locator("section").filter(has=heading)
         assert half is not None
         said = f"{round(half / 10) * 10:,}".replace(",", r"\D?") + r"\sh"
         expect(panel.locator(".figure").last).to_have_text(re.compile(said))
-        expect(panel).to_contain_text(f" h: {chance:.1f} %.")
+        expect(panel).to_contain_text(f" h: {chance}.")
     assert watched.errors == []
 
 
@@ -846,3 +857,237 @@ def test_a_diagnosis_is_asked_for_watched_and_cancelled(watched: Watched) -> Non
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("#states")).to_contain_text("cancelled")
     expect(page.locator("#notice")).to_contain_text("there is no result")
+
+
+# Cells of tables whose contents reach into the next one.
+SPILT = """() => [...document.querySelectorAll("td")].filter((cell) => cell.getBoundingClientRect().width > 0
+  && [...cell.querySelectorAll("*")].some((one) =>
+    one.getBoundingClientRect().right > cell.getBoundingClientRect().right + 1)).map((cell) => cell.textContent)"""  # noqa: E501
+# Regions that have to be scrolled sideways.
+SIDEWAYS = """() => [...document.querySelectorAll(".scroll")]
+  .filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.ariaLabel)"""
+
+
+def test_no_state_covers_the_number_beside_it(watched: Watched) -> None:
+    """The longest states are those of the blades that matter; at 1,400 points all columns are seen."""  # noqa: E501
+
+    def worse(route: Route) -> None:
+        answer = route.fetch()
+        body = answer.json()
+        health = {"status": "contradicted", "trusted": False, "contradicted": [{"blade": "B2"}]}
+        body["health"] = body["health"] | health
+        route.fulfill(response=answer, json=body)
+
+    def listed(route: Route) -> None:
+        body = route.fetch().json()
+        grave = {"status": "contradicted", "trusted": False}
+        body["items"] = [one | {"health": one["health"] | grave} for one in body["items"]]
+        route.fulfill(json=body)
+
+    page = watched.page
+    page.route("**/v1/rotors/r1", worse)
+    page.route("**/v1/rotors?*", listed)
+    page.set_viewport_size({"width": 1400, "height": 900})
+    for path, said in (
+        ("/rotors/r1?limit=0.001", r"beyond the limit \(>\s99.9\s%\)"),
+        ("/", "not trusted: contradicted"),
+    ):
+        watched.open(path)
+        expect(page.locator("td .state.bad", has_text=re.compile(said)).first).to_be_visible()
+        assert page.evaluate(SPILT) == [], path
+        assert page.evaluate(SIDEWAYS) == [], path
+    page.evaluate(
+        "document.querySelector('td .states').style.cssText = 'position: relative; left: 900px'"
+    )
+    assert page.evaluate(SPILT) != [], "negative control"
+
+
+def test_a_limit_is_told_with_every_digit_of_it(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/blades/B1?limit=0.123456")
+    expect(page.get_by_text("median time to 0.123456 mm")).to_be_visible()
+    chance = page.get_by_text("Chance to have passed it by")
+    expect(chance).to_contain_text(re.compile(r"by 50\s000\sh: >\s99.9\s%"))
+    expect(chance).not_to_contain_text("100.0")
+    watched.open("/rotors/r1?limit=0.123456")
+    expect(page.get_by_text("blades expected past 0.123456 mm")).to_be_visible()
+
+
+def test_a_number_of_values_is_no_length(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/readings")
+    row = page.get_by_role("row", name="deformation")
+    expect(row).to_contain_text("14 values in mm")
+
+
+def test_long_names_lie_on_nothing(watched: Watched) -> None:
+    """Sixty signs, as serial numbers have them: in the ring, and below and above the heat map."""
+    page = watched.open("/rotors/r1")
+    on, labels = page.evaluate("""async () => {
+      const [{ ring }, { heat }, { h }] = await Promise.all(["ring", "heat", "dom"].map((one) => import(`/assets/${one}.js`)));
+      const named = (count) => Array.from({ length: count }, (_, i) => ({ id: `TURBINE-BLADE-SERIAL-NUMBER-OF-SIXTY-SIGNS-AND-A-TAIL-${1000 + i}`, slot: null, lot: `lot ${"W".repeat(50)} ${i % 3}` }));
+      const how = { value: () => 0.4, span: [0, 1], what: "mean", unitName: "mm", tell: (b) => b.id, sign: () => null };
+      const items = (blades) => blades.map((b, i) => ({ blade: b.id, visit: 1, time_h: 1, rotor_h: 1, z: i % 3, quantity: "elongation" }));
+      const made = [2, 12, 40, 41].flatMap((count) => [ring("r", named(count), how), heat(items(named(count)), [{ visit: 1, from_h: 1 }], named(count), "lot")]);
+      const place = h("div");
+      place.style.width = "900px";
+      place.append(...made);
+      document.body.append(place);
+      const pairs = made.flatMap((svg) => {
+        const words = [...svg.querySelectorAll("text")].map((t) => [t.textContent, t.getBoundingClientRect()]).filter(([, box]) => box.width > 0);
+        return words.flatMap(([a, one], i) => words.slice(i + 1).filter(([, two]) => Math.min(one.right, two.right) - Math.max(one.left, two.left) > 2
+          && Math.min(one.bottom, two.bottom) - Math.max(one.top, two.top) > 2).map(([b]) => `${a} | ${b}`));
+      });
+      return [pairs, made.map((svg) => [...svg.querySelectorAll("text")].filter((t) => t.textContent.startsWith("…")).length)];
+    }""")  # noqa: E501
+    assert on == []
+    assert min(labels[0], labels[1], labels[2], labels[3]) > 1, "the ends of names are there"
+
+
+def test_what_was_not_read_is_told_apart_from_what_was_as_predicted(watched: Watched) -> None:
+    """Not by a grey beside a white alone."""
+    page = watched.open("/rotors/r1")
+    cells, dashes = page.evaluate("""async () => {
+      const { heat } = await import("/assets/heat.js");
+      const items = [["B1", 1], ["B2", 2]].map(([blade, visit]) => ({ blade, visit, time_h: 1, rotor_h: 1, z: 0, quantity: "elongation" }));
+      const made = heat(items, [{ visit: 1, from_h: 1 }, { visit: 2, from_h: 2 }], [{ id: "B1" }, { id: "B2" }], "blade");
+      return [made.querySelectorAll("rect title").length, made.querySelectorAll("line").length];
+    }""")  # noqa: E501
+    assert (cells, dashes) == (4, 2)
+
+
+def test_a_blade_s_number_is_read_on_every_colour_of_the_ring(watched: Watched) -> None:
+    page = watched.open("/rotors/r1")
+    least = page.evaluate("""async () => {
+      const { rgb, dark } = await import("/assets/scale.js");
+      const bright = (c) => c.map((v) => v / 255).map((v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
+        .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+      const ink = (name) => {
+        const one = document.createElementNS("http://www.w3.org/2000/svg", "text");
+        one.setAttribute("class", name);
+        document.querySelector(".ring").append(one);
+        return bright(getComputedStyle(one).fill.match(/\\d+/g).map(Number));
+      };
+      const inks = { true: ink("on-light"), false: ink("on-dark") };
+      const shares = Array.from({ length: 201 }, (_, i) => i / 200);
+      return Math.min(...shares.map((s) => {
+        const two = [bright(rgb(s)), inks[dark(s)]].sort((a, b) => a - b);
+        return (two[1] + 0.05) / (two[0] + 0.05);
+      }));
+    }""")  # noqa: E501
+    assert least >= 4.5
+
+
+def test_a_page_is_printed_whole(watched: Watched) -> None:
+    """A table that is scrolled on a screen has all its rows on paper, and nothing to press."""
+    page = watched.open("/rotors/r1/blades/B1?limit=0.3")
+    page.set_viewport_size({"width": 1000, "height": 500})
+    page.evaluate("""() => {
+      const body = document.querySelector('.scroll tbody');
+      for (let i = 0; i < 60; i += 1) body.append(body.rows[0].cloneNode(true));
+    }""")
+    cut = """() => [...document.querySelectorAll(".scroll")]
+      .filter((one) => one.scrollHeight > one.clientHeight + 1).length"""
+    assert page.evaluate(cut) > 0, "negative control: on a screen it is scrolled"
+    page.emulate_media(media="print", color_scheme="dark")
+    assert page.evaluate(cut) == 0
+    expect(page.get_by_role("button", name="Key")).to_be_hidden()
+    expect(page.get_by_role("navigation", name="Main")).to_be_hidden()
+    ink = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--ink')")
+    assert ink == "#16202a", "dark on white, whatever the screen was"
+
+
+def test_what_stands_is_not_said_or_drawn_again(watched: Watched) -> None:
+    """A page that reads every three seconds: a screen reader would hear its alert each time."""
+
+    def worse(route: Route) -> None:
+        answer = route.fetch()
+        body = answer.json()
+        health = {"status": "contradicted", "trusted": False, "reasons": ["B2 fits no noise"]}
+        route.fulfill(response=answer, json=body | {"health": body["health"] | health})
+
+    reads: list[str] = []
+    page = watched.page
+    page.route("**/v1/rotors/r1", worse)
+    page.on("request", lambda one: reads.append(one.url) if "diagnoses?" in one.url else None)
+    watched.open("/rotors/r1/diagnoses")
+    expect(page.locator("#notice .bad")).to_contain_text("B2 fits no noise")
+    page.evaluate("""() => {
+      window.said = 0;
+      const look = new MutationObserver(() => { window.said += 1; });
+      look.observe(document.querySelector("#notice"), { childList: true, subtree: true, characterData: true });
+      look.observe(document.querySelector("main section:last-child"), { childList: true, subtree: true, characterData: true });
+    }""")  # noqa: E501
+    before = len(reads)
+    assert comes(page, lambda: len(reads) > before + 2)
+    assert page.evaluate("window.said") == 0
+
+
+def test_the_ring_is_one_stop_of_the_tab_key(watched: Watched) -> None:
+    """A hundred blades before the table, which has them again; arrow keys go round."""
+    page = watched.open("/rotors/r1")
+    ring = page.locator(".ring a")
+    expect(ring.locator("xpath=self::*[@tabindex='0']")).to_have_count(1)
+    ring.first.focus()
+    reached = "document.activeElement.getAttribute('href')"
+    for key, blade in (
+        ("ArrowRight", "B2"),
+        ("ArrowLeft", "B1"),
+        ("ArrowLeft", "B4"),
+        ("Home", "B1"),
+    ):
+        page.keyboard.press(key)
+        assert page.evaluate(reached) == f"/rotors/r1/blades/{blade}", key
+    expect(ring.locator("xpath=self::*[@tabindex='0']")).to_have_count(1)
+    page.keyboard.press("Tab")
+    assert not page.evaluate("Boolean(document.activeElement.closest('.ring'))")
+    page.keyboard.press("Shift+Tab")
+    assert page.evaluate(reached) == "/rotors/r1/blades/B1"
+
+
+def test_who_has_no_key_is_not_kept_before_the_question(watched: Watched) -> None:
+    page = watched.open("/rotors/r1/readings")
+    page.get_by_role("button", name="Key").click()
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    expect(page.get_by_role("region", name="Readings")).to_be_visible()
+    refused = {"type": "urn:bladetwin:problem:key-required"}
+    page.route("**/v1/**", lambda route: route.fulfill(status=401, json=refused))
+    page.goto(watched.service.url + "/")
+    page.get_by_role("button", name="Cancel").click()
+    page.wait_for_selector("body[data-state=failed]", state="attached")
+    expect(page.locator("#notice")).to_contain_text("A key is needed.")
+    with page.expect_request("**/v1/rotors?*", timeout=PATIENCE_MS):
+        pass  # it reads by the clock, and does not ask by the clock
+    page.wait_for_timeout(200)
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    assert page.evaluate("sessionStorage.length") == 0
+
+
+def test_pictures_stay_large_enough_to_read_on_a_telephone(
+    watched: Watched, diagnosis: str
+) -> None:
+    """They are scrolled in their place; letters of 12 points are not drawn with five."""
+    page = watched.page
+    page.set_viewport_size({"width": 400, "height": 800})
+    small = """() => [document, ...[...document.querySelectorAll(".pictured")].map((one) => one.shadowRoot)]
+      .flatMap((root) => [...root.querySelectorAll("svg text")])
+      .filter((one) => one.getBoundingClientRect().height > 0 && one.getBoundingClientRect().height < 8)
+      .map((one) => one.textContent)"""  # noqa: E501
+    for path in ("/rotors/r1/diagnoses/{d}", "/rotors/r1/blades/B1"):
+        watched.open(path.replace("{d}", diagnosis))
+        assert page.evaluate(small) == [], path
+        assert page.evaluate("document.documentElement.scrollWidth") == 400
+    assert page.locator("canvas.plot").last.evaluate("one => one.clientWidth") > 400
+
+
+def test_a_report_is_read_on_a_telephone(watched: Watched, diagnosis: str) -> None:
+    """Its tables were columns of one letter there."""
+    page = watched.page
+    page.set_viewport_size({"width": 400, "height": 800})
+    page.goto(f"{watched.service.url}/v1/rotors/r1/diagnoses/{diagnosis}/report")
+    assert page.evaluate("document.documentElement.scrollWidth") == 400
+    narrow = page.evaluate(
+        """() => [...document.querySelectorAll("td")].filter((one) => one.textContent.length > 12
+          && one.clientWidth < 40).map((one) => one.textContent)"""
+    )
+    assert narrow == []
+    assert serious(page) == []

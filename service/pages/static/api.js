@@ -47,8 +47,10 @@ export async function ask(method, url, body, signal) {
     throw new Problem(0, "away", "the service does not answer; this page tries again by itself.");
   }
   if (answer.status === 401) {
-    await typeKey(key() ? "This key is not accepted." : "This service answers those with a key.");
-    return ask(method, url, body, signal);
+    const why = key() ? "This key is not accepted." : "This service answers those with a key.";
+    if (!declined && (await typeKey(why))) return ask(method, url, body, signal);
+    declined = true; // a page that reads by the clock would ask by the clock
+    throw new Problem(401, "key-required", `${why} “Key” above asks for it again.`);
   }
   if (!answer.ok) throw await problemOf(answer);
   return answer;
@@ -95,8 +97,9 @@ export async function offers(method, template) {
 }
 
 let asking = null;
+let declined = false;
 
-/** Ask for a key once, however many requests need it; resolves when one was typed. */
+/** Ask for a key once, however many requests need it; resolves with whether one was typed. */
 export function typeKey(why) {
   asking ??= new Promise((typed) => {
     const dialog = document.createElement("dialog");
@@ -105,6 +108,7 @@ export function typeKey(why) {
     const input = document.createElement("input");
     const said = document.createElement("p");
     const use = document.createElement("button");
+    const not = document.createElement("button");
     form.method = "dialog";
     said.textContent = `${why} It is kept until this tab is closed, and sent to this server alone.`;
     label.htmlFor = input.id = "typed-key";
@@ -113,16 +117,21 @@ export function typeKey(why) {
     input.autocomplete = "off";
     input.required = true;
     use.textContent = "Use it";
+    use.value = "typed";
     use.className = "main";
-    form.append(said, label, input, use);
+    not.type = "button";
+    not.textContent = "Cancel";
+    not.addEventListener("click", () => dialog.close());
+    form.append(said, label, input, use, " ", not);
     dialog.append(form);
     dialog.setAttribute("aria-label", "API key");
-    dialog.addEventListener("cancel", (event) => event.preventDefault());
     dialog.addEventListener("close", () => {
-      sessionStorage.setItem(KEPT, input.value.trim());
+      const given = dialog.returnValue === "typed";
+      if (given) sessionStorage.setItem(KEPT, input.value.trim());
+      declined &&= !given;
       dialog.remove();
       asking = null;
-      typed();
+      typed(given);
     });
     document.body.append(dialog);
     dialog.showModal();

@@ -6,7 +6,7 @@ import { chart, legend, numbers } from "./chart.js";
 import { corner, marginals } from "./corner.js";
 import { $, asked, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
 import { withEffects } from "./effects.js";
-import { fixed, hours, hoursOf, inUnit, number, plain, unit, withSd, words } from "./format.js";
+import { asGiven, fixed, hours, hoursOf, inUnit, number, percent, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { since } from "./since.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
@@ -63,7 +63,7 @@ function drawBands(found, readings, life) {
   chart(bands, {
     time: found.time_h, lines: [{ name: "mean", values: mean, ink: "mean" }], what, unitName: found.unit, height: 360, marks,
     bands: [[...around(sd.total, 2), 0.16], [...around(bladeSd, 2), 0.2], [...around(bladeSd, 1), 0.25]],
-    across: limit === null ? [] : [{ value: limit, name: `limit ${inUnit(plain(limit), found.unit)}` }],
+    across: limit === null ? [] : [{ value: limit, name: `limit ${inUnit(asGiven(limit), found.unit)}` }],
     label: `${what} over operating hours: mean, ±1 and ±2 sd of the blade, ±2 sd of a reading, ${number(marks.length, "reading")}`,
   });
   show(bandsLegend, legend([["line", "mean", "mean"], ["strong", "band", "blade ±1 sd, ±2 sd (without noise)"], ["light", "band", "next reading ±2 sd (with noise)"],
@@ -88,8 +88,8 @@ function drawFigures(found, mean, sd, bladeSd, life) {
     const last = life.time_h.at(-1);
     const end = last < 10 ? hoursOf(last, last) : hours(last);
     const at = (share) => (life.quantiles[share] === null ? `beyond ${end}` : hoursOf(life.quantiles[share], last));
-    parts.push(figure(at("0.5"), `median time to ${inUnit(plain(life.limit), life.unit)}`),
-      h("p", { class: "small" }, `5 %: ${at("0.05")}; 95 %: ${at("0.95")}. Chance to have passed it by ${end}: ${fixed(100 * life.passed.at(-1), 1)} %.`),
+    parts.push(figure(at("0.5"), `median time to ${inUnit(asGiven(life.limit), life.unit)}`),
+      h("p", { class: "small" }, `5 %: ${at("0.05")}; 95 %: ${at("0.95")}. Chance to have passed it by ${end}: ${percent(life.passed.at(-1))}.`),
       h("p", { class: "small soft" }, "From all particles of the blade at each hour, without a reading's noise. What falls passes a limit from above; what begins at it has passed it at hour 0."));
   }
   show(figures, parts);
@@ -159,7 +159,8 @@ async function draw() {
   const me = now.blades.find((b) => b.id === blade);
   const states = badges(statesOf(now));
   if (me?.retired) states.push(badge("wait", "retired"));
-  if (me) states.push(h("span", { class: "soft" }, [me.slot && `slot ${me.slot}`, me.lot && `lot ${me.lot}`, me.coating_lot && `coating ${me.coating_lot}`].filter(Boolean).join(" · ")));
+  if (me) states.push(h("span", { class: "soft" }, [me.slot && ["slot ", me.slot], me.lot && ["lot ", me.lot], me.coating_lot && ["coating lot ", me.coating_lot]].filter(Boolean)
+    .map(([what, name], i) => [i ? " · " : "", what, h("bdi", {}, name)])));
   show($("states"), states);
   const [nearer, all, draws, kept, came, adoptions] = await rest;
   let found = nearer;

@@ -1,6 +1,6 @@
 // Parameters of a blade: prior against posterior, and each pair with its correlation.
 
-import { colour, h, scroll, show, table } from "./dom.js";
+import { across, colour, h, scroll, show, table } from "./dom.js";
 import { axis, fixed, labels, plain, same, withSd, words } from "./format.js";
 import { legend } from "./chart.js";
 import { span, ticks } from "./scale.js";
@@ -42,7 +42,7 @@ function marginal({ name, values, told, mean, sd }) {
   const sorted = [...values].sort((a, b) => a - b);
   const wide = told ? [told.prior.low, told.prior.high] : span(values);
   // where the posterior is far narrower than the prior, the picture is of the posterior's part
-  const inner = [quantile(sorted, 0), quantile(sorted, 1)];
+  const inner = [quantile(sorted, 0.005), quantile(sorted, 0.995)]; // few draws far off would make it flat
   const narrow = inner[1] - inner[0] < 0.25 * (wide[1] - wide[0]) && !same(mean, sd);
   const margin = 0.3 * (inner[1] - inner[0]);
   const [low, high] = narrow ? [Math.max(wide[0], inner[0] - margin), Math.min(wide[1], inner[1] + margin)] : wide;
@@ -160,13 +160,15 @@ export function corner(place, draws) {
     const text = called[i];
     ctx.textAlign = "center";
     text.forEach((word, k) => ctx.fillText(word, left + (i + 0.5) * cell, size + 30 + 13 * k));
-    const at = ticks(spans[i], 2);
+    const [few, more] = [ticks(spans[i], 2), ticks(spans[i], 3)];
+    const at = few.length > 1 ? few : more; // one mark alone is no scale
     labels(at).forEach((tick, k) => ctx.fillText(tick, Math.min(left + size - 10, left + i * cell + place1(at[k], spans[i])), size + 14));
     ctx.textAlign = "right";
     text.forEach((word, k) => ctx.fillText(word, left - 6, (i + 0.5) * cell + 13 * (k - (text.length - 1) / 2)));
   }
   const columns = [{ name: "", value: (i) => words(draws.names[i]) }, ...draws.names.map((name, j) => ({ name: words(name), value: (i) => fixed(correlation(of[i], of[j]), 2), number: true }))];
-  show(place, made,
+  made.style.minWidth = `${Math.round(0.8 * (left + size + 8))}px`; // smaller its words are not read
+  show(place, across("Parameters in pairs", made),
     h("p", { class: "small soft" }, "Below the diagonal: draws in natural units. Above: correlation, blue where positive, orange where negative."),
     h("details", {}, h("summary", {}, "Correlations as a table"), scroll("Correlations", table(columns, draws.names.map((_, i) => i)))));
 }

@@ -3,7 +3,7 @@
 import { Problem, get, offers, path, post } from "./api.js";
 import { $, h, names, panel, scroll, select, show, table } from "./dom.js";
 import { fixed } from "./format.js";
-import { keep } from "./live.js";
+import { changes, keep } from "./live.js";
 import { progress } from "./progress.js";
 import { since } from "./since.js";
 import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
@@ -76,6 +76,7 @@ const columns = [
 ];
 
 let cursor = null;
+const news = changes();
 const older = h("button", { type: "button" }, "Older");
 async function draw() {
   const now = await get(path`/v1/rotors/${rotor}`);
@@ -88,6 +89,7 @@ async function draw() {
     cursor = found.next;
     redraw();
   };
+  if (!news(found)) return;
   show(list, found.items.length
     ? scroll("Diagnoses", table(columns, found.items, { caption: "The newest first" }))
     : h("p", { class: "soft" }, "None was asked for yet."));

@@ -1,7 +1,7 @@
 // One diagnosis: how far it is, what was found, what was tried, before and after.
 
 import { Problem, ask, get, offers, pages, path, post, remove } from "./api.js";
-import { $, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
+import { $, across, aside, colour, facts, h, names, panel, s, scroll, show, table } from "./dom.js";
 import { axis, fixed, hours, inUnit, moment, number, plain, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { pictures } from "./pictures.js";
@@ -44,7 +44,7 @@ function ranking(tried) {
   const height = 22 * rows.length + 24;
   return s("svg", { class: "bars", viewBox: `0 0 620 ${height}`, role: "img", "aria-label": "Log Bayes factor of what was tried; the table below has the numbers" },
     rows.map((row, i) => [
-      s("text", { x: 292, y: 22 * i + 15, "text-anchor": "end", "font-size": 12, fill: colour("ink") }, row.what.length > 48 ? `${row.what.slice(0, 47)}…` : row.what),
+      s("text", { x: 292, y: 22 * i + 15, "text-anchor": "end", "font-size": 12, fill: colour("ink") }, words(row.what).length > 48 ? `${words(row.what).slice(0, 47)}…` : words(row.what)),
       s("rect", { x: Math.min(X(0), X(row.log_bf)), y: 22 * i + 4, width: Math.max(1, Math.abs(X(row.log_bf) - X(0))), height: 14, fill: colour(row.log_bf >= 0 ? "parameters" : "over") }),
       s("text", { x: Math.max(X(0), X(row.log_bf)) + 5, y: 22 * i + 15, "font-size": 11, fill: colour("soft") }, fixed(row.log_bf, 1))]),
     s("text", { x: 440, y: height - 4, "text-anchor": "middle", "font-size": 11, fill: colour("soft") }, "log Bayes factor [nat]"));
@@ -93,7 +93,7 @@ function unseen(told) {
     { name: "Of", value: (one) => (one.whom === "all" ? "all blades" : `one ${words(one.whom)}`) },
     { name: "From", value: (one) => size(one.least, one.easiest, one), number: true },
     { name: "At worst from", value: (one) => size(one.most, one.hardest, one), number: true },
-    { name: "Amplitude", value: (one) => one.of },
+    { name: "Amplitude", value: (one) => words(one.of) },
   ], told.families)), h("p", { class: "small" }, `Sizes that would have raised the alarm with a probability of ${fixed(100 * told.probability, 0)} %, each by itself; –: it would have to be larger than is looked for. Effects of single blades are not told.`));
 }
 
@@ -103,7 +103,7 @@ function result(found, unitName) {
     { name: "Effect", value: (e) => e.name ?? words(e.words) },
     { name: "What happens", value: (e) => e.words ?? "–" },
     { name: "Amplitude", value: (e) => inUnit(withSd(e.amplitude.mean, e.amplitude.sd), units[e.name]), number: true },
-    { name: "Of", value: (e) => String(e.amplitude.of ?? "–") },
+    { name: "Of", value: (e) => words(e.amplitude.of ?? "–") },
   ], found.effects)) : h("p", { class: "soft" }, "No effect is named.");
   const shared = Object.keys(found.parameters.before).map((name) => ({ name, before: found.parameters.before[name], after: found.parameters.after[name] }));
   const pair = (p) => (p && typeof p === "object" && "mean" in p ? withSd(p.mean, p.sd) : p === undefined ? "–" : JSON.stringify(p));
@@ -126,9 +126,9 @@ function result(found, unitName) {
         ] : [{ name: "Mean ± sd", value: (p) => pair(p.before), number: true }]),
       ], shared)) : null),
     unseen(found.noticed),
-    panel("What was tried", bars ?? h("p", { class: "soft" }, "Nothing had to be tried."),
+    panel("What was tried", bars ? across("Evidence of what was tried", bars) : h("p", { class: "soft" }, "Nothing had to be tried."),
       found.tried.length ? aside(`The first ${Math.min(MOST, found.tried.length)} of ${found.tried.length} as a table`, scroll("Tried", table([
-        { name: "Effect", value: (t) => t.what },
+        { name: "Effect", value: (t) => words(t.what) },
         { name: "Log Bayes factor [nat]", value: (t) => fixed(t.log_bf, 2), sort: (t) => t.log_bf, number: true },
       ], found.tried.slice(0, MOST)))) : null,
       found.no_room.length ? h("p", { class: "small" }, `No room for: ${found.no_room.map((n) => `${n.names.join(" + ")} (${n.why})`).join("; ")}`) : null,

@@ -19,6 +19,18 @@ export const h = (tag, given = {}, ...children) =>
 export const s = (tag, given = {}, ...children) =>
   fill(document.createElementNS(SVG, tag), given, children);
 
+let pen = null;
+/** A name as wide as there is room, px; of a longer one its end, by which serial numbers differ. */
+export function within(name, room, size = 12) {
+  pen ??= document.createElement("canvas").getContext("2d");
+  pen.font = `${size}px system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif`;
+  const fits = (text) => pen.measureText(text).width <= room;
+  const signs = [...String(name)];
+  if (fits(String(name))) return String(name);
+  while (signs.length && !fits(`…${signs.join("")}`)) signs.shift();
+  return signs.length ? `…${signs.join("")}` : "";
+}
+
 export const $ = (id) => document.getElementById(id);
 export const names = document.body.dataset;
 
@@ -65,7 +77,8 @@ export const facts = (pairs) =>
 export const aside = (title, ...children) => h("details", {}, h("summary", {}, title), ...children);
 
 /**
- * A table. Columns: {name, value: row => text or element, sort?: row => number or string, number?}.
+ * A table. Columns: {name, value: row => text or element, sort?: row => number or string, number?,
+ * called?: its cells are names that people gave, of any length}.
  * With `sort` on a column its head is a button. Options: caption, sorted: [index, up], rowClass.
  */
 export function table(columns, rows, { caption = null, sorted = null, rowClass = null, label = null } = {}) {
@@ -88,7 +101,7 @@ export function table(columns, rows, { caption = null, sorted = null, rowClass =
       head.setAttribute("aria-sort", i === by ? (up ? "ascending" : "descending") : "none");
     });
     show(body, order.map((row) => h("tr", { class: rowClass?.(row) }, columns.map((column) =>
-      h("td", { class: column.number ? "number" : null }, column.value(row))))));
+      h("td", { class: column.number ? "number" : column.called ? "called" : null }, column.value(row))))));
   };
   const turn = (i) => {
     up = i === by ? !up : true;
@@ -111,6 +124,13 @@ function compare(a, b) {
 
 export const scroll = (label, ...children) =>
   h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": label }, ...children);
+
+/** A picture that is wider than a small screen. */
+export const across = (label, picture) => {
+  const made = scroll(label, picture);
+  made.classList.add("across");
+  return made;
+};
 
 export const option = (value, text, selected) =>
   h("option", { value, selected: selected ? true : null }, text);

@@ -1,6 +1,6 @@
 // Numbers with sensible digits, hours, moments.
 
-const NBSP = " ";
+const NBSP = "\u00a0"; // a number is not broken at the end of a line
 const MINUS = "−";
 
 const grouped = (text) => {
@@ -29,6 +29,9 @@ export const plain = (value, digits = 3) => {
   if (value !== 0 && Math.abs(value) < 1e-4) return value.toExponential(digits - 1).replace("-", MINUS);
   return fixed(value, decimals(value, digits));
 };
+
+/** A number that somebody gave, with every digit of it. */
+export const asGiven = (value) => String(value).replaceAll("-", MINUS);
 
 /** Whether a spread is that of rounding alone: all particles have one value. */
 export const same = (value, sd) => sd <= 1e-9 * Math.abs(value);
@@ -83,8 +86,8 @@ export const number = (count, one, many = `${one}s`) => `${fixed(count, 0)} ${co
 /** A chance, to whole percents in the middle and to tenths at both ends. */
 export function percent(share) {
   if (share === null || share === undefined || Number.isNaN(share)) return "–";
-  if (share < 0.001) return `< 0.1${NBSP}%`;
-  if (share > 0.999) return `> 99.9${NBSP}%`;
+  if (share < 0.001) return `<${NBSP}0.1${NBSP}%`;
+  if (share > 0.999) return `>${NBSP}99.9${NBSP}%`;
   return `${fixed(100 * share, share >= 0.0095 && share <= 0.9905 ? 0 : 1)}${NBSP}%`;
 }
 

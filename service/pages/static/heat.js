@@ -1,6 +1,6 @@
 // Residuals as a heat map: a column for each blade, a row for each visit, colour by z.
 
-import { colour, s } from "./dom.js";
+import { colour, s, within } from "./dom.js";
 import { fixed, words } from "./format.js";
 import { apart } from "./scale.js";
 
@@ -49,12 +49,13 @@ export function heat(items, visits, blades, by) {
       const r = at[`${b.id} ${v.visit}`];
       parts.push(s("rect", { x, y: TOP + ROW * row, width: Math.max(wide - (wide > 3 ? 0.6 : 0), 0.5), height: ROW - 1, fill: r ? css(r.z) : colour("hover") },
         s("title", {}, r ? `${b.id}, ${words(r.quantity)}, ${fixed(r.rotor_h, 0)} h${b.group ? `, ${b.group}` : ""}: z = ${fixed(r.z, 2)}` : `${b.id}: not read at ${fixed(v.from_h, 0)} h`)));
+      if (!r) parts.push(s("line", { x1: x + wide / 4, x2: x + wide * 0.75, y1: TOP + ROW * (row + 0.5), y2: TOP + ROW * (row + 0.5), stroke: colour("soft"), "pointer-events": "none" }));
     });
     if (x - written >= LEAST) {
-      parts.push(text(x + wide / 2, bottom + 14, b.id, "middle", { "font-size": 11 }));
+      parts.push(text(x + wide / 2, bottom + 14, within(b.id, Math.max(LEAST, wide) - 5, 11), "middle", { "font-size": 11 }));
       written = x;
     }
-    if (b.group && (i === order.length - 1 || b.group !== order[i + 1].group)) parts.push(text((begun + x + wide) / 2, TOP - 8, b.group));
+    if (b.group && (i === order.length - 1 || b.group !== order[i + 1].group)) parts.push(text((begun + x + wide) / 2, TOP - 8, within(b.group, x + wide - begun)));
     x += wide;
   });
   const scale = Array.from({ length: 61 }, (_, i) => s("rect", { x: 360 + 4 * i, y: bottom + 30, width: 4.2, height: 10, fill: css(-REACH + (i * 2 * REACH) / 60) }));

@@ -94,6 +94,17 @@ export async function follow(rotor, news) {
   }
 }
 
+/** Whether an answer is another than the last one: what is read by the clock is drawn where it changed. */
+export function changes() {
+  let last = null;
+  return (answer) => {
+    const text = JSON.stringify(answer);
+    const news = text !== last;
+    last = text;
+    return news;
+  };
+}
+
 /**
  * Draw a page, and again when asked: never twice at once, and once more where news came meanwhile.
  * `draw` reads and shows; what it throws is told above the page, which keeps what it had.
@@ -151,7 +162,7 @@ export function keep(draw, { everyS = 0 } = {}) {
   $("key").textContent = key() ? "Forget key" : "Key";
   $("key").addEventListener("click", async () => {
     if (key()) forgetKey();
-    else await typeKey("Give a key.");
+    else if (!(await typeKey("Give a key."))) return;
     location.reload();
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);

@@ -39,7 +39,7 @@ function bars(contest) {
       s("circle", { cx: X(c.median_percent), cy: y, r: 5, fill: colour("parameters") }),
       s("rect", { x: X(c.p95_percent) - 4, y: y - 5, width: 8, height: 10, fill: colour("late") })];
   });
-  return s("svg", { viewBox: `0 0 340 ${height + 22}`, role: "img", class: "bars", "aria-label": "Error of each candidate surrogate in percent, logarithmic; the table below has the numbers" },
+  return s("svg", { viewBox: `0 0 340 ${height + 22}`, role: "img", class: "bars few", "aria-label": "Error of each candidate surrogate in percent, logarithmic; the table below has the numbers" },
     grid, rows, ["relative error of the elongation [%],", "logarithmic: ● median, ■ 95th percentile"].map((line, i) =>
       s("text", { x: 170, y: height + 4 + 14 * i, "text-anchor": "middle", "font-size": 11, fill: colour("soft") }, line)));
 }

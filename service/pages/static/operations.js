@@ -3,7 +3,7 @@
 import { Problem, get, offers, path, post } from "./api.js";
 import { $, facts, h, panel, scroll, show, table } from "./dom.js";
 import { fixed, number, plain, seconds } from "./format.js";
-import { keep } from "./live.js";
+import { changes, keep } from "./live.js";
 import { progress } from "./progress.js";
 import { since } from "./since.js";
 import { badge, notices } from "./states.js";
@@ -39,14 +39,17 @@ function blockedPanel(blocked, canRetry, canRetract) {
   return panel("Blocked", h("p", {}, "Nothing new is applied to these until the entry is retracted or corrected, or they are tried again."), scroll("Blocked rotors", table(columns, blocked)));
 }
 
+const news = changes();
 async function draw() {
   const [found, ready, canRetry, canRetract] = await Promise.all([
     get("/v1/operations", { limit: 100 }), get("/readyz").catch((error) => ({ ready: false, remedy: error.message })),
     offers("post", "/v1/rotors/{r}/retry"), offers("post", "/v1/rotors/{r}/inspections/{i}/retraction")]);
   const g = found.gauges;
+  const changed = news([found, ready, canRetry, canRetract]);
   const idle = g.backlog > 0 && found.work.length === 0;
   notices([!ready.ready && ["bad", "The service is not ready.", ready.remedy ?? ready.database],
     idle && g.oldest_s > 10 && ["warn", `${number(g.backlog, "entry waits", "entries wait")} and no worker holds a lease.`, "Blocked rotors aside, start one: bladetwin worker."]]);
+  if (!changed) return;
   show($("states"), badge(g.blocked ? "bad" : "ok", g.blocked ? `${number(g.blocked, "rotor")} blocked` : "none blocked"),
     badge(g.backlog ? "wait" : "ok", g.backlog ? `backlog ${fixed(g.backlog, 0)}` : "no backlog"));
   const now = panel("Now", facts([

@@ -2,7 +2,7 @@
 
 import { path } from "./api.js";
 import { h, scroll, table } from "./dom.js";
-import { fixed, hoursAlone, moment, plain, unit, words } from "./format.js";
+import { fixed, hoursAlone, inUnit, moment, number, plain, unit, words } from "./format.js";
 import { badge } from "./states.js";
 
 const KINDS = {
@@ -24,23 +24,24 @@ export function kindsOf(items) {
   });
 }
 
+/** What was read; of many values their number, which is no length: "1400 values in mm". */
 function told(one) {
-  if (!one.values) return `${fixed(one.count, 0)} values`;
-  if (one.values.length === 1 && !Array.isArray(one.values[0])) return plain(one.values[0], 4);
-  return `${one.values.length} values`;
+  const alone = one.values?.length === 1 && !Array.isArray(one.values[0]);
+  if (alone) return inUnit(plain(one.values[0], 4), one.unit);
+  return `${number(one.values?.length ?? one.count, "value")}${unit(one.unit) ? ` in ${one.unit}` : ""}`;
 }
 
 export function readingsTable(rotor, items, { blade = true, caption = null } = {}) {
   const columns = [
     { name: "Entry", value: (r) => fixed(r.seq, 0), sort: (r) => r.seq, number: true },
-    { name: "Reading", value: (r) => h("span", {}, h("span", {}, r.id), r.replaces ? h("span", { class: "soft" }, ` replaces ${r.replaces}`) : null), sort: (r) => r.id },
-    blade ? { name: "Blade", value: (r) => h("a", { href: path`/rotors/${rotor}/blades/${r.blade}` }, r.blade), sort: (r) => r.blade } : null,
+    { name: "Reading", value: (r) => h("span", {}, h("span", {}, r.id), r.replaces ? h("span", { class: "soft" }, ` replaces ${r.replaces}`) : null), sort: (r) => r.id, called: true },
+    blade ? { name: "Blade", value: (r) => h("a", { href: path`/rotors/${rotor}/blades/${r.blade}` }, r.blade), sort: (r) => r.blade, called: true } : null,
     { name: "Quantity", value: (r) => words(r.quantity), sort: (r) => r.quantity },
     { name: "Hours [h]", value: (r) => hoursAlone(r.time_h), sort: (r) => r.time_h, number: true },
-    { name: "Value", value: (r) => `${told(r)} ${unit(r.unit)}`, number: true },
+    { name: "Value", value: told, number: true },
     { name: "State", value: (r) => badge(...KINDS[r.kind]), sort: (r) => r.kind },
-    { name: "Instrument", value: (r) => r.instrument ?? "–", sort: (r) => r.instrument },
-    { name: "Campaign", value: (r) => r.campaign ?? "–", sort: (r) => r.campaign },
+    { name: "Instrument", value: (r) => r.instrument ?? "–", sort: (r) => r.instrument, called: true },
+    { name: "Campaign", value: (r) => r.campaign ?? "–", sort: (r) => r.campaign, called: true },
     { name: "Received", value: (r) => moment(r.received_at), sort: (r) => r.received_at },
   ].filter(Boolean);
   return scroll("Readings", table(columns, items, { caption, rowClass: (r) => (r.status === "counts" ? null : "over") }));

@@ -1,7 +1,7 @@
 // Residuals of a rotor: every reading against its prediction from before it was used, and tests.
 
 import { get, path } from "./api.js";
-import { $, aside, asked, colour, facts, h, names, panel, remember, s, scroll, select, show, table } from "./dom.js";
+import { $, across, aside, asked, colour, facts, h, names, panel, remember, s, scroll, select, show, table } from "./dom.js";
 import { fixed, hoursAlone, inUnit, labels, moment, number, plain, withSd, words } from "./format.js";
 import { ORDERS, heat } from "./heat.js";
 import { drawn, follow, keep } from "./live.js";
@@ -53,8 +53,8 @@ function scatter(items) {
     s("text", { x: 14, y: (top + bottom) / 2, "text-anchor": "middle", "font-size": 12, fill: colour("soft"), transform: `rotate(-90 14 ${(top + bottom) / 2})` }, "z [sd]"),
     items.map((r, i) => s("circle", { cx: beside(r, i), cy: Y(r.z), r: 3.5, fill: ink(r), "fill-opacity": 0.75 },
       s("title", {}, `${r.blade}, ${words(r.quantity)}, ${fixed(r.rotor_h, 0)} h: z = ${fixed(r.z, 2)}`))));
-  const legend = few ? h("ul", { class: "legend" }, groups.map((g, i) => h("li", {}, s("svg", { width: 12, height: 12, "aria-hidden": "true" }, s("circle", { cx: 6, cy: 6, r: 4, fill: colour(INKS[i]) || colour("total") })), String(g)))) : h("p", { class: "small" }, `${groups.length} of a kind: one colour for all.`);
-  return [picture, legend];
+  const legend = few ? h("ul", { class: "legend" }, groups.map((g, i) => h("li", {}, s("svg", { width: 12, height: 12, "aria-hidden": "true" }, s("circle", { cx: 6, cy: 6, r: 4, fill: colour(INKS[i]) || colour("total") })), String(g)))) : h("p", { class: "small" }, `${groups.length} groups by ${ASKED[chosen.by]}: more than there are colours, so that all have one.`);
+  return [across("Residuals over the rotor's hours", picture), legend];
 }
 
 const columns = [
@@ -70,11 +70,11 @@ const columns = [
 function largest(items, units) {
   const rows = [...items].sort((a, b) => Math.abs(b.z) - Math.abs(a.z)).slice(0, LARGEST);
   return scroll("Largest residuals", table([
-    { name: "Blade", value: (r) => h("a", { href: path`/rotors/${names.r}/blades/${r.blade}` }, r.blade), sort: (r) => r.blade },
+    { name: "Blade", value: (r) => h("a", { href: path`/rotors/${names.r}/blades/${r.blade}` }, r.blade), sort: (r) => r.blade, called: true },
     { name: "Quantity", value: (r) => words(r.quantity), sort: (r) => r.quantity },
-    { name: "Hours", value: (r) => hoursAlone(r.time_h), sort: (r) => r.time_h, number: true },
-    { name: "Campaign", value: (r) => r.campaign ?? "–", sort: (r) => r.campaign },
-    { name: "Instrument", value: (r) => r.instrument ?? "–", sort: (r) => r.instrument },
+    { name: "Hours [h]", value: (r) => hoursAlone(r.time_h), sort: (r) => r.time_h, number: true },
+    { name: "Campaign", value: (r) => r.campaign ?? "–", sort: (r) => r.campaign, called: true },
+    { name: "Instrument", value: (r) => r.instrument ?? "–", sort: (r) => r.instrument, called: true },
     { name: "Read", value: (r) => inUnit(plain(r.y, 4), units[r.quantity]), number: true },
     { name: "Predicted before", value: (r) => inUnit(withSd(r.mean, r.sd), units[r.quantity]), number: true },
     { name: "z [sd]", value: (r) => fixed(r.z, 2), sort: (r) => Math.abs(r.z), number: true },
@@ -120,8 +120,8 @@ async function draw() {
         remember({ order });
         redraw();
       })),
-      told.items.length ? heat(told.items, told.visits, now.blades, chosen.order) : h("p", {}, "No reading."),
-      h("p", { class: "small soft" }, "Red: read higher than predicted. Of several readings at a visit the one furthest off. Grey: not read then.")),
+      told.items.length ? across("Residuals by blade and visit", heat(told.items, told.visits, now.blades, chosen.order)) : h("p", {}, "No reading."),
+      h("p", { class: "small soft" }, "Red: read higher than predicted. Of several readings at a visit the one furthest off. A dash: not read then.")),
     panel("Tests", scroll("Tests", table(columns, told.tests, { sorted: [5, true], caption: "mean, variance and autocorrelation of groups of residuals; p among all: of the smallest p by chance" }))));
 }
 

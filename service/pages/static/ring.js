@@ -1,12 +1,15 @@
 // The rotor from the front: a ring of slots, each a link to its blade.
 
 import { path } from "./api.js";
-import { s } from "./dom.js";
+import { s, within } from "./dom.js";
 import { labels, unit } from "./format.js";
 import { css, dark, share, ticks } from "./scale.js";
 
 const R0 = 128;
 const R1 = 186;
+
+/** How wide a label of one of so many sectors may be, whichever way it lies. */
+const room = (count) => Math.min(R1 - R0, (Math.PI * (R0 + R1)) / count) - 3;
 
 function sector(from, to) {
   const at = (r, a) => `${(r * Math.sin(a)).toFixed(2)} ${(-r * Math.cos(a)).toFixed(2)}`;
@@ -24,6 +27,18 @@ export function slots(blades) {
     of: fit ? given.map((n) => n - first) : given.map((_, i) => i),
     order: fit ? "by slot, front view" : blades.some((blade) => blade.slot) ? "by name: slots are not all numbers" : "by name: no slots are given",
   };
+}
+
+/** One stop of the Tab key for all blades; the arrow keys go round. */
+function step(event, links) {
+  const at = links.indexOf(document.activeElement);
+  const to = { ArrowRight: at + 1, ArrowDown: at + 1, ArrowLeft: at - 1, ArrowUp: at - 1, Home: 0, End: -1 }[event.key];
+  if (at < 0 || to === undefined || event.ctrlKey || event.altKey || event.metaKey) return;
+  event.preventDefault();
+  links.forEach((one) => one.setAttribute("tabindex", -1));
+  const next = links.at(to % links.length);
+  next.setAttribute("tabindex", 0);
+  next.focus();
 }
 
 /**
@@ -57,15 +72,15 @@ export function ring(rotor, blades, { value, span, what, unitName, tell, sign })
       seen.push(s("text", {
         x: (r * Math.sin(middle)).toFixed(1), y: (4 - r * Math.cos(middle)).toFixed(1), "pointer-events": "none",
         class: at === null ? "soft" : dark(at) ? "on-light" : "on-dark",
-      }, fit ? blade.slot : blade.id));
+      }, within(fit ? blade.slot : blade.id, room(count), 11)));
     }
-    return s("a", { href: path`/rotors/${rotor}/blades/${blade.id}`, "aria-label": tell(blade) }, seen);
+    return s("a", { href: path`/rotors/${rotor}/blades/${blade.id}`, "aria-label": tell(blade), tabindex: k ? -1 : 0 }, seen);
   });
   const turns = count > 40
     ? [0, 0.25, 0.5, 0.75].map((part) => {
         const slot = Math.round(part * count);
         const a = (slot + 0.5) * width;
-        return s("text", { class: "soft", x: ((R0 - 14) * Math.sin(a)).toFixed(1), y: (4 - (R0 - 14) * Math.cos(a)).toFixed(1) }, fit ? `${slot + first}` : blades[slot]?.id ?? "");
+        return s("text", { class: "soft", x: ((R0 - 14) * Math.sin(a)).toFixed(1), y: (4 - (R0 - 14) * Math.cos(a)).toFixed(1) }, fit ? `${slot + first}` : within(blades[slot]?.id ?? "", 60, 11));
       })
     : [];
   const bar = [];
@@ -73,7 +88,8 @@ export function ring(rotor, blades, { value, span, what, unitName, tell, sign })
   const at = ticks(span, 4);
   const marks = labels(at).map((text, i) =>
     s("text", { class: "soft", x: (-90 + 180 * share(at[i], span)).toFixed(1), y: 38 }, text));
-  return s("svg", { class: "ring", viewBox: "-205 -205 410 410", role: "group", "aria-label": `${blades.length} blades by ${fit ? "slot" : "name"}, coloured by ${what}` },
+  return s("svg", { class: "ring", viewBox: "-205 -205 410 410", role: "group", onkeydown: (event) => step(event, parts),
+    "aria-label": `${blades.length} blades by ${fit ? "slot" : "name"}, coloured by ${what}; arrow keys go from blade to blade` },
     empty, parts, turns,
     s("text", { y: -30 }, order),
     s("text", { y: 0 }, `${what}${unit(unitName) ? ` [${unit(unitName)}]` : ""}`), bar, marks);

@@ -3,7 +3,7 @@
 import { usual } from "./ahead.js";
 import { get, offers, pages, path } from "./api.js";
 import { $, asked, facts, h, names, panel, remember, scroll, select, show, table } from "./dom.js";
-import { decimals, fixed, hours, inUnit, number, percent, plain, unit, withSd, words } from "./format.js";
+import { asGiven, decimals, fixed, hours, inUnit, number, percent, plain, unit, withSd, words } from "./format.js";
 import { drawn, follow, keep } from "./live.js";
 import { ring } from "./ring.js";
 import { span } from "./scale.js";
@@ -120,7 +120,7 @@ function change(given) {
 
 /** The rotor's own line: its blades share parameters, and their chances do not multiply. */
 const together = (life) =>
-  h("p", {}, `By ${hours(life.time_h[0])} of each blade’s own operation: ${fixed(life.expected[0], 1)} blades expected past ${inUnit(String(life.limit).replace("-", "−"), life.unit)}; at least one with ${percent(life.any[0])}.`);
+  h("p", {}, `By ${hours(life.time_h[0])} of each blade’s own operation: ${fixed(life.expected[0], 1)} blades expected past ${inUnit(asGiven(life.limit), life.unit)}; at least one with ${percent(life.any[0])}.`);
 
 function drawBlades(found, blades, life) {
   const places = decimals(Math.min(...blades.map((b) => b.sd).filter((v) => v > 0), Infinity), 2);
@@ -130,17 +130,17 @@ function drawBlades(found, blades, life) {
   show(glance, ring(rotor, inPlace.length ? inPlace : blades, { ...coloured(blades, found), tell, sign: signOf }),
     h("p", { class: "small soft" }, "A blade's colour is its ", coloured(blades, found).what, ". ✕ and ▲ outside the ring: alarms. The table beside holds the same numbers."));
   const columns = [
-    { name: "Blade", value: (b) => h("a", { href: path`/rotors/${rotor}/blades/${b.id}` }, b.id), sort: (b) => b.id },
-    { name: "Slot", value: (b) => b.slot ?? "–", sort: (b) => b.slot },
+    { name: "Blade", value: (b) => h("a", { href: path`/rotors/${rotor}/blades/${b.id}` }, b.id), sort: (b) => b.id, called: true },
+    { name: "Slot", value: (b) => b.slot ?? "–", sort: (b) => b.slot, called: true },
     { name: "State", value: (b) => (b.alarms.length ? h("span", { class: "states" }, b.alarms.map(([kind, text]) => badge(kind, text))) : badge("ok", "no alarm")), sort: (b) => GRAVE[b.alarms[0]?.[0]] ?? 3 },
     { name: `Mean${unit(found.unit) ? ` [${unit(found.unit)}]` : ""}`, value: (b) => fixed(b.mean, means), sort: (b) => b.mean, number: true },
-    { name: "± sd", value: (b) => fixed(b.sd, means), sort: (b) => b.sd, number: true },
+    { name: "±\u00a0sd", value: (b) => fixed(b.sd, means), sort: (b) => b.sd, number: true },
     life ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
     life ? { name: "Chance past the limit", value: (b) => percent(b.passed), sort: (b) => b.passed, number: true } : null,
     { name: "Readings", value: (b) => `${b.readings.counting}${b.readings.overruled ? ` (+${b.readings.overruled} void)` : ""}`, sort: (b) => b.readings.counting, number: true },
     { name: "Last entry", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
     { name: "Received", value: (b) => (b.readings.last ? since(b.readings.last.received_at) : "never"), sort: (b) => b.readings.last?.received_at },
-    blades.some((b) => b.lot) ? { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot } : null,
+    blades.some((b) => b.lot) ? { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot, called: true } : null,
   ].filter(Boolean);
   const made = table(columns, blades, {
     caption: `Predicted ${words(found.quantity)}${whereOf(found)} at ${hours(found.time_h)} of each blade's own operation; sd of the blade itself, without a reading's noise`,

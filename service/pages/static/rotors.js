@@ -3,7 +3,7 @@
 import { get, path } from "./api.js";
 import { $, asked, h, panel, remember, scroll, show, table } from "./dom.js";
 import { fixed, moment, number } from "./format.js";
-import { keep } from "./live.js";
+import { changes, keep } from "./live.js";
 import { badges, notices, statesOf } from "./states.js";
 
 const SIZE = 50;
@@ -11,7 +11,7 @@ const trail = [];
 let cursor = asked("after");
 
 const columns = [
-  { name: "Rotor", value: (r) => h("a", { href: path`/rotors/${r.id}` }, r.id), sort: (r) => r.id },
+  { name: "Rotor", value: (r) => h("a", { href: path`/rotors/${r.id}` }, r.id), sort: (r) => r.id, called: true },
   { name: "State", value: (r) => h("span", { class: "states" }, badges(statesOf({ ...r, posterior: r.sealed === null ? null : { sealed: r.sealed } }))), sort: (r) => r.status },
   { name: "Model", value: (r) => `${r.model} ${r.model_version.slice(0, 8)}`, sort: (r) => r.model },
   { name: "Log", value: (r) => fixed(r.head_seq, 0), sort: (r) => r.head_seq, number: true },
@@ -43,6 +43,7 @@ const justBefore = (text) => {
 };
 
 let sorted = [0, true];
+const news = changes();
 async function draw() {
   const found = await get("/v1/rotors", { limit: SIZE, cursor });
   notices([]);
@@ -52,6 +53,7 @@ async function draw() {
   };
   after.disabled = found.next === null;
   before.disabled = cursor === null;
+  if (!news([cursor, found])) return;
   if (found.items.length === 0) {
     show(list, cursor === null
       ? h("p", {}, "No rotor is there yet, or none for this key. POST /v1/rotors creates one.")

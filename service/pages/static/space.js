@@ -42,7 +42,7 @@ function drawControls(fields, found, kind) {
   const text = JSON.stringify([found.quantity, kind]);
   if (text === shown) return;
   shown = text;
-  shownHour = h("output", { for: "hour" }, hours(found.time_h));
+  shownHour = h("output", { for: "hour", "aria-live": "off" }, hours(found.time_h));
   slider = h("input", { id: "hour", type: "range", min: 0, max: model.horizon_h, step: model.horizon_h / 100, value: found.time_h,
     oninput: (event) => { stop(); shownHour.textContent = hours(Number(event.target.value)); },
     onchange: (event) => change({ time_h: event.target.value }, false) });
@@ -85,7 +85,8 @@ async function play() {
   playing = mine;
   const version = drawn.version;
   const told = h("span", { class: "soft small", role: "status" });
-  show(film, h("button", { type: "button", class: "main", onclick: () => { stop(); redraw(); } }, "Stop"), told);
+  const shows = h("span", { class: "soft small" }); // changes too often to be said
+  show(film, h("button", { type: "button", class: "main", onclick: () => { stop(); redraw(); } }, "Stop"), told, shows);
   const hoursOf = Array.from({ length: INSTANTS }, (_, i) => (model.horizon_h * i) / (INSTANTS - 1));
   const quantity = chosen.quantity ?? Object.keys(model.outputs).find((q) => model.outputs[q].kind !== "scalar");
   const key = JSON.stringify([quantity, version]);
@@ -116,7 +117,8 @@ async function play() {
     show(bar, colourBar(range, what, fields[i].unit));
     slider.value = hoursOf[i];
     shownHour.textContent = hours(hoursOf[i]);
-    told.textContent = `instant ${i + 1} of ${INSTANTS}, version ${version}`;
+    told.textContent = "";
+    shows.textContent = `instant ${i + 1} of ${INSTANTS}, version ${version}`;
     await new Promise((done) => setTimeout(done, FRAME_MS));
   }
 }

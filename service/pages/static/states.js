@@ -24,8 +24,13 @@ export function statesOf(rotor) {
 
 export const badges = (states) => states.map(([kind, text, title]) => badge(kind, text, title));
 
-/** Notices above the page: what is wrong and what to do about it. */
+let noticed = "[]";
+
+/** Notices above the page: what is wrong and what to do about it. What stands there is not said again. */
 export function notices(given) {
+  const text = JSON.stringify(given.filter(Boolean));
+  if (text === noticed) return;
+  noticed = text;
   show($("notice"), given.filter(Boolean).map(([kind, ...lines]) =>
     h("div", { class: `notice ${kind}` }, lines.filter(Boolean).map((line) => h("p", {}, line)))));
 }
@@ -54,6 +59,7 @@ export function warningsOf(rotor) {
 export function failed(problem) {
   const kinds = {
     0: ["bad", "The service is away."],
+    401: ["warn", "A key is needed."],
     403: ["warn", "This key may not see that."],
     404: ["warn", "Not found, or not for this key."],
     409: ["wait", "Not computed yet."],
