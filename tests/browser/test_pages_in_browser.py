@@ -658,6 +658,38 @@ def test_the_chances_to_pass_a_limit_are_the_service_s(watched: Watched, service
     assert watched.errors == []
 
 
+def test_chances_by_the_next_outage_are_by_each_blade_s_own_age(
+    watched: Watched, service: Running
+) -> None:
+    page = watched.open("/rotors/r1?limit=0.4")
+    field = page.get_by_role("spinbutton", name="passed within")
+    field.fill("8000")
+    field.press("Enter")
+    told = service.client.get("/v1/rotors/r1/life", params={"limit": 0.4, "ahead": 8000}).json()
+    heading = page.get_by_role("heading", name="Blades", exact=True)
+    panel = page.locator("section").filter(has=heading)
+    said = rf"{told['expected'][0]:.1f} blades expected past 0\.4\smm; at least one with "
+    expect(panel).to_contain_text(re.compile(rf"Within 8\D?000\sh from now on: {said}"))
+    table = page.get_by_role("region", name="Blades")
+    heads = [
+        re.sub(r"[\s\W]+", " ", head).strip() for head in table.locator("th").all_text_contents()
+    ]
+    assert "Margin sd" not in heads, "it would be of the table's hour"
+    place = heads.index("Age")
+    ages = {one["id"]: one["age_h"] for one in told["blades"]}
+    assert len({*ages.values()}) > 1 or None not in ages.values()
+    for row in table.locator("tbody tr").all():
+        cells = row.locator("td")
+        age = ages[str(cells.first.text_content())]
+        assert re.sub(r"\D", "", str(cells.nth(place).text_content())) == f"{age:.0f}"
+    assert "ahead=8000" in page.url
+    field = page.get_by_role("spinbutton", name="passed within")
+    field.fill("49999")
+    field.press("Enter")
+    expect(page.get_by_text(re.compile("the model ends at 50000 h"))).to_be_visible()
+    watched.errors.clear()
+
+
 def test_percents_are_whole_in_the_middle_and_tenths_at_the_ends(watched: Watched) -> None:
     page = watched.open("/rotors/r1")
     told = page.evaluate("""async () => {

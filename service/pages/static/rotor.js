@@ -12,7 +12,7 @@ import { badge, badges, notices, statesOf, warningsOf } from "./states.js";
 
 const rotor = names.r;
 const url = path`/v1/rotors/${rotor}`;
-const chosen = { quantity: asked("quantity"), time_h: asked("time_h"), limit: asked("limit"), colour: asked("colour") ?? "mean" };
+const chosen = { quantity: asked("quantity"), time_h: asked("time_h"), limit: asked("limit"), ahead: asked("ahead"), colour: asked("colour") ?? "mean" };
 const state = h("div");
 const glance = h("div");
 const list = h("div");
@@ -48,34 +48,41 @@ function ofLimit(passed, margin) {
 /** The limit that was given; null: none was. */
 const limitOf = () => (chosen.limit && Number.isFinite(Number(chosen.limit)) ? Number(chosen.limit) : null);
 
+/** Hours from now on by which blades are to pass it, of whatever age; null: by the hour of the table. */
+const aheadOf = () => (limitOf() !== null && chosen.ahead && Number.isFinite(Number(chosen.ahead)) ? Number(chosen.ahead) : null);
+
 /** Which blades pass the limit by the hour, and how surely any does; null: none was given. */
 async function lifeOf(time_h) {
   const limit = limitOf();
   if (limit === null) return null;
-  const given = new URLSearchParams({ limit, times: time_h });
+  const ahead = aheadOf();
+  const given = new URLSearchParams({ limit, ...(ahead === null ? { times: time_h } : { ahead }) });
   if (chosen.quantity) given.set("quantity", chosen.quantity);
   return get(`${url}/life?${given}`); // a limit of ours, not a page's length
 }
 
 function judged(found, health, life) {
   const limit = limitOf();
-  const chances = new Map((life?.blades ?? []).map((b) => [b.id, b.passed[0]]));
+  const lives = new Map((life?.blades ?? []).map((b) => [b.id, b]));
   const contradicted = new Set((health?.contradicted ?? []).map((c) => c.blade ?? c));
   const exchanged = new Set((health?.exchanged ?? []).flatMap((e) => e.blades));
   return found.items.map((blade) => {
     const mean = one(blade.prediction.mean);
     const sd = one(blade.prediction.sd.blade);
-    const margin = limit === null || !(sd > 0) ? null : (limit - mean) / sd;
-    const passed = chances.get(blade.id) ?? null;
+    const own = lives.get(blade.id);
+    const margin = limit === null || life.ahead || !(sd > 0) ? null : (limit - mean) / sd; // of the table's hour
+    const passed = own?.passed[0] ?? null;
+    const age = own?.age_h ?? null;
     const alarms = [];
     if (contradicted.has(blade.id)) alarms.push(["bad", "contradicts the rotor"]);
     if (exchanged.has(blade.id)) alarms.push(["bad", "readings look exchanged"]);
     alarms.push(...ofLimit(passed, margin));
     const held = blade.prediction.held_from_h;
     if (held !== null && held <= found.time_h) alarms.push(["warn", `too little of an effect from ${hours(held)} on`]);
+    if (own?.age_by === "reading") alarms.push(["wait", "age as of its last reading"]);
     if (blade.retired) alarms.push(["wait", "retired"]);
     if (blade.readings.counting === 0) alarms.push(["wait", "no readings: what the rotor tells"]);
-    return { ...blade, mean, sd, margin, passed, alarms };
+    return { ...blade, mean, sd, margin, passed, age, alarms };
   });
 }
 
@@ -91,7 +98,8 @@ function coloured(blades, found) {
     margin: ["margin to the limit", (b) => (b.margin === null ? null : Math.min(b.margin, 10)), "sd"],
     chance: ["chance past the limit", (b) => (b.passed === null ? null : 100 * b.passed), "%"],
   };
-  const asked = ["margin", "chance"].includes(chosen.colour) && limitOf() === null ? "mean" : chosen.colour;
+  const without = limitOf() === null ? ["margin", "chance"] : aheadOf() === null ? [] : ["margin"];
+  const asked = without.includes(chosen.colour) ? "mean" : chosen.colour;
   const [what, value, unitName] = ways[asked] ?? ways.mean;
   const numbers = blades.map(value).filter((v) => v !== null);
   return { what, value, unitName, span: span(numbers) };
@@ -101,13 +109,14 @@ function drawControls(found) {
   const text = JSON.stringify([model.id, chosen.quantity]);
   if (text === shownControls) return;
   shownControls = text;
-  const field = (name, label, unitName, value) => h("label", {}, label,
-    h("input", { type: "number", step: "any", min: 0, value, onchange: (event) => change({ [name]: event.target.value || null }) }), unit(unitName) || (unitName ? "" : "h"));
+  const field = (name, label, after, value) => h("label", {}, label,
+    h("input", { type: "number", step: "any", min: 0, value, onchange: (event) => change({ [name]: event.target.value || null }) }), after);
   const quantities = Object.keys(model.outputs);
   show(controls,
     select("Quantity", quantities.map((q) => [q, words(q)]), found.quantity, (q) => change({ quantity: q, limit: null })),
-    field("time_h", "at", "", found.time_h),
-    field("limit", "Limit", found.unit, chosen.limit ?? ""),
+    field("time_h", "at", "h", found.time_h),
+    field("limit", "Limit", unit(found.unit), chosen.limit ?? ""),
+    field("ahead", "passed within", "h from now on", chosen.ahead ?? ""),
     select("Colour", [["mean", "mean"], ["sd", "sd"], ["readings", "readings"], ["margin", "margin (needs a limit)"], ["chance", "chance (needs a limit)"]], chosen.colour, (c) => change({ colour: c })));
 }
 
@@ -120,7 +129,7 @@ function change(given) {
 
 /** The rotor's own line: its blades share parameters, and their chances do not multiply. */
 const together = (life) =>
-  h("p", {}, `By ${hours(life.time_h[0])} of each blade’s own operation: ${fixed(life.expected[0], 1)} blades expected past ${inUnit(asGiven(life.limit), life.unit)}; at least one with ${percent(life.any[0])}.`);
+  h("p", {}, `${life.ahead ? `Within ${hours(life.time_h[0])} from now on` : `By ${hours(life.time_h[0])} of each blade’s own operation`}: ${fixed(life.expected[0], 1)} blades expected past ${inUnit(asGiven(life.limit), life.unit)}; at least one with ${percent(life.any[0])}.`);
 
 function drawBlades(found, blades, life) {
   const places = decimals(Math.min(...blades.map((b) => b.sd).filter((v) => v > 0), Infinity), 2);
@@ -135,7 +144,8 @@ function drawBlades(found, blades, life) {
     { name: "State", value: (b) => (b.alarms.length ? h("span", { class: "states" }, b.alarms.map(([kind, text]) => badge(kind, text))) : badge("ok", "no alarm")), sort: (b) => GRAVE[b.alarms[0]?.[0]] ?? 3 },
     { name: `Mean${unit(found.unit) ? ` [${unit(found.unit)}]` : ""}`, value: (b) => fixed(b.mean, means), sort: (b) => b.mean, number: true },
     { name: "±\u00a0sd", value: (b) => fixed(b.sd, means), sort: (b) => b.sd, number: true },
-    life ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
+    life?.ahead ? { name: "Age", value: (b) => hours(b.age), sort: (b) => b.age, number: true } : null,
+    life && !life.ahead ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
     life ? { name: "Chance past the limit", value: (b) => percent(b.passed), sort: (b) => b.passed, number: true } : null,
     { name: "Readings", value: (b) => `${b.readings.counting}${b.readings.overruled ? ` (+${b.readings.overruled} void)` : ""}`, sort: (b) => b.readings.counting, number: true },
     { name: "Last entry", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
