@@ -153,15 +153,41 @@ def run(
     folder   keeps a file of finished rotors, named by all that a record rests on: the variant, the
              seed, the particles, the commit and the code. What it holds is not computed again.
     """
+    file = kept(variant.name, variant, seed, particles, folder, commit)
+    return each_rotor(_spawned, variant, rotors, seed, particles, file, processes, progress)
+
+
+def kept(
+    name: str,
+    variant: Variant,
+    seed: int,
+    particles: int,
+    folder: str | Path | None,
+    commit: str | None,
+) -> Path | None:
+    """The file of a study's finished rotors, named by all that a record rests on."""
+    if folder is None:
+        return None
+    text = repr((variant, seed, particles, commit, code_digest(), model_of(variant).digest))
+    return Path(folder) / f"{name}-{sha256(text.encode()).hexdigest()[:12]}.jsonl"
+
+
+def each_rotor(
+    work: Callable[[Variant, int, int, int], Record],
+    variant: Variant,
+    rotors: int,
+    seed: int,
+    particles: int,
+    file: Path | None,
+    processes: int,
+    progress: Callable[[int, int], None] | None,
+) -> list[Record]:
+    """`work` of each of so many rotors, in the order of their numbers. InputError: too few."""
     if rotors < 2:
         raise InputError("rotors", rotors, "are too few for a study", "give two or more")
-    file = None
-    if folder is not None:
-        text = repr((variant, seed, particles, commit, code_digest(), model_of(variant).digest))
-        file = Path(folder) / f"{variant.name}-{sha256(text.encode()).hexdigest()[:12]}.jsonl"
     return records(
         {r: (variant, r, seed, particles) for r in range(rotors)},
-        _spawned,
+        work,
         lambda record: int(record["rotor"]),
         file=file,
         processes=processes,

@@ -30,7 +30,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +46,8 @@ from core.observation import Inspection
 from core.prediction import predict
 from core.rng import stream
 from core.rotor_life import rotor_life
-from core.validation.records import Record, code_digest, records
+from core.validation.coverage import each_rotor, kept
+from core.validation.records import Record
 from core.validation.simulate import Simulated, shipped_rotors, simulate
 from core.validation.variants import Variant, model_of
 
@@ -205,8 +205,6 @@ def run(
     Raises InputError for fewer than two rotors, and for kinds whose blades are replaced, or whose
     truths have a discrepancy or do not come from the priors.
     """
-    if rotors < 2:
-        raise InputError("rotors", rotors, "are too few for a study", "give two or more")
     if variant.mixed or variant.wrong or variant.six_locals or variant.truth == "bounds":
         raise InputError(
             "variant",
@@ -214,16 +212,5 @@ def run(
             "has no lives to be told",
             "use rotor-20, first-outage, fe or fe-nu",
         )
-    file = None
-    if folder is not None:
-        text = repr((variant, seed, particles, commit, code_digest(), model_of(variant).digest))
-        name = f"lives-{variant.name}-{sha256(text.encode()).hexdigest()[:12]}.jsonl"
-        file = Path(folder) / name
-    return records(
-        {r: (variant, r, seed, particles) for r in range(rotors)},
-        one,
-        lambda record: int(record["rotor"]),
-        file=file,
-        processes=processes,
-        progress=progress,
-    )
+    file = kept(f"lives-{variant.name}", variant, seed, particles, folder, commit)
+    return each_rotor(one, variant, rotors, seed, particles, file, processes, progress)
