@@ -17,6 +17,7 @@ from sqlalchemy import (
     Select,
     Text,
     bindparam,
+    case,
     false,
     insert,
     literal,
@@ -178,12 +179,16 @@ class SqlLog:
         self._connection.execute(_FLIP, {"rotor": rotor_id, "head": head})
 
     def free(self, rotor_id: str) -> None:
-        """Let a blocked or pausing rotor be tried again at once."""
+        """Let a blocked or pausing rotor be tried again at once, and one whose version of an older
+        algorithm was given up (`service.worker.older`)."""
         self.lock(rotor_id)
-        held = (t.cursor.c.rotor_id == rotor_id) & (
-            (t.cursor.c.blocked == true()) | t.cursor.c.not_before.is_not(None)
+        c = t.cursor.c
+        given_up = (c.dirty == false()) & (c.blocked == false()) & c.last_error.is_not(None)
+        held = (c.rotor_id == rotor_id) & (
+            (c.blocked == true()) | c.not_before.is_not(None) | given_up
         )
-        values = {"blocked": False, "attempts": 0, "not_before": None}
+        error = case((given_up, None), else_=c.last_error)
+        values = {"blocked": False, "attempts": 0, "not_before": None, "last_error": error}
         if self._connection.execute(update(t.cursor).where(held).values(**values)).rowcount:
             notify(self._connection, "bladetwin_work")
 

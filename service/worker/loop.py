@@ -136,7 +136,9 @@ class Worker:
         """
         if self.updater.run_once() or (jobs and self.jobs.run_once()):
             return True
-        return self.role == "diagnose" and (self.asking.run_once() or self.residuals.run_once())
+        if self.role == "diagnose":
+            return self.asking.run_once() or self.residuals.run_once()
+        return self.updater.renew()
 
     def run(self) -> None:
         """Work until stopped; a database that is away is waited for."""

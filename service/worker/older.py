@@ -9,7 +9,9 @@ Processes of an older release that go on beside this one write versions of their
 that newer ones exist. So it is looked again now and then; none of theirs is renewed by them.
 
 A rotor that cannot be computed anew (its model is none of this release's) keeps what it has, and is
-not blocked: the log says why, and the process leaves it alone.
+not blocked: the log says why, and the process leaves it alone. One over which workers die, or take
+too long, is left alone by all of them after `DEATHS`, and says so in its `last_error`, until a
+reading or `retry` ends that. (More deaths would block it, or be laid to the reading that is next.)
 """
 
 from __future__ import annotations
@@ -17,8 +19,9 @@ from __future__ import annotations
 import logging
 import math
 from time import monotonic
+from typing import Any
 
-from sqlalchemy import ColumnElement, Engine, and_, false, select
+from sqlalchemy import ColumnElement, Connection, Engine, Row, and_, false, select, update
 
 from service.ports import Science
 from service.store import tables as t
@@ -29,13 +32,28 @@ from service.worker.lease import Lease
 
 log = logging.getLogger("bladetwin.worker")
 LOOK_S = 60.0  # between two looks that find nothing
+DEATHS = 2
 c = t.cursor.c
 
 
 def superseded(names: tuple[str, ...]) -> ColumnElement[bool]:
-    """The newest version is of one of these algorithms, and nothing else is to be done."""
+    """The newest version is of one of these algorithms, nothing else is to be done, and it was not
+    given up."""
     idle = and_(c.dirty == false(), c.blocked == false(), c.version == t.state.c.version)
-    return and_(idle, t.state.c.algorithm_version.in_(names))
+    return and_(idle, c.last_error.is_(None), t.state.c.algorithm_version.in_(names))
+
+
+def _give_up(connection: Connection, row: Row[Any]) -> None:
+    """Give the rotor back as it was, with a note of why it stays so."""
+    note = (
+        f"version {row.version} is of an older algorithm and stays: {DEATHS} workers died over "
+        "computing it anew, or took longer than BLADETWIN_UPDATE_MAX_S; their logs say more. "
+        "A reading, or POST …/retry, has it tried again."
+    )
+    log.error("rotor %s: %s", row.rotor_id, note)
+    free = update(t.cursor).where(c.rotor_id == row.rotor_id)
+    values = {"owner": None, "lease_until": None, "sealing": False, "attempts": 0}
+    connection.execute(free.values(**values, last_error=note, last_error_event=None))
 
 
 class Older:
@@ -75,6 +93,11 @@ class Older:
                 return None  # somebody was quicker
             take = claiming.take(self._lease_s, "quiet").where(c.rotor_id == found.rotor_id)
             row = connection.execute(take.returning(*claiming.TAKEN), {"by": self._owner}).one()
+            died = row.attempts > DEATHS
+            if died:
+                _give_up(connection, row)
+        if died:
+            return self.claim(engine)
         place = (row.fence, row.applied_seq, row.version, row.attempts)
         return Lease(row.rotor_id, self._owner, *place, row.sealing, renews=True)
 

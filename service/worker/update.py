@@ -84,10 +84,16 @@ class Updater:
             quiet_s=self.settings.seal_after_s,
             overdue_s=self.settings.seal_within_s,
         )
-        lease = lease or self._older.claim(self.engine)
+        return self._done(lease)
+
+    def renew(self) -> bool:
+        """Compute a version of an older algorithm anew; False: there is none to be."""
+        return self._done(self._older.claim(self.engine))
+
+    def _done(self, lease: Lease | None) -> bool:
         if lease is None:
             return False
-        if lease.attempts > self.settings.max_attempts:
+        if not lease.renews and lease.attempts > self.settings.max_attempts:
             found = culprit.of_deaths(self.store, lease)
             self._fail(lease, found.note, found.event, 0.0, block=True)
             return True

@@ -16,10 +16,12 @@ from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.fake import FakeScience
 from service.fake.conjugate import FakeState
+from service.handlers.rotors import retry
 from service.settings import Settings
 from service.store import tables as t
-from service.store.engine import transaction
+from service.store.engine import now_s, transaction
 from service.store.unit_of_work import SqlStore
+from service.worker import lease as leases
 from service.worker import older
 from service.worker.claiming import Role, claim
 from service.worker.loop import Worker
@@ -104,6 +106,18 @@ def test_a_blocked_rotor_is_left_alone(store: SqlStore, settings: Settings, aged
     assert len(versions(store)) == 1
 
 
+@pytest.mark.parametrize(
+    "values", [{"lease_until": now_s() + 3.0}, {"not_before": now_s() + 60.0}, {"dirty": True}]
+)
+def test_one_that_is_held_pauses_or_waits_for_something_is_left_alone(
+    store: SqlStore, settings: Settings, aged: str, values: dict[str, Any]
+) -> None:
+    found = older.Older(Next(), "next release", settings.lease_s, "seal")
+    with transaction(store.engine, write=True) as connection:
+        connection.execute(update(t.cursor).values(values))
+    assert found.claim(store.engine) is None
+
+
 def test_an_entry_that_comes_meanwhile_is_applied_over_it(
     store: SqlStore,
     settings: Settings,
@@ -153,6 +167,60 @@ def test_where_that_cannot_be_it_stays_and_the_rotor_is_not_blocked(
     (told,) = [one.getMessage() for one in caplog.records]
     assert "r1: version 1 is of an older algorithm" in told
     assert "none of this release's" in told
+
+
+def died(store: SqlStore, settings: Settings, times: int) -> None:
+    """So many workers took the rotor to compute it anew, and died."""
+    for number in range(times):
+        lease = older.Older(Next(), f"dies {number}", settings.lease_s, "seal").claim(store.engine)
+        assert lease is not None
+        leases.release(store.engine, lease.owner)
+
+
+def test_one_over_which_workers_die_is_given_up_says_so_and_is_not_blocked(
+    store: SqlStore, settings: Settings, aged: str, reading: Make, post: Post
+) -> None:
+    """It would kill every sealer in turn, and be blocked in the end, or its next reading would."""
+    (before,) = versions(store)
+    died(store, settings, older.DEATHS)
+    make_worker(store, Next(), settings, "next release").drain()
+    row = cursor(store)
+    assert (row.dirty, row.blocked, row.attempts, row.owner) == (False, False, 0, None)
+    assert "version 1 is of an older algorithm and stays: 2 workers died" in row.last_error
+    make_worker(store, Next(), settings, "another").drain()
+    assert versions(store) == [before]
+    post(aged, reading("b"))
+    make_worker(store, Next(), settings, "another").drain()
+    assert versions(store)[-1][:3] == (2, 2, "fake-2")
+    assert cursor(store).last_error is None
+
+
+def test_a_reading_is_not_blocked_for_what_died_before_it(
+    store: SqlStore, settings: Settings, aged: str, reading: Make, post: Post
+) -> None:
+    died(store, settings, older.DEATHS)
+    post(aged, reading("b"))
+    make_worker(store, Next(), settings, "next release").drain()
+    assert versions(store)[-1][:3] == (2, 2, "fake-2")
+
+
+def test_retry_has_one_that_was_given_up_tried_again(
+    store: SqlStore, settings: Settings, aged: str
+) -> None:
+    died(store, settings, older.DEATHS)
+    make_worker(store, Next(), settings, "next release").drain()
+    assert retry(store, aged).last_error is None
+    make_worker(store, Next(), settings, "another").drain()
+    assert versions(store)[-1][2] == "fake-2"
+
+
+def test_jobs_go_first(store: SqlStore, settings: Settings, aged: str) -> None:
+    """Hours of versions of an older algorithm do not keep a model from being registered."""
+    worker, done = make_worker(store, Next(), settings, "next release"), []
+    worker.jobs.run_once = lambda: not done and not done.append(len(versions(store)))  # type: ignore[method-assign, func-returns-value]
+    worker.drain()
+    assert done == [1]
+    assert len(versions(store)) == 2
 
 
 def test_the_calibration_names_every_algorithm_before_its_own() -> None:
