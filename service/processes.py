@@ -89,13 +89,14 @@ def serve(settings: Settings, opened: Callable[[], None] | None = None) -> None:
     with ExitStack() as ends:
         ends.callback(tracing.end)
         listening = _listening(settings, ends)
+        shared = listening[0] if settings.api_processes > 1 else None
         store = make_store(settings)
         ends.callback(store.close)
         science = make_science(settings, store)
         prepare(store, settings)
         check_keys(store, settings)
         register_builtins(store, science)
-        peers, together = _peers(store, settings, listening, ends)
+        peers, together = _peers(store, settings, shared, ends)
         server = _server(store, science, settings, together)
 
         def begin_stop() -> None:
@@ -126,7 +127,7 @@ def answer(
         store = make_store(settings)
         ends.callback(store.close)
         science = make_science(settings, store)
-        _answer(_server(store, science, settings, Together(counts, place)), own)
+        _answer(_server(store, science, settings, Together(counts, place)), [own])
 
 
 def _begin(settings: Settings, role: str, owner: str) -> None:
@@ -153,19 +154,19 @@ def _server(
     return server
 
 
-def _answer(server: Server, listening: socket.socket | None) -> None:
+def _answer(server: Server, listening: list[socket.socket]) -> None:
     set_aside()
     sys.setswitchinterval(SWITCH_S)
-    server.run(None if listening is None else [listening])
+    server.run(listening)
 
 
-def _listening(settings: Settings, ends: ExitStack) -> socket.socket | None:
-    """The first of several API processes' sockets; None where there is one, which binds its own."""
-    if settings.api_processes == 1:
-        return None
-    from service.api.sockets import first
+def _listening(settings: Settings, ends: ExitStack) -> list[socket.socket]:
+    """The sockets of this process; where it is one of several it has one, beside theirs."""
+    from service.api.sockets import alone, first
 
-    return ends.enter_context(first(settings.host, settings.port))
+    place = settings.host, settings.port
+    made = alone(*place) if settings.api_processes == 1 else [first(*place)]
+    return [ends.enter_context(one) for one in made]
 
 
 def _peers(

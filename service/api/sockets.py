@@ -11,9 +11,13 @@ connections came just then, Linux dropped all later ones without a word.)
 
 from __future__ import annotations
 
+import errno
 import socket
 
 from core.errors import InputError
+
+# an address of a family that is switched off on this machine
+LACKING = (errno.EAFNOSUPPORT, errno.EADDRNOTAVAIL)
 
 
 def first(host: str, port: int) -> socket.socket:
@@ -24,13 +28,58 @@ def first(host: str, port: int) -> socket.socket:
     """
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind) as alone:
-            alone.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            alone.bind(address)
-            return _shared(family, alone.getsockname())
+        with socket.socket(family, kind) as one:
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            one.bind(address)
+            return _shared(family, one.getsockname())
     except OSError as error:
-        problem = f"cannot be listened on: {error.strerror}"
-        raise InputError("host and port", f"{host}:{port}", problem, "choose another") from None
+        raise _refused(host, port, error) from None
+
+
+def alone(host: str, port: int) -> list[socket.socket]:
+    """Sockets of the one API process, bound and not listening yet: one for each address of the host
+    (`localhost` may have two) that this machine has. InputError: one of them cannot be had.
+
+    They are bound before anything else is done, so that a second service on a port that is taken
+    neither migrates a database nor starts workers.
+    """
+    made: list[socket.socket] = []
+    lacking: OSError | None = None
+    try:
+        asked = (host or None, port, 0, socket.SOCK_STREAM, 0, socket.AI_PASSIVE)
+        for family, kind, protocol, _, address in dict.fromkeys(socket.getaddrinfo(*asked)):
+            try:
+                made.append(_bound(family, kind, protocol, address))
+            except OSError as error:
+                if error.errno not in LACKING:
+                    raise
+                lacking = error
+        if lacking is not None and not made:
+            raise lacking
+    except OSError as error:
+        for one in made:
+            one.close()
+        raise _refused(host, port, error) from None
+    return made
+
+
+def _bound(family: int, kind: int, protocol: int, address: tuple[object, ...]) -> socket.socket:
+    made = socket.socket(family, kind, protocol)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        made.bind(address)
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
+def _refused(host: str, port: int, error: OSError) -> InputError:
+    problem = f"cannot be listened on: {error.strerror}"
+    remedy = "end the service that listens there, or choose another (--host, --port)"
+    return InputError("host and port", f"{host}:{port}", problem, remedy)
 
 
 def beside(other: socket.socket) -> socket.socket:

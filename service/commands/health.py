@@ -28,7 +28,7 @@ def health(
     """
     base = url or address(Settings.load())
     told = _asked(f"{base.rstrip('/')}/readyz", timeout)
-    ready = told["status"] == 200
+    ready = told["status"] == 200 and not told["detail"]
     say(
         told | {"ready": ready},
         [f"{base}: {'ready' if ready else told['detail']}"],
@@ -54,12 +54,22 @@ def _asked(url: str, timeout: float) -> dict[str, Any]:
         # no proxy: the address is this machine's, or was given as it is
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         with opener.open(url, timeout=timeout) as answer:
-            return {"status": answer.status, "detail": ""}
+            return {"status": answer.status, "detail": _other(answer.read(100_000))}
     except urllib.error.HTTPError as error:
         with error:
             return {"status": error.code, "detail": _detail(error.read(100_000))}
     except (OSError, ValueError) as error:
         return {"status": None, "detail": f"no answer: {error}"}
+
+
+def _other(body: bytes) -> str:
+    """Why what answered with 200 is no service of ours that is ready: a proxy's page, say."""
+    try:
+        if json.loads(body)["ready"] is True:
+            return ""
+    except (ValueError, KeyError, TypeError):
+        pass
+    return "what answers there is not bladetwin. To mend it: give its --url, or start it"
 
 
 def _detail(body: bytes) -> str:

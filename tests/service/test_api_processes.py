@@ -19,7 +19,7 @@ import pytest
 
 from core.errors import InputError
 from service.api.metrics import Requests
-from service.api.sockets import beside, first
+from service.api.sockets import alone, beside, first
 from service.api.together import Together, files
 from service.client import Client
 from service.free_port import free_port
@@ -247,9 +247,10 @@ def taken() -> Iterator[int]:
         yield other.getsockname()[1]
 
 
-def test_a_port_that_is_taken_is_named(taken: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_port_that_is_taken_is_named(taken: int, tmp_path: Path, processes: int) -> None:
     url = f"sqlite:///{tmp_path / 'bladetwin.db'}"
-    settings = Settings(database_url=url, science="fake", api_processes=2, port=taken)
+    settings = Settings(database_url=url, science="fake", api_processes=processes, port=taken)
     done = subprocess.run(
         [sys.executable, "-m", "service.cli", "serve"],
         env={**os.environ, **settings.environ(), "PYTHONPATH": str(ROOT)},
@@ -259,8 +260,21 @@ def test_a_port_that_is_taken_is_named(taken: int, tmp_path: Path) -> None:
     )
     assert done.returncode == 1
     assert f"'127.0.0.1:{taken}' cannot be listened on" in done.stderr
+    assert "To mend it: end the service that listens there" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "bladetwin.db").exists()
+
+
+@pytest.mark.parametrize("host", ["localhost", "", "0.0.0.0"])
+def test_one_process_listens_on_every_address_of_its_host(host: str) -> None:
+    port = free_port()
+    made = alone(host, port)
+    with ExitStack() as ends:
+        for one in made:
+            ends.enter_context(one).listen()
+        socket.create_connection(("127.0.0.1", port), PATIENCE_S).close()
+        with pytest.raises(InputError, match="cannot be listened on"):
+            alone(host, port)
 
 
 def test_a_second_service_does_not_slip_in_between_the_sockets_of_the_first() -> None:

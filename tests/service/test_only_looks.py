@@ -1,7 +1,12 @@
-"""Commands that look at a database neither make one nor migrate it."""
+"""Commands that look at a database neither make one nor migrate it.
+
+Nor do they take another program for the service.
+"""
 
 from __future__ import annotations
 
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
@@ -62,3 +67,33 @@ def test_an_older_schema_stays_for_the_release_that_runs_on_it(
     assert "run `bladetwin migrate`" in told
     assert migrations.current(engine) == "0001"
     engine.dispose()
+
+
+class Page(BaseHTTPRequestHandler):
+    """A proxy, or another program, that answers every path with its page."""
+
+    body = b"<!doctype html><title>Welcome</title>"
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(self.body)))
+        self.end_headers()
+        self.wfile.write(self.body)
+
+    def log_message(self, *given: object) -> None:
+        """Nothing."""
+
+
+@pytest.mark.parametrize("body", [Page.body, b"{}", b"[1]", b'{"ready": false}', b""])
+def test_another_program_that_answers_every_path_is_not_called_ready(body: bytes) -> None:
+    """A health check at a wrong address would be green for as long as the service is down."""
+    other = type("Other", (Page,), {"body": body})
+    with HTTPServer(("127.0.0.1", 0), other) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        address = f"http://127.0.0.1:{server.server_port}"
+        done = CliRunner().invoke(app, ["health", "--url", address])
+        thread.join()
+    assert done.exit_code == 1
+    assert "not bladetwin" in done.output
+    assert "--url" in done.output
