@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from core.errors import InputError
@@ -17,6 +17,7 @@ from service.store.engine import is_sqlite, open_engine
 from service.store.migrate import migrate, newest, revisions, standing
 from service.store.unit_of_work import SqlStore
 from service.worker.claiming import Role
+from service.worker.deliver import Deliverer
 from service.worker.loop import Worker, owner_name
 from service.worker.wake import open_wake
 
@@ -137,7 +138,13 @@ def make_worker(
     owner: str | None = None,
     role: Role = "all",
 ) -> Worker:
-    def remedy() -> str | None:
-        return standing(store.engine, *_release())[1]
-
+    remedy = partial(_remedy, store)
     return Worker(store, science, settings, owner or owner_name(), role, remedy)
+
+
+def make_deliverer(store: SqlStore, settings: Settings, owner: str) -> Deliverer:
+    return Deliverer(store.engine, settings, owner, remedy=partial(_remedy, store))
+
+
+def _remedy(store: SqlStore) -> str | None:
+    return standing(store.engine, *_release())[1]

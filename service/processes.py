@@ -25,6 +25,7 @@ from service.bootstrap import (
     Later,
     check_keys,
     make_app,
+    make_deliverer,
     make_science,
     make_store,
     make_worker,
@@ -37,7 +38,6 @@ from service.settings import Settings
 from service.store.unit_of_work import SqlStore
 from service.telemetry import configure_logs
 from service.worker.claiming import Role
-from service.worker.deliver import Deliverer
 from service.worker.loop import end_with_parent, owner_name, run_worker
 from service.worker.supervise import Supervisor
 
@@ -219,7 +219,7 @@ def work(settings: Settings, *, role: Role, owner: str | None, with_parent: bool
         if not with_parent:
             prepare(store, settings)
         if role == "deliver":
-            run_worker(Deliverer(store.engine, settings, owner))
+            run_worker(make_deliverer(store, settings, owner))
             return
         if role in ("seal", "diagnose"):
             step_back(SEALER_NICENESS)

@@ -1,4 +1,5 @@
-"""Who may pass: key, rate, scope, rotor, in this order, before anything else looks at a request.
+"""Who may pass: key, rate, schema (of what would change the database), scope, rotor, in this order,
+before anything else looks at a request.
 
 Without a usable key every path answers alike, whether it exists or not: the same 401 with the same
 body. With one, what a key may not do is 403, and a rotor that it does not know is 404, whether it
@@ -25,6 +26,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from service import telemetry
 from service.access import LOOPBACK, Act, KeyRecord
 from service.api.loopback import by_loopback, keys_required
+from service.api.outdated import Outdated
 from service.api.preconditions import guard_of
 from service.api.problems import fault, problem
 from service.api.rate import MOST_BUCKETS, Buckets, network
@@ -50,9 +52,10 @@ LOOKS = 5.0  # a second, for keys from addresses without a token left
 class Gate:
     """ASGI middleware: lets a request pass, or answers it."""
 
-    def __init__(self, app: ASGIApp, store: Store, settings: Settings) -> None:
+    def __init__(self, app: ASGIApp, store: Store, settings: Settings, outdated: Outdated) -> None:
         self.app = app
         self.store = store
+        self.outdated = outdated
         self.always = keys_required(settings)
         self.origins = settings.origins
         self.buckets = Buckets(settings.rate(limited=self.always), settings.rate_burst)
@@ -101,6 +104,10 @@ class Gate:
             return _stranger(request)
         if isinstance(found, list):
             return _nowhere(request, found)
+        if request.method in STATE_CHANGING:  # before it has a row in the audit trail
+            refused = await self.outdated.refusal(request)
+            if refused is not None:
+                return refused
         self._begin(request, visit, found)
         return None if visit.key is None else _beyond(request, visit.key, found)
 

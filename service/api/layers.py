@@ -8,7 +8,7 @@ CORS           where BLADETWIN_CORS_ORIGINS names pages that may call
 Heads          HEAD as GET without its body
 LastResort     an error that nobody foresaw is a problem, too
 Trail          a row of the audit trail for what was refused
-Gate           key, rate, scope, rotor
+Gate           key, rate, schema, scope, rotor
 Answers        bytes of answers that still hold
 Compression    gzip for large answers
 BodyLimit      bodies above the limit
@@ -29,6 +29,7 @@ from service.api.kept import Again, Answers
 from service.api.limits import BodyLimit
 from service.api.manners import Manners
 from service.api.metrics import Measured, Requests
+from service.api.outdated import Outdated
 from service.api.refusals import LastResort
 from service.api.repeats import Repeats
 from service.api.services import Services
@@ -55,7 +56,7 @@ def add_layers(app: FastAPI, services: Services, requests: Requests) -> None:
     app.add_middleware(BodyLimit, limit=int(settings.max_body_mb * 2**20))
     app.add_middleware(Compression)
     app.add_middleware(Answers, store=store, limit_mb=settings.answers_mb)
-    app.add_middleware(Gate, store=store, settings=settings)
+    app.add_middleware(Gate, store=store, settings=settings, outdated=Outdated(app.state.schema))
     app.add_middleware(Trail, store=store)
     app.add_middleware(LastResort)
     app.add_middleware(Heads)

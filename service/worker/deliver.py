@@ -35,6 +35,7 @@ from service.store.webhooks import delivery_of, prune
 from service.worker import hook_lease as leases
 from service.worker.heartbeat import heartbeats, rest
 from service.worker.hook_lease import HookLease
+from service.worker.outdated import Outdated
 from service.worker.wake import open_wake
 
 log = logging.getLogger("bladetwin.deliver")
@@ -43,20 +44,30 @@ THREADS = 4  # receivers that are served at once
 MOST = 50  # messages to one receiver before others have their turn
 KEPT = {"delivered": 200, "dead": 10_000}  # of each webhook, the newest
 IDLE_S = 0.5
+SCHEMA_S = 5.0  # how often it is looked whether this release may still run on the database
 Send = Callable[[str, Mapping[str, str], bytes, float, Sequence[Network]], int]
 
 
 class Deliverer:
-    """Sends due deliveries of one webhook after the other. `send` is `service.outbound.post`."""
+    """Sends due deliveries of one webhook after the other. `send` is `service.outbound.post`.
+
+    remedy   what is to be done before this release may run on the database (`Outdated`)
+    """
 
     def __init__(
-        self, engine: Engine, settings: Settings, owner: str, send: Send | None = None
+        self,
+        engine: Engine,
+        settings: Settings,
+        owner: str,
+        send: Send | None = None,
+        remedy: Callable[[], str | None] = lambda: None,
     ) -> None:
         self.engine = engine
         self.settings = settings
         self.owner = owner
         self.send = send or _post
         self.networks = networks(settings.webhook_networks)
+        self._outdated = Outdated(remedy)
         self._stop = threading.Event()
         self._news = threading.Condition()
 
@@ -203,7 +214,8 @@ class Deliverer:
     def _loop(self) -> None:
         while not self._stop.is_set():
             try:
-                self.drain()
+                if not self._outdated.now(SCHEMA_S):
+                    self.drain()
             except StoreAwayError as error:
                 log.error("%s The worker looks again in 1 s: %s", error, error.reason)
                 self._stop.wait(1.0)

@@ -26,6 +26,7 @@ from service.worker.asking import Asking
 from service.worker.claiming import Role
 from service.worker.heartbeat import rest
 from service.worker.jobs import Jobs
+from service.worker.outdated import Outdated
 from service.worker.overdue import ends_process
 from service.worker.residuals import Residuals
 from service.worker.update import Updater
@@ -64,8 +65,7 @@ class Worker:
         remedy: Callable[[], str | None] = lambda: None,
     ) -> None:
         self.store = store
-        self._remedy = remedy
-        self._look, self._outdated = math.inf, False
+        self._outdated, self._runs = Outdated(remedy), False
         self.science = science
         self._stop = threading.Event()
         self.updater = Updater(store, science, settings, owner, role, self._stop.is_set)
@@ -118,16 +118,7 @@ class Worker:
 
     def outdated(self) -> bool:
         """The database is one that this release may not run on (any more)."""
-        if monotonic() >= self._look:
-            self._look = monotonic() + SCHEMA_S
-            do, before = self._remedy(), self._outdated
-            self._outdated = do is not None
-            if self._outdated and not before:
-                log.error(
-                    "this release may not run on the database; its worker rests. To mend it: %s.",
-                    do,
-                )
-        return self._outdated
+        return self._runs and self._outdated.now(SCHEMA_S)
 
     def run_once(self, *, jobs: bool = True) -> bool:
         """One piece of work, of any kind that the role has; False: there was none.
@@ -144,7 +135,7 @@ class Worker:
         """Work until stopped; a database that is away is waited for."""
         wake = open_wake(self.store.engine, "bladetwin_work", self.settings.poll_ms)
         cold, looked = True, -math.inf
-        self._look = -math.inf
+        self._runs = True
         try:
             while not self._stop.is_set():
                 jobs = self.role != "apply" or monotonic() >= looked + JOBS_S

@@ -19,7 +19,7 @@ from service.fake.conjugate import FakeState
 from service.handlers.rotors import retry
 from service.settings import Settings
 from service.store import tables as t
-from service.store.engine import now_s, transaction
+from service.store.engine import is_sqlite, now_s, transaction
 from service.store.unit_of_work import SqlStore
 from service.worker import lease as leases
 from service.worker import older
@@ -97,6 +97,18 @@ def test_one_of_the_same_algorithm_or_of_a_newer_one_stays(
     make_worker(store, Next(), settings, "next release").drain()
     make_worker(store, science, settings, "a process of before").drain()
     assert [one[2] for one in versions(store)] == ["fake-1", "fake-2"]
+
+
+def test_one_that_another_is_about_to_take_is_passed_over(
+    store: SqlStore, settings: Settings, aged: str
+) -> None:
+    """Two sealers would compute the same one; on SQLite there is one writer at a time."""
+    if is_sqlite(store.engine):
+        return
+    found = older.Older(Next(), "second", settings.lease_s, "seal")
+    with transaction(store.engine, write=True) as connection:
+        connection.execute(select(c.rotor_id).with_for_update())
+        assert found.claim(store.engine) is None
 
 
 def test_a_blocked_rotor_is_left_alone(store: SqlStore, settings: Settings, aged: str) -> None:

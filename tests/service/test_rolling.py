@@ -23,7 +23,8 @@ from sqlalchemy import Connection, Engine, event, text
 from typer.testing import CliRunner
 
 from core.observation import Inspection
-from service.bootstrap import prepare
+from service.api import outdated
+from service.bootstrap import make_deliverer, prepare
 from service.cli import app
 from service.errors import SchemaError, StoreAwayError
 from service.handlers.rotors import view_rotor
@@ -32,7 +33,7 @@ from service.store import migrate as migrations
 from service.store import postgres, standstill
 from service.store.engine import is_sqlite, open_engine, transaction
 from service.store.unit_of_work import SqlStore
-from service.worker import loop
+from service.worker import deliver, loop
 from service.worker.loop import Worker
 from tests.patience import AGES_S, PATIENCE_S, until
 
@@ -452,6 +453,68 @@ def test_a_worker_rests_while_a_newer_release_says_that_its_own_may_not_run(
         running.join(PATIENCE_S)
     (told,) = [one.getMessage() for one in caplog.records if "rests" in one.getMessage()]
     assert "To mend it: upgrade this process" in told
+
+
+def test_a_worker_that_may_not_run_loads_no_model_before_it_may(
+    store: SqlStore, worker: Worker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The newer release's models it would take for damaged ones, and end."""
+    monkeypatch.setattr(loop, "SCHEMA_S", 0.05)
+    monkeypatch.setattr(loop, "IDLE_S", 0.02)
+    warmed: list[bool] = []
+    monkeypatch.setattr(worker, "warm", lambda: warmed.append(True))
+    say(store.engine, "9999", "9999")
+    running = threading.Thread(target=worker.run)
+    running.start()
+    try:
+        time.sleep(0.3)
+        assert not warmed
+        say(store.engine, "9999", migrations.newest())
+        until("it is warm", lambda: bool(warmed))
+    finally:
+        worker.stop()
+        running.join(PATIENCE_S)
+
+
+def test_posts_are_refused_while_a_newer_release_says_that_this_one_may_not_run(
+    serving: Serving, store: SqlStore, rotor: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They were answered with 202, in a form that the newer release may not read."""
+    monkeypatch.setattr(outdated, "LOOK_S", 0.0)
+    path = f"/v1/rotors/{rotor}/inspections"
+    with serving() as client:
+        assert client.post(path, json=one("i1")).status_code == 202
+        say(store.engine, "9999", "9999")
+        for asked in (client.post(path, json=one("i2")), client.delete("/v1/webhooks/w1")):
+            assert (asked.status_code, asked.headers["retry-after"]) == (503, "5")
+            assert asked.json()["type"] == "urn:bladetwin:problem:outdated"
+            assert "schema 9999 is not one that this release may write to" in asked.json()["detail"]
+            assert "To mend it: upgrade this process" in asked.json()["detail"]
+        assert client.get(f"/v1/rotors/{rotor}").json()["head_seq"] == 1
+        assert len(client.get("/v1/audit").json()["items"]) == 1
+        say(store.engine, "9999", migrations.newest())
+        assert client.post(path, json=one("i2")).status_code == 202
+
+
+def test_nothing_is_sent_to_webhooks_while_a_newer_release_says_so(
+    store: SqlStore, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(deliver, "SCHEMA_S", 0.0)
+    monkeypatch.setattr(deliver, "IDLE_S", 0.02)
+    say(store.engine, "9999", "9999")
+    sender = make_deliverer(store, settings, "sender")
+    drained: list[bool] = []
+    monkeypatch.setattr(sender, "drain", lambda: drained.append(True))
+    running = threading.Thread(target=sender.run)
+    running.start()
+    try:
+        time.sleep(0.3)
+        assert not drained
+        say(store.engine, "9999", migrations.newest())
+        until("it went on", lambda: bool(drained))
+    finally:
+        sender.stop()
+        running.join(PATIENCE_S)
 
 
 def say(engine: Engine, revision: str, since: str) -> None:
