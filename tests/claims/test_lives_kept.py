@@ -63,3 +63,19 @@ def test_what_fourteen_rotors_cannot_say_is_told() -> None:
     assert found["controls_caught"]["narrow"] == ["1 x", "1.25 x", "1.5 x"]
     assert (found["controls_caught"]["worst"], found["passed"]) == ([], False)
     assert "of the first blade of a rotor fourteen rotors say nothing" in WORDS
+
+
+def test_simulated_blades_and_the_first_of_a_rotor_pass_when_told() -> None:
+    found = kept("lives-rotor-20")
+    assert found["seed"] == int(found["commit"][:6], 16)
+    assert (found["passed"], found["rotors"], found["failed"]) == (True, 400, {})
+    assert found["controls_caught"]["narrow"] == ["1 x", "1.25 x", "1.5 x"]
+    assert found["controls_caught"]["worst"] == ["1 x", "1.25 x"]
+    assert all(row["independent"]["inside"] for row in found["table"].values())
+    rows = {row["from"]: row for row in found["reliability"]["twin"]}
+    shares = [(round(100 * rows[k]["told"], 1), round(100 * rows[k]["passed"], 1)) for k in
+              (0.01, 0.05, 0.2, 0.5, 0.8)]  # fmt: skip
+    assert shares == [(2.5, 1.9), (11.2, 11.2), (33.2, 33.8), (64.7, 62.9), (88.3, 86.9)]
+    assert "64.7 → 62.9, 88.3 → 86.9 %; of 6,495 that pass 26 are missed" in WORDS
+    assert at_next("lives-rotor-20", "twin", "missed", "in_vain") == [26, 2395]
+    assert at_next("lives-rotor-20", "trend", "missed", "in_vain") == [161, 2553]
