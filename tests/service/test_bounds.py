@@ -258,8 +258,10 @@ def test_times_longer_than_its_bound_are_refused_and_the_document_says_which(
         told = api.get(path, params={"times": long} | more)
         fields = [one["field"] for one in told.json()["faults"]]
         assert (told.status_code, "times" in fields) == (422, True), path
+    told = api.get("/v1/rotors/r1/life", params={"limit": "1", "ahead": long})
+    assert (told.status_code, [one["field"] for one in told.json()["faults"]]) == (422, ["ahead"])
     text = json.dumps(api.get("/openapi.json").json())
-    assert text.count(f'"maxLength": {LONGEST_TIMES}') == 6
+    assert text.count(f'"maxLength": {LONGEST_TIMES}') == 7
 
 
 def test_another_site_s_page_needs_a_loopback_name_as_everybody() -> None:
