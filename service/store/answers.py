@@ -27,12 +27,14 @@ class SqlAnswers:
         """Take the key for a request; the answer that it has already, else None: it is taken.
 
         Two requests at once cannot both take it: the second waits for the first one's row. A
-        request that has been answering for `stale_s` has died; its key is taken over.
+        request that has been answering for `stale_s` has died; its key is taken over. So has one
+        that began that far in the future: the database's clock was set back.
         """
         now = now_s()
         self._connection.execute(delete(t.first_answer).where(c.expires_at <= now))
         dead = (c.owner == owner) & (c.key == key) & c.status.is_(None)
-        self._connection.execute(delete(t.first_answer).where(dead, c.begun_at <= now - stale_s))
+        stale = (c.begun_at <= now - stale_s) | (c.begun_at > now + stale_s)
+        self._connection.execute(delete(t.first_answer).where(dead, stale))
         dialect = sqlite if self._connection.dialect.name == "sqlite" else postgresql
         statement = dialect.insert(t.first_answer).values(
             owner=owner, key=key, fingerprint=fingerprint, begun_at=now, expires_at=now + keep_s

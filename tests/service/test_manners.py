@@ -177,6 +177,20 @@ def test_an_answer_is_kept_for_its_time_and_a_request_that_died_is_done_again(
         assert ask(client) == (202, False)
 
 
+@pytest.mark.parametrize(("ahead_s", "status"), [(60.0, 409), (3600.0, 202)])
+def test_a_request_that_died_before_the_clock_was_set_back_is_done_again(
+    serving: Serving, store: SqlStore, ahead_s: float, status: int
+) -> None:
+    """It was told to be in progress until the clock had caught up."""
+    with serving() as client:
+        client.post("/v1/models", json=BUILTIN, headers=repeat("k"))
+        ahead = "UPDATE first_answer SET status = NULL, begun_at = begun_at + :s"
+        with transaction(store.engine, write=True) as connection:
+            connection.execute(text(ahead), {"s": ahead_s})
+        answer = client.post("/v1/models", json=BUILTIN, headers=repeat("k"))
+        assert answer.status_code == status
+
+
 def test_keys_of_one_client_mean_nothing_for_another(serving: Serving, key: Key) -> None:
     with serving(keys="always") as client:
         jobs = {
