@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -26,6 +27,10 @@ def reached(url: str, key: str | None) -> Iterator[Client]:
     try:
         with Client(url, key=key) as twin:
             yield twin
+    except json.JSONDecodeError:  # of a page that a proxy, or another program, answers with
+        raise AwayError(
+            f"what answers at {url} is not bladetwin. To mend it: give its --url."
+        ) from None
     except httpx.TransportError as error:
         raise AwayError(
             f"{url} does not answer ({error}). To mend it: start `bladetwin serve`, or give --url."

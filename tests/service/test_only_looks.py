@@ -97,3 +97,15 @@ def test_another_program_that_answers_every_path_is_not_called_ready(body: bytes
     assert done.exit_code == 1
     assert "not bladetwin" in done.output
     assert "--url" in done.output
+
+
+@pytest.mark.parametrize("words", [["inspect", "r1"], ["policy", "r1"]], ids=" ".join)
+def test_asked_at_a_wrong_address_they_say_so(words: list[str]) -> None:
+    with HTTPServer(("127.0.0.1", 0), Page) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        address = f"http://127.0.0.1:{server.server_port}"
+        done = CliRunner().invoke(app, [*words, "--url", address])
+        thread.join()
+    assert done.exit_code == 1
+    assert f"{address} is not bladetwin. To mend it: give its --url" in str(done.exception)
