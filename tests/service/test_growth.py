@@ -29,7 +29,7 @@ from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 
 FEW, MANY = 60, 1500
-STEP = 5
+STEP = 1
 ONE = {"quantity": "elongation", "times": "8000,24000"}
 e = t.entry.c
 
