@@ -222,14 +222,19 @@ def test_what_packed_entries_take_is_what_is_counted(size: int, kind: str) -> No
             found += [Entry(9000 + e.seq, "retraction", f"i{e.seq}") for e in found]
         return found
 
+    def measured() -> tuple[int, int]:
+        gc.collect()
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        logs = [packed(come(begin)).closed() for begin in range(0, 4000, size)]
+        gc.collect()
+        taken = tracemalloc.get_traced_memory()[0] - before
+        tracemalloc.stop()
+        return taken, sum(log.nbytes for log in logs)
+
     packed(come(0))
-    gc.collect()
-    tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    logs = [packed(come(begin)).closed() for begin in range(0, 4000, size)]
-    gc.collect()
-    taken = tracemalloc.get_traced_memory()[0] - before
-    tracemalloc.stop()
-    assert sum(log.nbytes for log in logs) == pytest.approx(taken, rel=0.25)
+    # what other threads of the process take meanwhile comes on top
+    taken, counted = min(measured() for _ in range(3))
+    assert counted == pytest.approx(taken, rel=0.25)
     if kind == "plain":
         assert taken < (40 if size == 4000 else 90) * 4000
