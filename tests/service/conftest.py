@@ -106,6 +106,9 @@ def follow(worker: Worker, diagnoser: Worker) -> Callable[[], None]:
     return work
 
 
+REST_S = 10.0  # and no longer for one that does not end: what it leaves open is told later
+
+
 class Switch:
     """One HTTP server for all tests; `app` is the application of the present test."""
 
@@ -143,6 +146,13 @@ class RunningServer:
 
     def do(self, coroutine: Any) -> Any:
         return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result()
+
+    def rest(self) -> None:
+        """Let requests end whose answers have gone out, as a server does that is stopped: a row of
+        the audit trail may come after, and the store is closed next."""
+        end = time.monotonic() + REST_S
+        while self.server.server_state.tasks and time.monotonic() < end:
+            time.sleep(0.002)
 
     def stop(self) -> None:
         self.server.should_exit = True
@@ -190,6 +200,7 @@ def served(
     url = f"http://127.0.0.1:{server.port}"
     with httpx.Client(base_url=url, timeout=60, verify=False) as client:  # nor reads certificates
         yield client
+    server.rest()
     server.do(lifespan.__aexit__(None, None, None))
 
 
