@@ -79,6 +79,20 @@ def test_decisions_are_counted() -> None:
     ]  # fmt: skip
 
 
+def test_the_error_of_a_share_is_between_rotors() -> None:
+    """Of outcomes less chances, blades of one rotor together."""
+    both = [([0.3, 0.3], [1, 1]), ([0.3, 0.4], [0, 0]), ([0.3], [0])]
+    found = [
+        {"cluster": k, "limits": [{"factor": 1.0, "twin": told, "passes": passes}]}
+        for k, (told, passes) in enumerate(both)
+    ]
+    (row,) = lives_table.reliability(found, "twin")
+    off = np.array([0.7, 0.7, -0.3, -0.4, -0.3])
+    sums = [np.sum(off[:2] - off.mean()), np.sum(off[2:4] - off.mean()), off[4] - off.mean()]
+    assert row["blades"] == 5
+    assert row["error"] == pytest.approx(np.sqrt(np.sum(np.square(sums)) * 3 / 2) / 5, abs=1e-4)
+
+
 def test_a_trend_is_least_squares_with_its_own_doubt() -> None:
     """Against the linear model at the exponent that was found, and the doubt by simulation."""
     hours = np.array([8e3, 16e3, 24e3])
@@ -132,7 +146,14 @@ def test_a_short_study_keeps_every_rotor_and_goes_on_where_it_was(
     options: Any = {"seed": 3, "particles": 500, "folder": tmp_path}
     found = lives.run(small, rotors=2, **options)
     assert [r["rotor"] for r in found] == [0, 1]
+    model = rotor_blade()
+    hours = lives.hours_of(model, small)
+    due = int(np.searchsorted(hours, small.held_out_h))
     for record in found:
+        made = simulate(model, small, record["rotor"], 3)
+        truth = lives.curves_of(model, small, made, record["rotor"], 3)[:, due]
+        for one in record["limits"]:
+            assert one["passes"] == (truth >= one["limit"]).astype(int).tolist()
         assert [one["factor"] for one in record["limits"]] == list(lives.FACTORS)
         for one in record["limits"]:
             assert len(one["pit"]) == len(one["passes"]) == 3
