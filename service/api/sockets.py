@@ -18,6 +18,7 @@ from core.errors import InputError
 
 # an address of a family that is switched off on this machine
 LACKING = (errno.EAFNOSUPPORT, errno.EADDRNOTAVAIL)
+OWN = {socket.AF_INET6: ((socket.IPPROTO_IPV6, socket.IPV6_V6ONLY),)}  # options of a family
 
 
 def first(host: str, port: int) -> socket.socket:
@@ -49,7 +50,7 @@ def alone(host: str, port: int) -> list[socket.socket]:
         asked = (host or None, port, 0, socket.SOCK_STREAM, 0, socket.AI_PASSIVE)
         for family, kind, protocol, _, address in dict.fromkeys(socket.getaddrinfo(*asked)):
             try:
-                made.append(_bound(family, kind, protocol, address))
+                made.append(_bound(family, kind, protocol, address, *OWN.get(family, ())))
             except OSError as error:
                 if error.errno not in LACKING:
                     raise
@@ -63,12 +64,14 @@ def alone(host: str, port: int) -> list[socket.socket]:
     return made
 
 
-def _bound(family: int, kind: int, protocol: int, address: tuple[object, ...]) -> socket.socket:
+def _bound(
+    family: int, kind: int, protocol: int, address: tuple[object, ...], *options: tuple[int, int]
+) -> socket.socket:
+    """A socket with these options (level, name) set."""
     made = socket.socket(family, kind, protocol)
     try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if family == socket.AF_INET6:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        for level, name in ((socket.SOL_SOCKET, socket.SO_REUSEADDR), *options):
+            made.setsockopt(level, name, 1)
         made.bind(address)
     except OSError:
         made.close()
@@ -93,12 +96,4 @@ def beside(other: socket.socket) -> socket.socket:
 
 
 def _shared(family: int, address: tuple[object, ...]) -> socket.socket:
-    made = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-        made.bind(address)
-    except OSError:
-        made.close()
-        raise
-    return made
+    return _bound(family, socket.SOCK_STREAM, 0, address, (socket.SOL_SOCKET, socket.SO_REUSEPORT))
