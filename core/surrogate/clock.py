@@ -3,7 +3,8 @@
     t*:  t* exp(g(t*)) = e
 
 of `core.surrogate.history`, for strains that grow. The curve g goes on beyond the last instant of
-the runs with the slope that it has there, up to `BEYOND` times that instant.
+the runs with the slope that it has there, up to `BEYOND` times that instant. Where strain is less
+in the end than what is asked for, it is reached at the first instant at which there was as much.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ EARLIEST_H = 1e-6
 STEPS = 60
 CLOSE = 1e-7  # last step of log t by Newton: what it leaves goes with its square
 HALVED = 1e-11  # last by halves
+AT_END = 10.0 * CLOSE
 
 
 def clock(
@@ -33,7 +35,7 @@ def clock(
     arrived rests, so that it depends on no other.
 
     weights  of the curves (n, A, R)
-    late     where it is reached only after `BEYOND`: that time, in place of a RangeError
+    late     where it is reached only after `BEYOND`, or never: that time, in place of a RangeError
     near     log times (n, R) about there
     """
     found = np.full(strain.shape, np.log(EARLIEST_H))
@@ -44,21 +46,33 @@ def clock(
     wanted = np.log(np.maximum(strain[rows], 1e-300))
     low = np.full(wanted.shape, found.flat[0])
     high = np.full(wanted.shape, curve.last + np.log(BEYOND))
-    at = high if near is None else np.clip(near[rows], low, high)
+    at = high.copy() if near is None else np.clip(near[rows], low, high)
     g, slope = curve.with_slope(w, at)
     short = at + g - wanted
-    if (far := np.flatnonzero(np.any(short < 0, axis=1))).size:
-        missed = wanted[far] - high[far] - curve(w[far], high[far])
-        if late:
-            wanted[far] -= np.maximum(missed, 0.0)
-            short[far] += np.maximum(missed, 0.0)
-        elif np.any(missed > 0):
+    behind = short < 0
+    if (far := np.flatnonzero(np.any(behind, axis=1))).size:
+        behind[far] &= wanted[far] > high[far] + curve(w[far], high[far])
+    if (back := np.flatnonzero(np.any(behind, axis=1))).size:
+        there = _first(curve, w[back], wanted[back])
+        never = behind[back] & np.isnan(there)
+        if not late and np.any(never):
             raise RangeError(
                 "creep strain",
                 float(strain.max()),
                 f"is not reached within {BEYOND:g} times the horizon under the inputs that follow",
                 "train on longer runs",
             )
+        end = high[back]
+        low[back] = np.where(never, end, low[back])
+        high[back] = np.where(behind[back] & ~never, there, end)
+        wanted[back] = np.where(never, end + curve(w[back], end), wanted[back])
+        then = np.clip(at[back], low[back], high[back])
+        again = curve.with_slope(w[back], then)
+        at[back], g[back], slope[back] = (
+            np.where(behind[back], new, one[back])
+            for new, one in zip((then, *again), (at, g, slope), strict=True)
+        )
+        short = at + g - wanted
     moved = before = high - low
     for _ in range(STEPS):
         low, high = np.where(short < 0, at, low), np.where(short < 0, high, at)
@@ -79,3 +93,22 @@ def clock(
         short = at + g - wanted
     found[rows] = np.where(grown, at, found.flat[0])
     return found
+
+
+def unreached(curve: Curves, log_t: Array) -> NDArray[np.bool_]:
+    """Where `clock` came to the far end, if late: what is asked for is reached there, or later."""
+    return np.asarray(log_t > curve.last + np.log(BEYOND) - AT_END)
+
+
+def _first(curve: Curves, weights: Array, wanted: Array) -> Array:
+    """Of rows (n, R) the first instant of the runs, as log t, at which a log strain is reached; NaN
+    for none.
+
+    Strain of what hardly creeps a surrogate follows to a few per cent, up and down: it may be less
+    at the far end than in between.
+    """
+    first = np.full(wanted.shape, np.nan)
+    for instant in curve.spline.x[::-1]:
+        then = np.full(wanted.shape, instant)
+        first = np.where(then + curve(weights, then) >= wanted, then, first)
+    return first

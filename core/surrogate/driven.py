@@ -112,7 +112,7 @@ class Driven:
         edges, held, at_times = self._in_time.until(x, times)
         rule = FOLLOWED if self.drifts else 0.0
         wide = [one[0] for one in what]
-        found = follow(self.base, edges, held, times, at_times, wide, rule, doubt=doubt)
+        found = follow(self.base, edges, held, times, at_times, wide, rule, doubt=doubt, late=True)
         both = [(own, fine) for own, fine in what if fine is not None]
         if self.anchor is None or not both:
             return found

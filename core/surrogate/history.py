@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import InputError
-from core.surrogate.clock import clock
+from core.surrogate.clock import clock, unreached
 from core.surrogate.followed import Curves, Followed, Scales
 from core.surrogate.model import Surrogate
 from core.surrogate.targets import MEAN_CEEQ
@@ -206,8 +206,8 @@ class Walk:
         before = clock(memory, e, begun, self.late, now.log_t)
         after = np.log(np.exp(before) + hours)
         ceeq = np.exp(after + memory(e, after))
-        if self.late:  # what was not reached is carried along
-            ceeq += _short(begun, np.exp(before + memory(e, before)))
+        if self.late and np.any(there := unreached(memory, before)):  # it is carried along
+            ceeq += _short(begun, np.exp(before + memory(e, before)), there)
         step, each = _Step(before, after, begun, ceeq, hours), (self.what, known.own, now.rows)
         rows = tuple(self._grown(*one, step, known.v) for one in zip(*each, strict=True))
         return Memory(ceeq, rows, after)
@@ -226,7 +226,9 @@ class Walk:
             y1 = np.exp(after + own(y, after))
             y0 = 0.0 * y1 if step.first else np.exp(before + own(y, before))
             change = y1 - np.where(begun > 0, y0, 0.0)
-            strain = y1 + _short(strain, y0) if self.late and what.own_clock else y1
+            strain = y1
+            if self.late and what.own_clock and np.any(there := unreached(own, before)):
+                strain = y1 + _short(now.strain, y0, there)
         if self.doubt:
             k = what.scales(after)
             if what.per_ceeq:
@@ -239,6 +241,6 @@ class Walk:
         return Grown(strain, now.total + change, doubt, after if what.own_clock else None)
 
 
-def _short(strain: Array, reached: Array) -> Array:
-    """By how much a strain is beyond what was reached; 0 where it was."""
-    return np.maximum(strain - reached, 0.0)
+def _short(strain: Array, reached: Array, there: NDArray[np.bool_]) -> Array:
+    """By how much a strain is beyond what was reached; 0 where it was, to the last bit."""
+    return np.where(there, np.maximum(strain - reached, 0.0), 0.0)

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from core.errors import RangeError
 from core.model import rotor_blade_wide
-from core.surrogate.clock import BEYOND, EARLIEST_H, STEPS, clock
+from core.surrogate.clock import BEYOND, EARLIEST_H, STEPS, clock, unreached
 from core.surrogate.driven import Driven
 from core.surrogate.followed import Curves, Followed
 
@@ -55,6 +55,37 @@ def test_what_has_not_grown_is_at_the_beginning_and_what_is_never_reached_is_tol
         assert clock(POWER, w, far, True, near)[:, 0] == pytest.approx(np.log(BEYOND * 5e4))
 
 
+def test_a_strain_that_is_less_in_the_end_was_reached_in_between() -> None:
+    """log E = -8 + 0.1 s - 0.01 s^2 with s = log t: at s = 5 it has its most, and in the end it has
+    less than what is asked for, which was reached at s = 3."""
+    bent = Curves(
+        CubicSpline(LOG_T, np.stack([np.ones(12), LOG_T, LOG_T**2], axis=1)),
+        float(LOG_T[0]),
+        float(LOG_T[-1]),
+        np.zeros((1, 3, 1)),
+        slice(0, 1),
+    )
+    w = np.array([[-8.0, 0.1 - 1.0, -0.01]])[:, :, None]
+    strain = np.exp([[-8.0 + 0.3 - 0.09]])
+    end = LOG_T[-1] + np.log(BEYOND)
+    assert left(bent, w, strain, np.array([[end]]))[0, 0] < -0.2
+    for near in (None, np.array([[2.0]]), np.array([[9.0]])):
+        for late in (False, True):
+            assert clock(bent, w, strain, late, near)[0, 0] == pytest.approx(3.0, abs=1e-8)
+    most = np.exp([[-8.0 + 0.25 + 1e-6]])
+    with pytest.raises(RangeError, match="3 times the horizon"):
+        clock(bent, w, most)
+    for near in (None, np.array([[4.0]])):
+        found = clock(bent, w, most, True, near)
+        assert found[0, 0] == end
+        assert unreached(bent, found).all()
+    both = np.concatenate([strain, most])
+    assert clock(bent, np.repeat(w, 2, axis=0), both, True)[:, 0].tolist() == [
+        clock(bent, w, strain, True)[0, 0],
+        end,
+    ]
+
+
 def test_every_row_arrives_however_its_curve_bends_and_depends_on_no_other(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -73,7 +104,11 @@ def test_every_row_arrives_however_its_curve_bends_and_depends_on_no_other(
     at = np.log(RNG.uniform(500.0, 5e4, (MANY, len(nodes))))
     strain = np.exp(at + rows(before, at))
     end = np.full(at.shape, rows.last + np.log(BEYOND))
-    within = np.minimum(strain, np.exp(end + rows(w, end)))
+    least = np.exp(end + rows(w, end))
+    instants = [np.full(at.shape, one) for one in rows.spline.x]
+    most = np.maximum.reduce([least, *(np.exp(one + rows(w, one)) for one in instants)])
+    assert np.any((strain > least) & (strain <= most)), "some are reached and have less in the end"
+    within = np.where(strain <= most, strain, least)
     assert 0 < np.mean(within < strain) < 0.02, "some are not reached"
     asked, both = [0], Curves.with_slope
 

@@ -15,15 +15,19 @@ from core.builtin.paper_network import rotor_blade_network
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, shared_posterior
 from core.course import Course
+from core.diagnosis.adopt import with_effects
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell
 from core.drift import Drift
 from core.errors import InputError, ModelError, RangeError
-from core.model import Model
+from core.model import Model, rotor_blade_wide
 from core.network import Network, Parameter
 from core.observation import Inspection
 from core.prior import Prior
-from core.surrogate import driven, kept
+from core.surrogate import clock, driven, kept
 from core.surrogate.driven import Driven
 from core.surrogate.formula import FormulaInput, FormulaModel
+from core.surrogate.history import follow
 from core.surrogate.kept import Wanted
 
 KEPT = json.loads(Path(__file__).with_name("histories.json").read_text())
@@ -286,6 +290,29 @@ def test_amplitudes_are_finite_elements_with_that_history() -> None:
         seen.append(np.abs(mean[0] / np.array(run["elongation"])[1:] - 1)[1:].max())
     assert len(seen) == 6
     assert max(seen) < 0.025
+
+
+def test_a_node_whose_creep_has_stopped_answers_under_wear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What hardly creeps has as much strain under thin coatings as under thick ones, to what the
+    surrogate knows of it: when it had it under these is open, and its readings blocked a rotor."""
+    wear = next(f for f in FAMILIES if f.name == "coating wear")
+    wide, hours, node, other = rotor_blade_wide(), [2e4, 5e4], 0, 2520
+    noise = {q.name: 1e-4 for q in wide.network.quantities}
+    model = with_effects(wide, [Cell(wear, "linear", "all")], {}, noise, {"B1": 24e3}).surrogate
+    assert isinstance(model, Driven)
+    x = points(model, 40)
+    mean, sd = model.response("ceeq", hours, [node]).evaluate(x)
+    direct, _ = model.predict(x, "ceeq", np.array(hours), [node])
+    assert np.all(sd > 0)
+    assert np.abs(mean - direct[:, :, 0]).max() < 0.15 * direct.max()
+    model.response("ceeq", hours, [other])
+    monkeypatch.setattr(driven, "follow", lambda *a, late, **n: follow(*a, **n))
+    with pytest.raises(RangeError, match="longer runs"):
+        model.response("ceeq", hours, [other])
+    model.response("ceeq", hours, [node])
+    monkeypatch.setattr(clock, "_first", lambda _curve, _w, wanted: np.full(wanted.shape, np.nan))
+    with pytest.raises(RangeError, match="longer runs"):
+        model.response("ceeq", hours, [node])
 
 
 def test_inputs_that_are_held_are_no_inputs() -> None:
