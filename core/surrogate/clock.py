@@ -22,6 +22,7 @@ STEPS = 60
 CLOSE = 1e-7  # last step of log t by Newton: what it leaves goes with its square
 HALVED = 1e-11  # last by halves
 AT_END = 10.0 * CLOSE
+WIDE = 1000  # columns: a whole field, of which each is a row of its own
 
 
 def clock(
@@ -38,6 +39,8 @@ def clock(
     late     where it is reached only after `BEYOND`, or never: that time, in place of a RangeError
     near     log times (n, R) about there
     """
+    if strain.shape[1] > WIDE:
+        return _each(curve, weights, strain, late, near)
     found = np.full(strain.shape, np.log(EARLIEST_H))
     rows = np.flatnonzero(np.any(strain > 0, axis=1))
     if not rows.size:
@@ -98,6 +101,13 @@ def clock(
 def unreached(curve: Curves, log_t: Array) -> NDArray[np.bool_]:
     """Where `clock` came to the far end, if late: what is asked for is reached there, or later."""
     return np.asarray(log_t > curve.last + np.log(BEYOND) - AT_END)
+
+
+def _each(curve: Curves, weights: Array, strain: Array, late: bool, near: Array | None) -> Array:
+    """`clock` of each node by itself: of thousands some take ten times the steps of most."""
+    flat = np.ascontiguousarray(np.swapaxes(weights, 1, 2)).reshape(-1, weights.shape[1], 1)
+    about = None if near is None else near.reshape(-1, 1)
+    return clock(curve, flat, strain.reshape(-1, 1), late, about).reshape(strain.shape)
 
 
 def _first(curve: Curves, weights: Array, wanted: Array) -> Array:
