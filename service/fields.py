@@ -9,12 +9,14 @@ own, without the noise of a reading (`core.prediction`):
 
 Thousands of particles times thousands of nodes times three directions would fill a gigabyte, so
 `ENOUGH` equally weighted ones are drawn by systematic resampling from a fixed stream and summed in
-blocks: the mean errs by 0.04 sd at most, the sd by 3 %.
+blocks: the mean errs by 0.04 sd at most, the sd by 3 %. Where inputs run in time most of these are
+told by some that are followed (`core.surrogate.nearby`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,7 @@ from core.calibration.state import Posterior
 from core.curves import corrected, inputs_of
 from core.model import Model
 from core.surrogate.driven import Driven
+from core.surrogate.nearby import Block, nearby
 from service.ports import Field, Mesh, Surface
 
 Array = NDArray[np.float64]
@@ -106,8 +109,7 @@ def field_of(
     square = share * gain
     swollen = square * (1.0 + declared.numerical**2 + left**2)
     sums: list[Array] = []
-    for k, (y, sd) in enumerate(_blocks(surrogate, x, quantity, time, places)):
-        block = slice(k * BLOCK, (k + 1) * BLOCK)
+    for block, y, sd in _blocks(surrogate, x, quantity, time, places):
         y, sd = (part.reshape(len(y), len(places), len(parts)) for part in (y, sd))
         o = offset[block]
 
@@ -128,10 +130,15 @@ def field_of(
 
 def _blocks(
     surrogate: Answers, x: Array, quantity: str, time: Array, places: Sequence[int]
-) -> Iterator[tuple[Array, Array]]:
-    """Answers of `BLOCK` particles at a time: all of a field's at once take gigabytes."""
+) -> Iterator[Block]:
+    """Answers of `BLOCK` particles at a time: all of a field's at once take gigabytes.
+
+    To follow thousands of nodes under inputs that run is dear: most are told by some of them.
+    """
     if isinstance(surrogate, Driven):
-        yield from surrogate.in_blocks(x, quantity, time, places, BLOCK)
+        followed = partial(surrogate.in_blocks, quantity=quantity, times=time, nodes=places)
+        yield from nearby(x, partial(followed, size=BLOCK), BLOCK)
         return
     for start in range(0, len(x), BLOCK):
-        yield surrogate.predict(x[start : start + BLOCK], quantity, time, places)
+        which = np.arange(start, min(start + BLOCK, len(x)))
+        yield which, *surrogate.predict(x[which], quantity, time, places)

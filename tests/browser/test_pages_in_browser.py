@@ -1108,7 +1108,9 @@ def test_pictures_stay_large_enough_to_read_on_a_telephone(
         watched.open(path.replace("{d}", diagnosis))
         assert page.evaluate(small) == [], path
         assert page.evaluate("document.documentElement.scrollWidth") == 400
-    widest = "all => Math.max(0, ...all.map((one) => one.clientWidth))"  # zero while it is drawn anew
+    widest = (
+        "all => Math.max(0, ...all.map((one) => one.clientWidth))"  # zero while it is drawn anew
+    )
     assert comes(page, lambda: page.locator("canvas.plot").evaluate_all(widest) > 400)
 
 

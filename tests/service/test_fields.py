@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +11,13 @@ from numpy.typing import NDArray
 
 from core.blade.geometry import build_mesh
 from core.calibration.state import Posterior
-from core.model import Model, rotor_blade
+from core.diagnosis.adopt import with_effects
+from core.diagnosis.families import FAMILIES
+from core.diagnosis.grammar import Cell
+from core.model import Model, rotor_blade, rotor_blade_wide
 from core.prediction import predict
 from core.smc.particles import Particles
+from core.surrogate.driven import Driven
 from service.fields import ENOUGH, field_of, skin, surface_of
 from service.science import CoreScience
 
@@ -54,6 +59,44 @@ def test_a_drawn_field_is_as_near_as_it_says(model: Model) -> None:
     assert found.particles == ENOUGH
     assert abs(found.mean[2840] - told.mean[0]) < 0.1 * told.sd["total"][0]
     assert found.sd[2840] == pytest.approx(told.sd["total"][0], rel=0.12)
+
+
+@pytest.fixture(scope="module")
+def worn() -> tuple[Model, Posterior]:
+    """The wide model with a coating that wears, and a posterior of it."""
+    wide = rotor_blade_wide()
+    wear = next(one for one in FAMILIES if one.name == "coating wear")
+    cell = Cell(wear, "linear", "all")
+    model = with_effects(wide, [cell], {}, {"elongation": 0.02}, {"B1": 24_000.0})
+    told = posterior(ENOUGH)
+    rng = np.random.default_rng(5)
+    psi = np.column_stack([told.particles.psi, rng.normal(0.2, 0.02, ENOUGH)])
+    psi[:, 0] = np.maximum(psi[:, 0], 1.0)
+    return model, Posterior((*told.names, cell.name), Particles(psi, told.particles.log_w))
+
+
+@pytest.mark.parametrize("quantity", ["deformation", "ceeq"])
+def test_a_field_under_inputs_that_run_is_told_by_some_particles(
+    worn: tuple[Model, Posterior], quantity: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, own = worn
+    nodes, asked = [1217, 2840, 5440], []
+    in_blocks = Driven.in_blocks
+
+    def counted(self: Driven, x: NDArray[np.float64], *a: Any, **k: Any) -> Any:
+        asked.append(len(x))
+        return in_blocks(self, x, *a, **k)
+
+    monkeypatch.setattr(Driven, "in_blocks", counted)
+    found = field_of(model, own, quantity, 50_000.0, None, nodes)
+    some = sum(asked)
+    monkeypatch.setattr("core.surrogate.nearby.SHARE", 0.0)
+    each = field_of(model, own, quantity, 50_000.0, None, nodes)
+    assert some <= ENOUGH / 4
+    assert sum(asked) == some + ENOUGH
+    assert np.all(np.abs(found.mean - each.mean) <= 0.05 * each.sd)
+    assert found.sd == pytest.approx(each.sd, rel=0.05)
+    assert not np.array_equal(found.mean, each.mean), "negative control: they are not the same sums"
 
 
 def volume(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
