@@ -323,11 +323,12 @@ def judged_before(store: SqlStore) -> Iterator[Any]:
         with store.read() as tx:
             tx.log.lock = tx.records.rotor  # type: ignore[method-assign, assignment]
             store._guard(tx)
+            JUDGED.set()
     with TRUE_WRITE(copy_without_guard(store)) as tx:
         yield tx
 
 
-TRUE_WRITE = SqlStore.write
+TRUE_WRITE, JUDGED = SqlStore.write, threading.Event()
 
 
 def copy_without_guard(store: SqlStore) -> SqlStore:
@@ -348,6 +349,7 @@ def test_a_precondition_is_judged_inside_the_transaction(
     """A reading that is being committed while the request comes counts against it."""
     if mutant:
         monkeypatch.setattr(SqlStore, "write", judged_before)
+        JUDGED.clear()
     tag = api.get("/v1/rotors/r1").headers["etag"]
     answers: list[httpx.Response] = []
 
@@ -360,6 +362,8 @@ def test_a_precondition_is_judged_inside_the_transaction(
     with store.write() as tx:
         tx.log.append("r1", [event_of(reading("i1"))])
         thread.start()
+        if mutant:
+            assert JUDGED.wait(PATIENCE_S), "before the reading is there"
         time.sleep(0.5)
         assert answers == [], "it waits for the rotor"
     thread.join(PATIENCE_S)
