@@ -76,7 +76,7 @@ def newest_model(self: SqlRecords, model_id: str, version: str | None = None) ->
 
 
 MUTANTS = (
-    Mutant("every moment is now", Moments, "service.store.kept.end_of", lambda at: at + 3600.0),
+    Mutant("every moment is now", Moments, "service.store.kept.end_of", lambda at: at + 3600.0, 28),
     Mutant("webhooks told nothing", Hooks, "service.store.outbox.tell", lambda *given: None, 29),
     Mutant("deliveries out of turn", Hooks, "service.worker.hook_lease.due", due_out_of_turn, 56),
     Mutant(
@@ -92,19 +92,21 @@ MUTANTS = (
         Journeys,
         "service.handlers.transfer_in._same",
         lambda *given: None,
-        30,
+        36,
     ),
     Mutant(
         "adoptions of readings that are gone",
         Adoptions,
         "service.handlers.adoptions.readings_since",
         lambda *given: 0,
+        32,
     ),
     Mutant(
         "effects of today in old versions",
         Adoptions,
         "service.handlers.rotors.adopted_at",
         effects_of_now,
+        34,
     ),
     Mutant(
         "a key knows every rotor", Keys, "service.access.KeyRecord.knows", lambda self, rotor: True
@@ -113,13 +115,14 @@ MUTANTS = (
         "a revoked key is usable", Keys, "service.access.KeyRecord.status", lambda *given: "usable"
     ),
     Mutant("scopes not asked for", Keys, "service.api.gate._beyond", lambda *given: None),
-    Mutant("all posters are one", Keys, "service.access.Act.poster", "somebody"),
+    Mutant("all posters are one", Keys, "service.access.Act.poster", "somebody", 28),
     Mutant("refusals leave no row", Keys, "service.api.trail.conclude", lambda *given: None),
     Mutant(
         "models trained again stay",
         Models,
         "service.store.records.SqlRecords.put_model",
         known_stays,
+        29,
     ),
     Mutant(
         "every model the newest", Models, "service.store.records.SqlRecords.model", newest_model
@@ -135,7 +138,11 @@ MUTANTS = (
         lambda *given: False,
     ),
     Mutant(
-        "Last-Event-ID ignored", Streams, "service.api.routers.events.last_event_id", lambda r: None
+        "Last-Event-ID ignored",
+        Streams,
+        "service.api.routers.events.last_event_id",
+        lambda r: None,
+        28,
     ),
     Mutant("kept answers for ever", Reads, "service.api.kept.Ground.holds", lambda *given: True),
     Mutant(
