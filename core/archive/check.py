@@ -26,6 +26,11 @@ Flags = NDArray[np.bool_]
 KINDS: Mapping[str, Kind] = {"scalar": "scalar", "field": "field", "vector": "vector field"}
 DEFORMATION, DISPLACEMENT = "deformation", "displacement"
 BY_CEEQ = ("elongation", DEFORMATION)  # learnt as a share of mean CEEQ where the runs have it
+IN_TIME = (
+    *BY_CEEQ,
+    "ceeq",
+    "creep_damage",
+)  # followed where inputs run (`core.surrogate.followed`)
 LEAST_MOVED = 1e-9  # of an input's bounds
 
 
@@ -65,8 +70,7 @@ def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wa
             remedy = "declare it: local, shared or known, with its bounds as prior"
             found.fault(f"input {name}", None, "varies and is no parameter of the network", remedy)
     creeps = "ceeq" in source.quantities and source.quantities["ceeq"].kind == "field"
-    if not creeps:
-        _no_clock(network, found)
+    _in_time(network, creeps, found)
     turned: dict[str, tuple[Kind, str, float, float]] = {}
     for q in network.quantities:
         _quantity(q, source, turned, found)
@@ -82,16 +86,30 @@ def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wa
     )
 
 
-def _no_clock(network: Network, found: Findings) -> None:
-    """Inputs that run in time, or sleep, go through creep: that needs its clock, mean CEEQ."""
-    for what, names in (
-        ("effect", [d.name for d in network.drifts]),
-        ("dormant parameter", [p.name for p in network.of_level("dormant")]),
-    ):
-        for name in names:
-            problem = "goes through creep strain, and the runs have no field ceeq"
-            remedy = "take it out, or declare it known with a nominal value"
-            found.fault(f"{what} {name}", None, problem, remedy)
+def _in_time(network: Network, creeps: bool, found: Findings) -> None:
+    """Inputs that run in time, or sleep, go through creep: that needs its clock, mean CEEQ, and
+    quantities that go by it."""
+    moved = [("effect", d.name) for d in network.drifts]
+    moved += [("dormant parameter", p.name) for p in network.of_level("dormant")]
+    if not moved:
+        return
+    remedy = "take it out, or declare it known with a nominal value"
+    for what, name in moved if not creeps else ():
+        problem = "goes through creep strain, and the runs have no field ceeq"
+        found.fault(f"{what} {name}", None, problem, remedy)
+    if not creeps:
+        return
+    because = ", ".join(f"{what} {name}" for what, name in moved)
+    mended = "call it so if it is one of these, or declare the network without it or without those"
+    for q in network.quantities:
+        if q.name not in IN_TIME:
+            problem = f"has no rule in time, as {', '.join(IN_TIME)} have, and what runs or sleeps "
+            problem += f"({because}) needs one"
+            found.fault(f"quantity {q.name}", None, problem, mended)
+    if not {q.name for q in network.quantities} & {*BY_CEEQ}:
+        problem = f"hold neither {' nor '.join(BY_CEEQ)}, with which mean CEEQ is learnt, by which "
+        problem += f"{because} runs"
+        found.fault("quantities", None, problem, f"declare one of them, or take {because} out")
 
 
 def _input(

@@ -27,12 +27,14 @@ from core.archive.faults import Findings
 from core.archive.source import Source
 from core.archive.store import Archive
 from core.archive.take import take
+from core.errors import InputError
 from core.network import Network, Quantity
 from core.prior import Prior
 from core.response import CALIBRATED
 from core.rng import stream
 from core.surrogate.artefact import save
 from core.surrogate.compact import compact
+from core.surrogate.followed import Followed
 from core.surrogate.model import Surrogate
 from core.surrogate.training import train
 
@@ -113,6 +115,8 @@ def make(
         source, network, folder / "runs", leave_out=leave_out, progress=progress
     )
     surrogate = compact(train(archive, chosen, seed=seed, progress=progress))
+    if network.drifts or network.of_level("dormant"):
+        _followed(surrogate, network, found)
     rows = quality(surrogate, archive, network, source.labels, chosen)
     for row in rows:
         judge(row, found)
@@ -129,6 +133,15 @@ def make(
         **(facts or {}),
     }
     return save(replace(surrogate, manifest=notes), folder), found
+
+
+def _followed(surrogate: Surrogate, network: Network, found: Findings) -> None:
+    """Refuse what was not learnt so that inputs which run in time, or sleep, can move it."""
+    for q in network.quantities:
+        try:
+            Followed.of(surrogate, q.name, None if q.kind == "scalar" else [0])
+        except InputError as error:
+            found.fault(f"quantity {q.name}", None, error.problem, error.remedy)
 
 
 def quality(

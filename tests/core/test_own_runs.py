@@ -352,6 +352,64 @@ def test_a_discrepancy_that_these_hours_cannot_have_is_refused_before_training(
         make(source, network(NETWORK.replace("high: 2}}", gp)), tmp_path / "model")
 
 
+ASLEEP = """
+name: vane
+parameters:
+  - {name: load, level: local, prior: {kind: uniform, low: 1, high: 2}}
+  - {name: leak, level: dormant, nominal: 0, prior: {kind: uniform, low: 0, high: 1}}
+quantities:
+"""
+CREPT = "  - {name: %s, unit: '1', kind: %s, low: -9, high: 99, sigma_obs: {kind: log_uniform, low: 0.01, high: 1}}\n"  # noqa: E501
+
+
+def creeping(first: float = 0.0) -> xr.Dataset:
+    """Runs of a creeping body, with an oxide that grows beside; elongation from `first`."""
+    x = exchanger.maximin_lhs(20, (1.0, 0.0), (2.0, 1.0), 5)
+    grown = np.array([a * np.sqrt(TIME_H / 1000) * np.exp(0.5 * b) for a, b in x])
+    course, field = ("run", "time"), grown[:, :, None] * np.array([0.2, 0.6, 1.0])
+    return xr.Dataset(
+        {
+            "load": ("run", x[:, 0], {"units": "1"}),
+            "leak": ("run", x[:, 1], {"units": "1"}),
+            "elongation": (course, first + 0.5 * grown, {"units": "1"}),
+            "oxide": (course, 2 * grown, {"units": "1"}),
+            "ceeq": (("run", "time", "node"), field, {"units": "1"}),
+        },
+        coords={"time": ("time", TIME_H, {"units": "h"}), "run": np.arange(20)},
+    )
+
+
+@pytest.mark.parametrize(
+    ("quantities", "field", "words"),
+    [
+        ({"elongation": "scalar", "oxide": "scalar"}, "quantity oxide", "has no rule in time"),
+        ({"ceeq": "field"}, "quantities", "neither elongation nor deformation"),
+    ],
+)
+def test_what_cannot_follow_an_input_that_sleeps_is_refused_before_training(
+    quantities: dict[str, str], field: str, words: str, tmp_path: Path
+) -> None:
+    """A model was trained of oxide beside elongation, and its first reading blocked every rotor."""
+    declared = network(ASLEEP + "".join(CREPT % one for one in quantities.items()))
+    (fault,) = refused(creeping(), tmp_path, declared)
+    assert fault.what == field
+    assert words in fault.problem
+    assert "dormant parameter leak" in fault.problem
+
+
+def test_an_elongation_that_does_not_grow_with_creep_cannot_follow_an_input_that_sleeps(
+    tmp_path: Path,
+) -> None:
+    declared = network(ASLEEP + CREPT % ("elongation", "scalar"))
+    with opened(stored(creeping(), tmp_path / "runs.nc")) as source:
+        make(source, declared, tmp_path / "model")
+    with (
+        opened(stored(creeping(1.0), tmp_path / "elastic.nc")) as source,
+        pytest.raises(RunsError, match="quantity elongation = None is learnt as 'log'"),
+    ):
+        make(source, declared, tmp_path / "elastic")
+
+
 def test_a_prior_in_which_no_run_lies_is_refused(tmp_path: Path) -> None:
     """Roughness in mm for um: the prior was a thousandth of the box, and all of it extrapolated."""
     data = dataset()
