@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.answers import Input
+from core.monomials import multi_indices
 from core.response import Response
 from core.surrogate.compile import fitting
 from core.surrogate.history import Answer
@@ -60,7 +61,7 @@ class Fit:
     def nothing(self, rows: int) -> Response:
         """So many rows that are 0, without an error."""
         (low, high), none = self.box, np.zeros(rows)
-        zero = np.zeros((rows, len(fitting(len(low), self.degree)[1])))
+        zero = np.zeros((rows, len(multi_indices(len(low), self.degree))))
         return Response(self._names, low, high, self.degree, zero, zero, none, none, zero)
 
     def by_time(self, first: Answer, rest: Answer, per_ceeq: bool) -> list[Response]:
