@@ -18,6 +18,8 @@ ended, and rests on the same readings, it was the answer. Otherwise it is judged
 looked at as they stand (`waiting`), so that none is missed for what went on when they came. Each
 version is judged once (`residual.judged`), by one worker: under the rotor's lock. Where somebody
 decides anew what the rotor asks for (`service.handlers.policy`), what stands is judged again.
+Residuals under a model that was left since, for something was adopted or backed out, ask for
+nothing: those of the version with the present model are on their way.
 
 Every condition below is one function, so that a test can take it away and see the loss noticed.
 """
@@ -31,6 +33,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Row, exists, func, select, update
 
 from core.errors import BladetwinError
+from service.adopted import adopted_at
 from service.handlers.diagnoses import KIND, ask_unasked
 from service.ports import Json, Transaction
 from service.store import tables as t
@@ -123,6 +126,12 @@ def remembered(now: Json, before: Json | None) -> Json:
     return {"groups": groups, "readings": now["readings"], "model": now["model"]}
 
 
+def left(tx: Transaction, rotor_id: str, through: int) -> bool:
+    """Whether the rotor's model is another one by now than that of an entry."""
+    rotor = tx.records.rotor(rotor_id)
+    return adopted_at(tx, rotor).count > adopted_at(tx, rotor, through).count
+
+
 def answered(tx: Transaction, rotor_id: str, through: int) -> bool:
     """Whether a diagnosis is there that rests on these entries, or on more."""
     jobs = tx.records.jobs_of(rotor_id, KIND, None, LOOKED_AT)
@@ -175,7 +184,7 @@ class Asking:
         body = json.loads(row.body)
         now, before = told(body), None if row.asked is None else json.loads(row.asked)
         through = int(body["rests_on"]["through_seq"])
-        if not new(now, before):
+        if not new(now, before) or left(tx, rotor_id, through):
             return {}
         if not answered(tx, rotor_id, through):
             because = {"version": now["version"], "readings": now["readings"]}

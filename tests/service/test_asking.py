@@ -336,6 +336,39 @@ def test_what_somebody_backed_out_stays_out_whatever_was_adopted_since(
     assert f"somebody backed out {NAME}, with entry 52" in told["not_adopted"]
 
 
+def test_alarms_of_a_model_that_was_left_ask_for_nothing(
+    store: SqlStore,
+    science: Offsets,
+    post: Post,
+    reading: Make,
+    worker: Worker,
+    diagnoser: Worker,
+    settings: Settings,
+    follow: Callable[[], None],
+) -> None:
+    """Readings come while a diagnosis runs that is adopted: residuals of before it stand still."""
+    made(store, "readings", "effect")
+    post("r1", *visit(reading, 1), *visit(reading, 2, 0.2), *visit(reading, 3), *visit(reading, 4))
+    worker.drain()
+    residuals, asks = Residuals(store, science, settings, "d"), Asking(store)
+    assert residuals.run_once()
+    assert asks.run_once()
+    post("r1", *visit(reading, 5), *visit(reading, 6))
+    worker.drain()
+    assert residuals.run_once(), "another diagnoser's, of all readings, under the model before"
+    assert not asks.run_once(), "a diagnosis is under way"
+    assert diagnoser.jobs.run_once(), "adopted; the sealer has not come to it"
+    assert alarms(store) > 0
+    assert asks.run_once()
+    assert [job.request["through_seq"] for job in diagnoses(store)] == [32]
+    follow()
+    assert alarms(store) == 0, "of the model with the effect in it"
+    _, second = diagnoses(store)
+    result = second.result or {}
+    assert second.request["through_seq"] > 48, "a quarter more readings, under the model of now"
+    assert (result["verdict"], result.get("not_adopted")) == ("adequate", None)
+
+
 def both_at_once(store: SqlStore, monkeypatch: pytest.MonkeyPatch) -> int:
     """How many diagnoses are asked for by two workers that have seen the same alarms."""
     seen = threading.Barrier(2, timeout=PATIENCE_S)
