@@ -34,6 +34,7 @@ from core.diagnosis import (
 from core.diagnosis.alternatives import alternatives
 from core.diagnosis.clock import with_offsets
 from core.diagnosis.families import families_for
+from core.diagnosis.moving import follows
 from core.diagnosis.noticed import noticed
 from core.diagnosis.pictures import pictures
 from core.diagnosis.report import held_out
@@ -87,7 +88,8 @@ def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
 
     Raises InputError as well for readings at many nodes, which no bias can be of
     (`core.network`), and for one that is expected to be larger than all there is of its input or
-    quantity: `MOST_TIMES` of it where it is in proportion, else the range.
+    quantity: `MOST_TIMES` of it where it is in proportion, else the range; and for courses in time
+    of an input alone, where nothing can be followed in time.
     """
     surrogate = model.surrogate
     base = surrogate.base if isinstance(surrogate, Driven) else surrogate
@@ -99,6 +101,10 @@ def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
         if one.target == "reading" and one.of not in scalar:
             what = "is read at many nodes: what is off there cannot enter the model"
             raise InputError(f"families[{i}].of", one.of, what, f"use {', '.join(scalar)}")
+        if one.target == "input" and "constant" not in one.shapes and not follows(surrogate):
+            what = "run in time, and no simulation run of this model has the creep strain (a field "
+            what += "ceeq) by which an input that runs is followed: it would never be found"
+            raise InputError(f"families[{i}].shapes", [*one.shapes], what, "use constant")
         whole = (inputs if one.target == "input" else quantities)[one.of]
         most = MOST_TIMES if one.how == "times" else whole
         if one.size is not None and one.size > most:

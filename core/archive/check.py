@@ -91,6 +91,12 @@ def _in_time(network: Network, creeps: bool, found: Findings) -> None:
     quantities that go by it."""
     moved = [("effect", d.name) for d in network.drifts]
     moved += [("dormant parameter", p.name) for p in network.of_level("dormant")]
+    clock = creeps and bool({q.name for q in network.quantities} & {*BY_CEEQ})
+    for f in network.families if not clock else ():
+        if f.target == "input" and "constant" not in f.shapes:
+            problem = "run in time, and there is no creep strain by which an input is followed: it "
+            problem += f"needs a field ceeq, and {' or '.join(BY_CEEQ)} in the network"
+            found.fault(f"shapes of the effect {f.name!r}", [*f.shapes], problem, "use constant")
     if not moved:
         return
     remedy = "take it out, or declare it known with a nominal value"
@@ -106,7 +112,7 @@ def _in_time(network: Network, creeps: bool, found: Findings) -> None:
             problem = f"has no rule in time, as {', '.join(IN_TIME)} have, and what runs or sleeps "
             problem += f"({because}) needs one"
             found.fault(f"quantity {q.name}", None, problem, mended)
-    if not {q.name for q in network.quantities} & {*BY_CEEQ}:
+    if not clock:
         problem = f"hold neither {' nor '.join(BY_CEEQ)}, with which mean CEEQ is learnt, by which "
         problem += f"{because} runs"
         found.fault("quantities", None, problem, f"declare one of them, or take {because} out")

@@ -18,7 +18,7 @@ from core.diagnosis.families import families_for
 from core.diagnosis.grammar import Cell, Facts, cells
 from core.diagnosis.halves import halves
 from core.diagnosis.misread import apart
-from core.diagnosis.moving import Physics
+from core.diagnosis.moving import Physics, follows
 from core.diagnosis.parted import Parted
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
@@ -81,7 +81,10 @@ class Case:
         return typical_noise(model, means, self.readings)
 
     def cells(self, model: Model) -> list[Cell]:
-        """Every cell that these readings could tell of; InputError where there is none at all."""
+        """Every cell that these readings could tell of; InputError where there is none at all.
+
+        Of inputs that nothing can follow in time constant effects only.
+        """
         inputs = [i.name for i in _base(model).inputs]
         quantities = [q.name for q in model.network.quantities]
         facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
@@ -94,6 +97,8 @@ class Case:
             readers(self.readings, facts),
             _base(model).horizon_h,
         )
+        if not follows(model.surrogate):
+            every = [c for c in every if c.family.target == "reading" or c.shape == "constant"]
         if not every:
             raise InputError(
                 "families",

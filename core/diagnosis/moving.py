@@ -13,8 +13,18 @@ from core.course import Course
 from core.drift import Drift
 from core.network import Network
 from core.observation import Inspection
+from core.surrogate.driven import Driven
+from core.surrogate.model import Surrogate
+from core.surrogate.targets import MEAN_CEEQ
 
 Array = NDArray[np.float64]
+
+
+def follows(answers: object) -> bool:
+    """Whether inputs may run in time: that needs mean CEEQ as the memory. Else an effect of an
+    input can be constant only."""
+    base = answers.base if isinstance(answers, Driven) else answers
+    return isinstance(base, Surrogate) and MEAN_CEEQ in base.parts
 
 
 @dataclass(frozen=True, slots=True)

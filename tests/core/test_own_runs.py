@@ -397,6 +397,20 @@ def test_what_cannot_follow_an_input_that_sleeps_is_refused_before_training(
     assert "dormant parameter leak" in fault.problem
 
 
+def test_a_family_that_runs_in_time_is_refused_where_nothing_is_followed(tmp_path: Path) -> None:
+    """It was never found, and diagnoses said that the readings were too few."""
+    family = """families:
+  - {name: silt, sentence: silt settles, target: input, of: fouling_rate, how: plus, size: 1.0e-5,
+     sign: 1, shapes: [%s], whom: [all], clock: blade, kind: physics}
+"""
+    (fault,) = refused(dataset(), tmp_path, network(NETWORK + family % "linear, step"))
+    assert fault.what == "shapes of the effect 'silt'"
+    assert "needs a field ceeq" in fault.problem
+    (tmp_path / "b").mkdir()
+    _, found, _ = taken(dataset(), tmp_path / "b", network(NETWORK + family % "constant, linear"))
+    assert [one.what for one in found.warnings] == ["quantity transfer"]
+
+
 def test_an_elongation_that_does_not_grow_with_creep_cannot_follow_an_input_that_sleeps(
     tmp_path: Path,
 ) -> None:

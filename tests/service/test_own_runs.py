@@ -18,7 +18,7 @@ from core.archive import trial
 from core.archive.table import convert_table
 from core.errors import ModelError
 from service.bootstrap import make_worker
-from service.client import Client, transports
+from service.client import Client, ProblemError, transports
 from service.fake import FakeScience
 from service.handlers.models import (
     HDF5,
@@ -218,6 +218,10 @@ def test_a_diagnosis_of_other_physics_asks_for_families_and_looks_for_those_it_g
     assert (with_one["status"], with_one["result"]["verdict"]) == ("done", "adequate")
     assert of_an_input["error"] is None, "it has no rule in time: its constant course alone is one"
     assert of_an_input["result"]["verdict"] == "adequate"
+    (told,) = (f for f in of_an_input["result"]["noticed"]["families"] if f["of"] != "drop")
+    assert told["hardest"] == "constant"
+    with pytest.raises(ProblemError, match="no simulation run of this model has the creep strain"):
+        twin.diagnose("station", families=[ROUGHER | {"shapes": ["linear", "step"]}])
     residuals = twin.residuals("station")
     assert residuals["error"] is None
     assert len(residuals["items"]) == 16
