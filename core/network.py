@@ -153,6 +153,17 @@ class Network:
             "parameter", name, "does not exist", f"use one of {[p.name for p in self.parameters]}"
         )
 
+    def unit_of(self, name: str) -> str:
+        """A parameter's unit; of the amplitude of an effect that is added, of what it is added to.
+
+        Raises InputError for one that the network does not declare.
+        """
+        own = self.parameter(name)
+        added = (name, "plus")
+        units = {self.parameter(d.input).unit for d in self.drifts if (d.name, d.how) == added}
+        units |= {self.quantity(b.quantity).unit for b in self.biases if (b.name, b.how) == added}
+        return units.pop() if own.unit == "1" and len(units) == 1 else own.unit
+
     def quantity(self, name: str) -> Quantity:
         for q in self.quantities:
             if q.name == name:

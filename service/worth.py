@@ -15,6 +15,7 @@ from core.model import Model
 from core.observation import Inspection
 from core.planning.candidates import Candidate, candidates
 from core.planning.worth import Target, worth
+from service.export.units import unit_of
 from service.ports import BladeRecord, Json, PlanTarget
 
 MOST_PARTICLES = 2000
@@ -44,7 +45,7 @@ def planned(
     aim = Target(target.blade, target.quantity, target.time_h, target.parameter)
     found = worth(model, state, aim, asked, known, count, MOST_PARTICLES)
     if target.parameter is not None:
-        unit = {p.name: p.unit for p in model.network.parameters}.get(target.parameter, "1")
+        unit = unit_of(model.network, target.parameter) or "1"
     else:
         unit = model.network.quantity(target.quantity or "").unit
     merged = by_whomever(found.single)

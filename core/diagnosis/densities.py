@@ -122,10 +122,7 @@ def parameter_pictures(found: Diagnosis) -> list[Json]:
     """Shared ones by their own, local ones over the blades; amplitudes are among the shared."""
     (model, state), (after, made) = found.before, found.after
     effects = {amplitude(e.cell, model.network)[0] for e in found.effects}
-    units = {p.name: p.unit for p in after.network.parameters}
-    units |= {
-        amplitude(e.cell, model.network)[0]: amplitude_unit(e.cell, after) for e in found.effects
-    }
+    units = {p.name: after.network.unit_of(p.name) for p in after.network.parameters}
     units |= {q.sigma_name: q.unit for q in after.network.quantities}
     shared = [n for n in made.meta["shared"] if n not in state.meta["shared"]]
     told = []

@@ -41,6 +41,7 @@ def gathered(
     Raises ProblemError where the rotor is not there, or the question does not fit its model.
     """
     from core.network import Network
+    from service.variant import vary
 
     rotor = twin.rotor(name)
     told: Told = {"rotor": rotor, "posterior": None, "blades": [], "units": {}, "question": None}
@@ -56,6 +57,8 @@ def gathered(
     shared = set(told["posterior"]["names"])
     model = twin.model(rotor["model"], rotor["model_version"])
     network = Network.from_json(model["network"])
+    if rotor["network"] is not None:
+        network = vary(network, model["horizon_h"], rotor["network"])
     quantity = quantity or next(iter(model["outputs"]))
     time_h = min(USUAL_H, model["horizon_h"]) if time_h is None else time_h
     told["question"] = {
@@ -84,7 +87,7 @@ def place(nodes: dict[str, int], node: int | None) -> str | None:
 
 
 def own_unit(network: Network, name: str) -> str | None:
-    """The unit of a parameter that the model itself declares; None: the rotor has added it."""
+    """The unit of a parameter of the rotor's network; None: it has none."""
     from service.export.units import unit_of
 
     unit = None if name.startswith("theta") else unit_of(network, name)

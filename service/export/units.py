@@ -10,7 +10,8 @@ def unit_of(network: Network, name: str) -> str:
     """The unit of a parameter of a posterior, whether declared or made by the calibration.
 
     A population's mean and sd have their parameter's unit, a noise its quantity's, a constant
-    discrepancy as well; theta1, theta2 and modes in time are factors.
+    discrepancy as well; theta1, theta2 and modes in time are factors. The amplitude of an effect
+    that is added has the unit of its input or quantity.
 
     >>> from core.builtin.paper_network import rotor_blade_network
     >>> network = rotor_blade_network()
@@ -28,6 +29,6 @@ def unit_of(network: Network, name: str) -> str:
     if head in ("theta1", "theta2") and rest:
         return "1"
     try:
-        return network.parameter(name).unit
+        return network.unit_of(name)
     except InputError:
         return ""

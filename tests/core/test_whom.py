@@ -156,6 +156,21 @@ def network(drifts: tuple[Drift, ...] = (), biases: tuple[Bias, ...] = ()) -> Ne
     )
 
 
+def test_an_amplitude_that_is_added_has_the_unit_of_what_it_is_added_to() -> None:
+    """It was told as a pure number in plans, exports, and reports of the next diagnosis."""
+    cooled, gain = (
+        replace(WEAR, name="cooling", how="plus"),
+        replace(ZERO, name="gain", how="times"),
+    )
+    whole = network((WEAR, cooled), (ZERO, gain))
+    coated = tuple(replace(p, unit="µm") if p.name == "coating" else p for p in whole.parameters)
+    whole = replace(whole, parameters=coated)
+    units = {p.name: whole.unit_of(p.name) for p in whole.parameters}
+    assert units == {"coating": "µm", "wear": "1", "cooling": "µm", "zero": "mm", "gain": "1"}
+    with pytest.raises(InputError, match="does not exist"):
+        whole.unit_of("rub")
+
+
 def test_a_network_of_effects_of_all_blades_is_every_blades() -> None:
     """A bias is made anew for every blade: equal, not only the same, must do."""
     one = network((WEAR,), (replace(ZERO, campaign="c1"),))

@@ -146,6 +146,26 @@ def test_the_real_science_plans_for_a_blades_last_hour(settings: Settings) -> No
     assert got["target"]["unit"] == "mm"
 
 
+def test_what_an_effect_adds_is_planned_for_in_the_unit_of_the_readings(settings: Settings) -> None:
+    """0.039 of "1" was told of an offset of 0.039 mm."""
+    science = formula_science()
+    store = SqlStore(open_engine(settings.database_url))
+    register_builtins(store, science)
+    prior = {"kind": "normal", "low": -0.1, "high": 0.1, "mean": 0.0, "sd": 0.05}
+    size = {"name": "zero", "level": "shared", "prior": prior}
+    bias = {"name": "zero", "quantity": "elongation", "shape": [[0.0, 1.0]], "campaign": "v1"}
+    network = {"effects": {"parameters": [size], "drifts": [], "biases": [bias]}}
+    blades = [BladeRecord(f"B{b}") for b in range(6)]
+    create_rotor(store, "r1", "rotor-blade", blades, 400, 7, network=network)
+    post_inspections(store, "r1", visits(0.0))
+    make_worker(store, science, settings, "w").drain()
+    found = basis(store, science, "r1", Which(), None)
+    for name, unit in (("zero", "mm"), ("t1t_rate", "1")):
+        got = plan(store, science, found, target_of(found, None, None, name), 1)
+        assert got["target"]["unit"] == unit
+    store.close()
+
+
 def test_where_no_blade_runs_there_is_nothing_to_plan(
     api: httpx.Client, rotor: str, worker: Worker
 ) -> None:
