@@ -11,6 +11,7 @@ from functools import lru_cache
 
 from sqlalchemy import Connection, bindparam, select, update
 
+from core.errors import InputError
 from service.errors import NotFoundError
 from service.ports import Json, ModelCard
 from service.store import tables as t
@@ -38,7 +39,10 @@ class SqlModels(SqlJobs):
         self._met = Met() if met is None else met
 
     def put_model(self, card: ModelCard, source: Json, *, newest: bool = False) -> None:
-        """Make a version known; `newest`: the one that new rotors get, though it was known."""
+        """Make a version known; `newest`: the one that new rotors get, though it was known.
+
+        Raises InputError where it was, with other families: these are no part of a version.
+        """
         values = {
             "id": card.id,
             "version": card.version,
@@ -49,6 +53,15 @@ class SqlModels(SqlJobs):
         }
         if not insert_new(self._connection, t.model, values) and newest:
             own = (t.model.c.id == card.id) & (t.model.c.version == card.version)
+            text = self._connection.execute(select(t.model.c.card).where(own)).scalar_one()
+            if _card(text).network.families != card.network.families:
+                raise InputError(
+                    f"families of model {card.id}",
+                    [f.name for f in card.network.families],
+                    f"are others than those of its version {card.version}, which is the same in "
+                    "all else, and a version that is there never changes",
+                    "give the model another id, or its rotors' diagnoses these families",
+                )
             self._connection.execute(update(t.model).where(own).values(created_at=now_s()))
 
     def model_sources(self) -> list[tuple[ModelCard, Json]]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
+import zipfile
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ from sqlalchemy import func, select, update
 
 from core.archive import trial
 from core.archive.table import convert_table
-from core.errors import ModelError
+from core.errors import InputError, ModelError
 from service.bootstrap import make_worker
 from service.client import Client, ProblemError, transports
 from service.fake import FakeScience
@@ -29,6 +32,7 @@ from service.handlers.models import (
     request_training,
 )
 from service.handlers.rotors import view_rotor
+from service.packed import pack
 from service.science import CoreScience
 from service.settings import Settings
 from service.store import tables as t
@@ -386,6 +390,24 @@ def test_a_new_upload_is_a_new_version_and_rotors_keep_theirs(
     assert versions[0] == versions[2] != versions[1]
     kept = [http.get(f"/v1/rotors/r{n}").json()["model_version"] for n in (1, 2, 3)]
     assert kept == versions
+
+
+def test_a_model_that_differs_in_its_families_alone_is_refused_under_the_same_name(
+    own_store: SqlStore, real: CoreScience, artefact: bytes, tmp_path: Path
+) -> None:
+    """They are no part of a version: the new ones were dropped, and nothing said so."""
+    with zipfile.ZipFile(BytesIO(artefact)) as packed:
+        packed.extractall(tmp_path)
+    network = json.loads((tmp_path / "network.json").read_text())
+    more = network | {"families": [CLOGGED]}
+    (tmp_path / "network.json").write_text(json.dumps(more))
+    card = register_trained(own_store, real, "exchanger", artefact)
+    with pytest.raises(InputError, match="give the model another id"):
+        register_trained(own_store, real, "exchanger", pack(tmp_path))
+    assert find_model(own_store, "exchanger") == card
+    assert register_trained(own_store, real, "exchanger", artefact) == card
+    other = register_trained(own_store, real, "other", pack(tmp_path))
+    assert [f.name for f in other.network.families] == [CLOGGED["name"]]
 
 
 def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
