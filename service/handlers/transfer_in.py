@@ -132,9 +132,7 @@ def _registered(store: Store, science: Science, told: RotorLine) -> ModelCard:
             card = tx.records.model(told.model, told.model_version)
         except NotFoundError:
             if told.model not in science.builtins:
-                known = "register it first (`bladetwin model register`), or upload its runs"
-                problem = "is no built-in model, and none that is registered here"
-                raise InputError("model of the file", told.model, problem, known) from None
+                raise _absent(tx, told) from None
             card = science.builtin(told.model)
     if (card.version, card.digest) != (told.model_version, told.model_digest):
         problem = f"is not the model here, which is {card.version} ({card.digest[:12]}…)"
@@ -143,6 +141,19 @@ def _registered(store: Store, science: Science, told: RotorLine) -> ModelCard:
     with store.write() as tx:
         tx.records.put_model(card, {"builtin": card.id})
     return card
+
+
+def _absent(tx: Transaction, told: RotorLine) -> InputError:
+    """That a model of runs is not here, or in other versions only."""
+    known = "register it first (`bladetwin model register`), or upload its runs"
+    try:
+        newest = tx.records.model(told.model).version
+    except NotFoundError:
+        problem = "is no built-in model, and none that is registered here"
+        return InputError("model of the file", told.model, problem, known)
+    asked, problem = f"{told.model} {told.model_version}", "is a version that is not registered "
+    problem += f"here; the newest of that id is {newest}"
+    return InputError("model of the file", asked, problem, known.replace("it", "that one", 1))
 
 
 def _chunks(events: Iterable[Event]) -> Iterator[list[Event]]:

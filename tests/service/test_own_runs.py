@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -31,8 +33,11 @@ from service.handlers.models import (
     register_trained,
     request_training,
 )
-from service.handlers.rotors import view_rotor
+from service.handlers.rotors import create_rotor, view_rotor
+from service.handlers.transfer_in import import_rotor
+from service.handlers.transfer_out import export_rotor
 from service.packed import pack
+from service.ports import BladeRecord
 from service.science import CoreScience
 from service.settings import Settings
 from service.store import tables as t
@@ -408,6 +413,28 @@ def test_a_model_that_differs_in_its_families_alone_is_refused_under_the_same_na
     assert register_trained(own_store, real, "exchanger", artefact) == card
     other = register_trained(own_store, real, "other", pack(tmp_path))
     assert [f.name for f in other.network.families] == [CLOGGED["name"]]
+
+
+def test_a_rotor_of_another_version_of_a_model_that_is_here_is_told_which_are(
+    own_store: SqlStore, real: CoreScience, artefact: bytes, tmp_path: Path, sqlite_template: Path
+) -> None:
+    """It was told that none of that id is registered."""
+    card = register_trained(own_store, real, "exchanger", artefact)
+    create_rotor(own_store, "station", "exchanger", [BladeRecord("E1")], 64, 7)
+    export_rotor(own_store, "station", tmp_path / "station.zip", "test")
+    with zipfile.ZipFile(BytesIO(artefact)) as packed:
+        packed.extractall(tmp_path)
+    network = json.loads((tmp_path / "network.json").read_text())
+    (tmp_path / "network.json").write_text(json.dumps(network | {"name": "another"}))
+    shutil.copy(sqlite_template, tmp_path / "elsewhere.db")
+    with closing(SqlStore(open_engine(f"sqlite:///{tmp_path / 'elsewhere.db'}"))) as store:
+        with pytest.raises(InputError, match="none that is registered here"):
+            import_rotor(store, real, tmp_path / "station.zip")
+        here = register_trained(store, real, "exchanger", pack(tmp_path)).version
+        with pytest.raises(InputError) as caught:
+            import_rotor(store, real, tmp_path / "station.zip")
+    assert caught.value.value == f"exchanger {card.version}"
+    assert caught.value.problem.endswith(f"here; the newest of that id is {here}")
 
 
 def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
