@@ -4,7 +4,7 @@ discrepancy over the runs' hours."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,14 @@ from core.network import Network, Quantity
 Array = NDArray[np.float64]
 CONSTANT = 1e-9  # relative
 BURIED, BROUGHT = 0.1, 0.25  # of the least noise: spread between runs, error of interpolating
+MOST = 10  # runs that are named
 FACTORS = (1e3, 1e-3, 1e6, 1e-6, 1e2, 1e-2)
 
 
 @dataclass(slots=True)
 class Seen:
-    """What all runs together show of a quantity: sums over runs of each value, and extremes."""
+    """What all runs together show of a quantity: sums over runs of each value, and extremes, also
+    of each run by its label (`ends`)."""
 
     count: int = 0
     mean: Array | None = None
@@ -31,8 +33,9 @@ class Seen:
     low: float = np.inf
     high: float = -np.inf
     brought: float = 0.0
+    ends: list[tuple[str, float, float]] = field(default_factory=list)
 
-    def add(self, values: Array) -> None:
+    def add(self, values: Array, label: str) -> None:
         """One more run (Welford's recurrence)."""
         self.count += 1
         if self.mean is None or self.square is None:
@@ -42,6 +45,7 @@ class Seen:
             self.mean += step / self.count
             self.square += step * (values - self.mean)
         self.low, self.high = min(self.low, values.min()), max(self.high, values.max())
+        self.ends.append((label, float(values.min()), float(values.max())))
 
     @property
     def between(self) -> float:
@@ -114,6 +118,11 @@ def _check_magnitude(name: str, one: Seen, q: Quantity, found: Findings) -> None
         problem = f"differs between runs by {one.between:.3g} at most, a tenth of the least noise "
         problem += f"({least:g}) or less: readings tell nothing"
     remedy = "check the unit"
-    if fits:
+    beyond = [label for label, low, high in one.ends if low < q.low or high > q.high]
+    if outside and 2 * len(beyond) < one.count:
+        many = f" and {len(beyond) - MOST} more" if len(beyond) > MOST else ""
+        problem += f", in {len(beyond)} of {one.count} runs: {', '.join(beyond[:MOST])}{many}"
+        remedy = "look at these: leave out what diverged, or widen the quantity's low and high"
+    elif fits:
         remedy += f": times {fits[0]:g} it would fit, as if the runs were written in another"
     found.warn(what, f"{one.low:.4g} … {one.high:.4g} {q.unit}", problem, remedy)

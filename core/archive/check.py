@@ -181,6 +181,8 @@ def _cover(
     """Warn where the runs stop short of the bounds by more than designs do."""
     width = bounds[1] - bounds[0]
     gap = max(seen[0] - bounds[0], bounds[1] - seen[1]) / width
+    own = p.prior.high - p.prior.low  # runs may be far wider than it, and lie beside half of it
+    gap = max(gap, (seen[0] - p.prior.low) / own, (p.prior.high - seen[1]) / own)
     if gap > max(0.1, 1.5 / count):
         problem = f"is what the runs cover of {bounds[0]:g} … {bounds[1]:g}: it extrapolates beyond"
         remedy = "add runs at the edges, or narrow the prior"

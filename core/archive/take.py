@@ -156,7 +156,7 @@ def _take_run(
         found.faults += [] if empty else faults
         return not empty
     for name, own in values.items():
-        seen[name].add(own)
+        seen[name].add(own, label)
     if archive is not None:
         names = [item.name for item in plan.inputs]
         inputs = dict(zip(names, map(float, plan.values[k]), strict=True))

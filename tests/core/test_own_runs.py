@@ -211,6 +211,17 @@ def test_numbers_of_another_magnitude_than_readings_may_have_are_told_with_the_f
     assert "readings tell nothing" in warned(found, "quantity drop").problem
 
 
+def test_a_run_that_diverged_is_named_where_all_others_are_what_readings_may_be(
+    tmp_path: Path,
+) -> None:
+    """All runs were told to be in another unit, times 1e-6."""
+    data = dataset()
+    data["drop"][17, 5:] *= 1e6
+    one = warned(taken(data, tmp_path)[1], "quantity drop")
+    assert one.problem.endswith("in 1 of 24 runs: 17")
+    assert "leave out what diverged" in one.remedy
+
+
 def test_unequal_instants_are_put_on_a_common_axis_and_the_runs_are_named(tmp_path: Path) -> None:
     data, x = dataset(), points()
     own = np.tile(TIME_H, (24, 1))
@@ -498,6 +509,13 @@ def test_runs_that_stop_short_of_the_bounds_are_told(tmp_path: Path) -> None:
     data = dataset()
     data = data.isel(run=np.flatnonzero(data["roughness"].values < 7.0))
     _, found, _ = taken(data, tmp_path)
+    assert "extrapolates" in warned(found, "input roughness").problem
+
+
+def test_a_prior_that_lies_beside_most_runs_is_told_however_wide_these_are(tmp_path: Path) -> None:
+    """Columns swapped: half of a prior had no run, and the runs beyond it hid that."""
+    narrow = network(NETWORK.replace("low: 1, high: 9", "low: 0.6, high: 2"))
+    _, found, _ = taken(dataset(), tmp_path, narrow)
     assert "extrapolates" in warned(found, "input roughness").problem
 
 
