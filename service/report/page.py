@@ -21,7 +21,7 @@ from service.report.verdict import do_next, verdict
 from service.report.words import number
 
 Json = Mapping[str, Any]
-LAYOUT = 4  # raised when the page changes, so that its tag does
+LAYOUT = 5  # raised when the page changes, so that its tag does
 
 
 @cache

@@ -107,11 +107,21 @@ def _better(found: Json) -> str:
     compared = found["before_after"]
     if compared is None:
         return "Forecasts of the model as it was are without it."
-    before, after = (compared[which]["rmse"] for which in ("before", "after"))
-    if before is not None and after is not None and after >= before:
+    gains = [
+        sign * (compared["after"][score] - compared["before"][score]) > 0
+        for score, sign in (("rmse", -1), ("log_score", 1))
+        if None not in (compared["before"][score], compared["after"][score])
+    ]
+    if gains and not any(gains):
         return (
             "On the readings below, which neither model used, the model with the effect is not the "
             "better one: look at them before you use its forecasts."
+        )
+    if not all(gains):
+        nearer, other = ("RMSE", "log score") if gains[0] else ("log score", "RMSE")
+        return (
+            "On the readings below, which neither model used, the model with the effect is better "
+            f"by its {nearer} and not by its {other}: look at them before you use its forecasts."
         )
     return (
         "Forecasts of the model as it was have the errors shown below; those with the effect in it "

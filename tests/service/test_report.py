@@ -543,11 +543,18 @@ def test_the_comparison_says_what_it_does_not_test() -> None:
 
 def test_what_to_do_promises_no_more_than_was_found() -> None:
     assert "those with the effect in it are the better ones" in Read(page_of(told("effect"))).said
-    worse = told("effect")
-    worse["before_after"]["after"]["rmse"] = 0.03
-    said = Read(page_of(worse)).said
-    assert "the better ones" not in said
-    assert "the model with the effect is not the better one" in said
+    better = told("effect")["before_after"]["before"]
+    for scores, words in (
+        (("rmse",), "is better by its log score and not by its RMSE"),
+        (("log_score",), "is better by its RMSE and not by its log score"),
+        (("rmse", "log_score"), "is not the better one"),
+    ):
+        worse = told("effect")
+        for score in scores:
+            worse["before_after"]["after"][score] = better[score]
+        said = Read(page_of(worse)).said
+        assert "the better ones" not in said
+        assert f"the model with the effect {words}" in said
     apart = "inspections below would tell them apart"
     assert apart in Read(page_of(told("not separable"))).said
     assert apart not in Read(page_of(told("not separable", separating=None))).said
