@@ -26,10 +26,11 @@ class SqlBlobs:
         self._connection = connection
 
     def put(self, data: bytes) -> str:
-        """Keep a file; its SHA-256, hexadecimal."""
+        """Keep a file; its SHA-256, hexadecimal. One that is there and damaged is mended."""
         name = sha256(data).hexdigest()
         dialect = sqlite if self._connection.dialect.name == "sqlite" else postgresql
-        if not self.lock(name):
+        if not (self.lock(name) and self._whole(name)):
+            self.drop(name)
             for part, start in enumerate(range(0, max(len(data), 1), PART)):
                 row = {"sha256": name, "part": part, "data": data[start : start + PART]}
                 put = dialect.insert(t.blob).values(row).on_conflict_do_nothing()
@@ -40,6 +41,14 @@ class SqlBlobs:
         """Whether the file is there; it is not dropped before this transaction ends."""
         rows = select(b.part).where(b.sha256 == name, b.part == 0).with_for_update()
         return self._connection.execute(rows).first() is not None
+
+    def _whole(self, name: str) -> bool:
+        """Whether the file that is there is what was written."""
+        try:
+            self.get(name)
+        except ModelError:
+            return False
+        return True
 
     def has(self, name: str) -> bool:
         count = select(func.count()).select_from(t.blob).where(b.sha256 == name)

@@ -456,6 +456,10 @@ def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
     with pytest.raises(ModelError, match="upload the model again"):
         fresh.warm(card)
     make_worker(own_store, fresh, settings).warm()  # others are warmed all the same
+    register_trained(own_store, real, "exchanger", artefact)  # the same again mends it
+    assert own_store.blob(card.summary["artefact"]) == artefact
+    fresh.warm(card)
+    assert _models(own_store, real) == []
 
 
 @pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
