@@ -67,8 +67,11 @@ def read_table(path: str | Path) -> Table:
             divider = max(",;\t", key=sample.partition("\n")[0].count)
             reader = csv.reader(handle, delimiter=divider, strict=True)
             lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ModelError(f"{path} cannot be read as CSV in UTF-8: {error}") from error
+    except UnicodeDecodeError as error:
+        problem = f"{path} is no text in UTF-8, for it has a byte 0x{error.object[error.start]:02x}"
+        raise ModelError(f"{problem}: save it as CSV in UTF-8 (it may be in Latin-1)") from error
+    except (OSError, csv.Error) as error:
+        raise ModelError(f"{path} cannot be read as CSV: {error}") from error
     if len(lines) < 2:
         raise ModelError(f"{path} holds no line below its header")
     units = _header(lines[0][1], found)

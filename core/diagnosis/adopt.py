@@ -19,6 +19,7 @@ import numpy as np
 
 from core.course import Course
 from core.diagnosis.grammar import Cell, Facts, there
+from core.diagnosis.held import wider
 from core.diagnosis.signature import NOISES
 from core.drift import Bias, Drift
 from core.errors import InputError
@@ -212,8 +213,7 @@ def _room(
             f"effect {drift.name}",
             (round(low, 4) + 0.0, round(high, 4) + 0.0),  # no "-0.0"
             f"finds no room in the runs of {drift.input}, {own.low:g} … {own.high:g}",
-            "use a model whose runs go beyond these: rotor-blade-wide for coatings and gas, else "
-            "one that is trained on runs of your own",
+            wider(model.network, drift.input),
         )
     return low, high
 

@@ -1,4 +1,5 @@
-"""That later hours have too little of an effect, in words: from when on, and of which blades."""
+"""Where runs end, in words: from when on later hours have too little of an effect, and of which
+blades; and what to do where an effect has no room at all."""
 
 from __future__ import annotations
 
@@ -6,8 +7,27 @@ from collections.abc import Mapping, Sequence
 
 from core.calibration.state import RotorState, blade_posterior
 from core.model import Model
+from core.network import Network
 from core.runs_end import held_from
 from core.surrogate.driven import Driven
+
+WIDENED = ("tbc_thickness", "t1t_rate")  # inputs of which rotor-blade-wide has more
+
+
+def wider(network: Network, name: str) -> str:
+    """What to do where the runs of an input have no room.
+
+    Of the shipped narrow model there is a wide one, for coatings and gas; for no other.
+
+    >>> from core.builtin.paper_network import rotor_blade_network
+    >>> wider(rotor_blade_network(), "t1t_rate")
+    'use a model whose runs go beyond these: rotor-blade-wide'
+    >>> wider(rotor_blade_network(), "creep_steady")
+    'use a model whose runs go beyond these, or a narrower prior of creep_steady'
+    """
+    if network.name == "rotor-blade" and not network.of_level("dormant") and name in WIDENED:
+        return "use a model whose runs go beyond these: rotor-blade-wide"
+    return f"use a model whose runs go beyond these, or a narrower prior of {name}"
 
 
 def leaving_runs(

@@ -91,6 +91,14 @@ def test_what_is_wrong_with_a_table_is_told_with_line_and_column(
     assert words in str(caught.value.faults[0])
 
 
+def test_a_table_in_another_encoding_is_told_how_to_save_it(tmp_path: Path) -> None:
+    (tmp_path / "runs.csv").write_bytes("run,time [h],a [1],y [µm]\n1,0,2,3\n".encode("latin-1"))
+    with pytest.raises(ModelError, match=r"no text in UTF-8.*0xb5.*save it as CSV in UTF-8"):
+        read_table(tmp_path / "runs.csv")
+    with pytest.raises(ModelError, match=r"cannot be read as CSV: .*No such file"):
+        read_table(tmp_path / "nowhere.csv")
+
+
 def test_an_input_that_is_named_and_changes_within_a_run_is_refused(tmp_path: Path) -> None:
     table = write_table(tmp_path / "runs.csv", points(12))
     with pytest.raises(RunsError, match="one value for each run"):
