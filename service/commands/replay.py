@@ -89,7 +89,8 @@ def verify(
     patience: Patience = 30.0,
     as_json: Json = False,
 ) -> None:
-    """Check what is stored against its digests: log, rotor, blades, versions, arrays, models.
+    """Check what is stored against its digests: log, rotor, blades, versions, arrays, models (of
+    one rotor: its own).
 
     Exit status: 0 sound (or mended), 3 damage that --repair mends, 4 damage that the log cannot
     mend (an entry of the log, a rotor's or a blade's row, a model), 1 refused.
@@ -102,7 +103,7 @@ def verify(
     with opened(settings, looks=True) as store:
         science, updater = _wired(store, settings)
         rotors = [rotor] if rotor is not None else _rotors(store)
-        found = _models(store, science) if rotor is None else []
+        found = _models(store, science, rotor)
         for name in rotors:
             with snapshot(store.engine) as connection:
                 found += audit(connection, name)
@@ -169,18 +170,22 @@ def _rotors(store: SqlStore) -> list[str]:
         return list(tx.connection.execute(select(t.rotor.c.id).order_by(t.rotor.c.id)).scalars())
 
 
-def _models(store: SqlStore, science: Science) -> list[Finding]:
+def _models(store: SqlStore, science: Science, rotor: str | None = None) -> list[Finding]:
+    """What is wrong with the models that are stored; `rotor`: with the one that it runs on."""
     from service.store.audit import audit_artefact, audit_models
     from service.store.engine import snapshot
 
+    with store.read() as tx:
+        own = [card for card, source in tx.records.model_sources() if "artefact" in source]
+        used = None if rotor is None else tx.records.rotor(rotor)
+    if used is not None:
+        own = [c for c in own if (c.id, c.version) == (used.model_id, used.model_version)]
     cards: dict[str, Any] = {}
-    for name in science.builtins:
+    for name in science.builtins if used is None else {used.model_id} & {*science.builtins}:
         try:
             cards[name] = science.builtin(name)
         except BladetwinError as error:
             cards[name] = error
-    with store.read() as tx:
-        own = [card for card, source in tx.records.model_sources() if "artefact" in source]
     with snapshot(store.engine) as connection:
         found = audit_models(connection, cards)
     return found + [one for card in own for one in audit_artefact(store.blob, science, card)]

@@ -443,6 +443,8 @@ def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
     from service.commands.replay import _models
 
     card = register_trained(own_store, real, "exchanger", artefact)
+    create_rotor(own_store, "mine", "exchanger", [BladeRecord("B1")], 64, 1)
+    create_rotor(own_store, "other", "rotor-blade", [BladeRecord("B1")], 64, 1)
     assert _models(own_store, real) == []
     assert own_store.blob(card.summary["artefact"]) == artefact
     with pytest.raises(ModelError, match="stored model cannot be read"):
@@ -452,6 +454,8 @@ def test_an_artefact_whose_bytes_changed_is_named_and_never_used(
         connection.execute(update(t.blob).values(data=spoilt))
     (finding,) = _models(own_store, real)
     assert "SHA-256" in finding.problem
+    assert _models(own_store, real, "mine") == [finding], "as `verify mine` tells"
+    assert _models(own_store, real, "other") == []
     fresh = CoreScience(files=own_store.blob)
     with pytest.raises(ModelError, match="upload the model again"):
         fresh.warm(card)
