@@ -234,6 +234,7 @@ def test_adopted_by_the_real_science_the_worker_s_model_is_the_diagnosed_one_and
     assert again.digest == before.digest
 
 
+CONSTANT = {"target": "input", "whom": ["all"], "shapes": ["constant"]}
 GROWTH = (0.0, 0.005, 0.02, 0.045, 0.08)  # of the elongation, in all blades alike
 
 
@@ -393,8 +394,9 @@ def test_a_family_of_an_input_that_the_model_has_not_is_refused_before_anything_
     fleet: SqlStore,
 ) -> None:
     science = formula_science()
-    worn = FAMILY | {"target": "input", "of": "tbc_thickness", "whom": ["all"], "name": "worn"}
+    worn = FAMILY | CONSTANT | {"of": "tbc_thickness", "name": "worn"}
     for families, at in (
+        ([worn | {"shapes": ["linear"]}], r"families\[0\].shapes"),  # a formula follows none
         ([worn, worn | {"name": "other", "of": "wall_loss"}], r"families\[1\].of"),
         ([worn, worn], r"families\[1\].name"),
     ):
@@ -405,9 +407,12 @@ def test_a_family_of_an_input_that_the_model_has_not_is_refused_before_anything_
 
 @pytest.mark.parametrize(
     "changes",
-    [{"size": 1e300}, {"how": "times", "size": 11.0}, {"target": "input", "of": "t1t_rate",
-     "whom": ["all"], "size": 0.21}],
-)  # fmt: skip
+    [
+        {"size": 1e300},
+        {"how": "times", "size": 11.0},
+        CONSTANT | {"of": "t1t_rate", "size": 0.21},
+    ],
+)
 def test_a_family_that_is_larger_than_all_there_is_is_refused(
     fleet: SqlStore, changes: Json
 ) -> None:
@@ -415,7 +420,7 @@ def test_a_family_that_is_larger_than_all_there_is_is_refused(
     science = formula_science()
     with pytest.raises(InputError, match=r"families\[0\].size"):
         request_diagnosis(fleet, science, "r1", [FAMILY | changes], compare=True, horizon_h=None)
-    fits = FAMILY | {"target": "input", "of": "t1t_rate", "whom": ["all"], "size": 0.19}
+    fits = FAMILY | CONSTANT | {"of": "t1t_rate", "size": 0.19}
     assert request_diagnosis(fleet, science, "r1", [fits], compare=True, horizon_h=None)[1]
 
 
