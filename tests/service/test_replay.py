@@ -666,6 +666,14 @@ def test_the_exit_status_tells_sound_from_damaged_from_lost(
     assert "'nobody' does not exist" in str(error)
 
 
+def test_a_rotor_s_damaged_model_is_told_with_it(
+    store: SqlStore, worn: str, run: Callable[..., tuple[int, Any]]
+) -> None:
+    damage(store, "UPDATE model SET digest = 'x'")
+    code, told = run("verify", worn)
+    assert (code, [one["part"] for one in told["findings"]]) == (4, ["model"])
+
+
 def test_a_damaged_rotor_is_named_and_nothing_is_computed_from_it(
     store: SqlStore, worn: str, run: Callable[..., tuple[int, Any]]
 ) -> None:
