@@ -4,13 +4,16 @@ A webhook is told of events of some or all rotors. What is to be told is written
 in which it happens, one delivery for each webhook that asks for it, so that nothing is lost between
 the two; a worker sends it, and it counts as delivered when that was answered with 2xx.
 
-=========  ====================================================================
-sealed     a rotor has a new sealed version
-blocked    a rotor is blocked; its error, and the entry that stops it
-alarm      a sealed version is not to be trusted, and the one before was (health)
-diagnosed  a diagnosis is done; its verdict
-gap        some of a rotor's were dropped, for too many waited; told unasked
-=========  ====================================================================
+================  =============================================================================
+sealed            a rotor has a new sealed version
+blocked           a rotor is blocked; its error, and the entry that stops it
+alarm             a sealed version is not to be trusted, and the one before was (health)
+diagnosed         a diagnosis is done; its verdict
+diagnosis-failed  a diagnosis failed and is not tried again; its error
+adopted           effects are put into a rotor's model: of which diagnosis, and whether unasked
+backed-out        they are taken out again
+gap               some of a rotor's were dropped, for too many waited; told unasked
+================  =============================================================================
 """
 
 from __future__ import annotations
@@ -19,7 +22,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, get_args
 
-Kind = Literal["sealed", "blocked", "alarm", "diagnosed"]
+Kind = Literal[
+    "sealed", "blocked", "alarm", "diagnosed", "diagnosis-failed", "adopted", "backed-out"
+]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 GAP = "gap"
 Status = Literal["pending", "delivered", "dead"]

@@ -28,6 +28,8 @@ from service.handlers.diagnoses import found_in
 from service.ports import Event, JobRecord, Json, NewEvent, Science, Store, Transaction
 from service.variant import with_more
 
+NOTES = {ADOPTION: "adopted", BACK_OUT: "backed-out"}  # as who listens is told
+
 
 @dataclass(frozen=True, slots=True)
 class Change:
@@ -189,4 +191,8 @@ def _append(tx: Transaction, rotor_id: str, kind: str, body: Json) -> Change:
     text, digest = digest_of_json(body)
     event = NewEvent(f"{kind}/{body['number']}", kind, text, digest)
     seq = tx.log.append(rotor_id, [event])[0].seq
+    told: Json = {"diagnosis": body["diagnosis"], "seq": seq}
+    told |= {"effects": [one["name"] for one in body["effects"]]}
+    told |= {"unasked": body["unasked"]} if "unasked" in body else {}
+    tx.outbox.post(rotor_id, NOTES[kind], told)
     return Change(_at(tx, rotor_id, seq).event, body, True)

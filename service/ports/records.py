@@ -220,7 +220,8 @@ class JobRecord:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A row of the outbox: kind applied, blocked, alarm or diagnosed, and what it tells."""
+    """A row of the outbox: its kind (applied, residuals, or one of `service.hooks.KINDS` but
+    sealed), and what it tells."""
 
     id: int
     rotor_id: str

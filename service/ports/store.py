@@ -150,6 +150,10 @@ class Outbox(Protocol):
         """Whether notes after this number are no longer kept, or it was never given."""
         ...
 
+    def post(self, rotor_id: str, kind: str, payload: Json) -> None:
+        """A note of what this transaction does, once the rotor is locked."""
+        ...
+
 
 class Blobs(Protocol):
     """Files by their SHA-256: uploaded runs, trained surrogates."""

@@ -1,5 +1,6 @@
 """Notes of what was committed: one for each new version and each blocking of a rotor, each alarm,
-each diagnosis that is done. What webhooks ask for is written for them in the same transaction.
+each diagnosis that has ended, each effect adopted or backed out. What webhooks ask for is written
+for them in the same transaction.
 
 A note is written in the transaction that it tells of, after the rotor's cursor was locked, so that
 the numbers of a rotor's notes are in the order of its commits; between rotors they need not be.
@@ -54,6 +55,9 @@ class SqlOutbox:
         query = select(t.cursor.c.outbox_dropped, own).where(t.cursor.c.rotor_id == rotor_id)
         dropped, there = self._connection.execute(query).one_or_none() or (0, False)
         return number < dropped or not (there or number in (0, dropped))
+
+    def post(self, rotor_id: str, kind: str, payload: dict[str, Any]) -> None:
+        post(self._connection, rotor_id, kind, payload)
 
 
 def post(connection: Connection, rotor_id: str, kind: str, payload: dict[str, Any]) -> None:

@@ -11,26 +11,22 @@ others take the short jobs.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from json import dumps
 from time import monotonic
 
 from core.errors import BladetwinError, FaultsError, InputError, ModelError
-from core.log import Entry
 from service import tracing
-from service.errors import AdoptionError, LostLeaseError, NotFoundError, StoreAwayError
-from service.handlers.adoptable import read_ahead
-from service.handlers.adoptions import adopt_in, backed_out
-from service.handlers.diagnoses import BECAUSE
+from service.errors import LostLeaseError, NotFoundError, StoreAwayError
 from service.handlers.diagnoses import KIND as DIAGNOSE
 from service.handlers.models import TRAIN
 from service.ports import Json, Progress, Science
 from service.settings import Settings
 from service.store.engine import now_s
-from service.store.outbox import post
 from service.store.unit_of_work import SqlStore, SqlTransaction
 from service.worker.claiming import Role
+from service.worker.concluding import ahead_of, concluded, in_vain
 from service.worker.diagnosing import diagnose
 from service.worker.heartbeat import Deadline, heartbeats
 from service.worker.job_lease import JobLease, beat_job, claim_job, close, give_back, tell_progress
@@ -146,44 +142,9 @@ class Jobs:
             found = diagnose(
                 self.store, self.science, lease.rotor_id, lease.request, told, lease.kept
             )
-            ahead = self.ahead_of(lease.rotor_id, found)
-            return lambda tx: self.concluded(tx, lease, found, ahead)
+            ahead = ahead_of(self.store, lease.rotor_id, found)
+            return lambda tx: concluded(tx, self.science, lease, found, ahead)
         raise NotFoundError("kind of job", lease.kind, "run a worker of the release that wrote it")
-
-    def ahead_of(self, rotor_id: str, found: Json) -> Sequence[Entry]:
-        """The rotor's entries so far, where its option may adopt what was found."""
-        with self.store.read() as tx:
-            option = tx.records.rotor(rotor_id).adopts
-        wanted = option == "effect" and found["verdict"] == "effect"
-        return read_ahead(self.store, rotor_id) if wanted else ()
-
-    def concluded(
-        self, tx: SqlTransaction, lease: JobLease, found: Json, ahead: Sequence[Entry]
-    ) -> Json:
-        """The result of a diagnosis; adopted with it where the rotor says so and nothing forbids.
-
-        What forbids it stands in the result, as ``not_adopted``.
-        """
-        assert lease.rotor_id is not None
-        tx.log.lock(lease.rotor_id)
-        told = {"diagnosis": lease.id, "verdict": found["verdict"], "names": found["names"]}
-        post(tx.connection, lease.rotor_id, "diagnosed", told)
-        option = tx.records.rotor(lease.rotor_id).adopts
-        if option != "effect" or found["verdict"] != "effect":
-            return found
-        try:
-            job = tx.records.job(lease.id)
-            asked = BECAUSE not in job.request
-            problem = None if asked else backed_out(tx, lease.rotor_id, found["effects"])
-            if problem is not None:
-                there = f"/v1/rotors/{lease.rotor_id}/diagnoses/{lease.id}"
-                remedy = f"where it is to be had all the same, POST {there}/adoption"
-                raise AdoptionError(lease.id, "adopted unasked", problem, remedy)
-            adopt_in(tx, self.science, job, found, ahead, unasked=True)
-        except AdoptionError as error:
-            log.warning("%s", error)
-            return found | {"not_adopted": str(error)}
-        return found
 
     def progress(
         self,
@@ -227,17 +188,20 @@ class Jobs:
         refused = {"result": refusal(error)} if final and lease.kind == TRAIN else {}
         pause = self.settings.retry_base_s * 2 ** (lease.attempts - 1)
         log.error("job %s: attempt %d failed: %s", lease.id, lease.attempts, error)
+        said = f"{type(error).__name__}: {error}"[:4000]
         try:
             with self.store.write() as tx:
                 if final and lease.kind == TRAIN:
                     drop_runs(tx, lease.id, lease.request)
+                if final and lease.kind == DIAGNOSE:
+                    in_vain(tx, lease, said)
                 close(
                     tx.connection,
                     lease,
                     status="failed" if final else "queued",
                     **refused,
                     **({"kept": None} if final else {}),
-                    error=f"{type(error).__name__}: {error}"[:4000],
+                    error=said,
                     progress=None,
                     not_before=now_s() + min(pause, self.settings.retry_max_s),
                     finished_at=now_s() if final else None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -466,6 +466,37 @@ def test_a_rotor_that_says_so_adopts_what_is_named_and_any_other_does_not(
     assert [one.diagnosis for one in sheets] == [found] * (seq - 12)
 
 
+def told_of(store: SqlStore, kinds: Sequence[str]) -> list[tuple[str, Json]]:
+    """What who listens to the rotor was told, in order."""
+    with store.read() as tx:
+        return [(n.kind, n.payload) for n in tx.outbox.after("r1", 0, 100) if n.kind in kinds]
+
+
+@pytest.mark.parametrize("unasked", [True, False])
+def test_who_listens_is_told_of_what_goes_into_the_model_and_out_of_it_again(
+    api: httpx.Client,
+    store: SqlStore,
+    science: Offsets,
+    settings: Settings,
+    post: Post,
+    reading: Make,
+    diagnoser: Worker,
+    unasked: bool,
+) -> None:
+    automatic(store, settings, post, reading, "effect" if unasked else "never")
+    found = diagnosed(store, science, diagnoser)
+    for _ in range(2):  # the second changes nothing, and tells nothing
+        assert api.post(f"/v1/rotors/r1/diagnoses/{found}/adoption").status_code in (200, 202)
+    for _ in range(2):
+        assert api.delete(f"/v1/rotors/r1/diagnoses/{found}/adoption").status_code in (200, 202)
+    told = {"diagnosis": found, "effects": [NAME]}
+    assert told_of(store, ("diagnosed", "adopted", "backed-out")) == [
+        ("diagnosed", {"diagnosis": found, "verdict": "effect", "names": [NAME]}),
+        ("adopted", told | {"seq": 13, "unasked": unasked}),
+        ("backed-out", told | {"seq": 14}),
+    ]
+
+
 def test_what_forbids_an_adoption_by_itself_stands_in_the_result(
     store: SqlStore, settings: Settings, post: Post, reading: Make
 ) -> None:
@@ -481,6 +512,7 @@ def test_what_forbids_an_adoption_by_itself_stands_in_the_result(
     job = find_diagnosis(store, "r1", found)
     assert job.status == "done"
     assert "(B1-c1)" in (job.result or {})["not_adopted"]
+    assert [kind for kind, _ in told_of(store, ("diagnosed", "adopted"))] == ["diagnosed"]
     assert view_rotor(store, "r1").rotor.head_seq == 13, "the retraction"
 
 

@@ -337,6 +337,10 @@ def test_a_diagnosis_that_kills_its_workers_fails_in_the_end(
     ended = find_diagnosis(store, "r1", job.id)
     assert ended.status == "failed"
     assert "survives" in str(ended.error)
+    with store.read() as tx:
+        *_, told = tx.outbox.after("r1", 0, 100)
+    assert told.kind == "diagnosis-failed"
+    assert told.payload == {"diagnosis": job.id, "error": ended.error}
 
 
 def test_a_diagnosis_whose_end_was_committed_unheard_stays_done(
