@@ -87,6 +87,7 @@ def of_database(found: Gauges | None) -> list[str]:
         ("dirty_rotors", "gauge", "Rotors with work to do: to apply or to seal.", found.dirty),
         ("blocked_rotors", "gauge", "Rotors that failed and wait for somebody.", found.blocked),
         ("provisional_rotors", "gauge", "Rotors not sealed yet.", found.provisional),
+        ("outdated_rotors", "gauge", "Rotors of an older algorithm's version.", found.outdated),
         ("least_ess_ratio", "gauge", "Least effective share of nodes.", found.least_ess_ratio),
         ("jobs", "gauge", "Jobs queued or at work.", found.jobs),
         ("deliveries_pending", "gauge", "To be sent to webhooks.", found.deliveries_pending),

@@ -191,7 +191,7 @@ def versions(store: Store, rotor_id: str, before: int | None, limit: int) -> lis
         return tx.states.page(rotor_id, before, limit)
 
 
-def operations(store: Store, limit: int) -> Operations:
+def operations(store: Store, science: Science, limit: int) -> Operations:
     """The service at one moment; at most `limit` of each kind."""
     with store.read() as tx:
-        return tx.operations(limit)
+        return tx.operations(limit, science.superseded)

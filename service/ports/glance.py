@@ -20,6 +20,7 @@ class Gauges:
     least_ess_ratio  of the newest version of any rotor; None: no version says one
     oldest_s         age of the oldest entry that is not applied, s; 0: there is none
     alarms           tests of residuals that alarm
+    outdated         rotors whose newest version is of an algorithm before this release's
     """
 
     rotors: int
@@ -38,6 +39,7 @@ class Gauges:
     deliveries_dead: int
     deliveries_dropped: int
     alarms: int
+    outdated: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,8 @@ machines: `cursor.takeovers` and `cursor.seals` rise in the transactions that th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from sqlalchemy import Connection, and_, func, select, true
 
 from service.ports import Gauges
@@ -14,8 +16,11 @@ from service.store.engine import now_s
 from service.store.hook_tables import delivery, untold
 
 
-def read_gauges(connection: Connection) -> Gauges:
-    """The gauges of all rotors together."""
+def read_gauges(connection: Connection, superseded: Sequence[str]) -> Gauges:
+    """The gauges of all rotors together.
+
+    superseded   state algorithms before this release's
+    """
     c, r, e, j = t.cursor.c, t.rotor.c, t.entry.c, t.job.c
     of_rotors = (
         select(
@@ -34,6 +39,9 @@ def read_gauges(connection: Connection) -> Gauges:
         .join(t.cursor, c.rotor_id == r.id)
     )
     row = connection.execute(of_rotors).one()
+    newest = and_(t.state.c.rotor_id == c.rotor_id, t.state.c.version == c.version)
+    older = select(func.count()).select_from(t.cursor).join(t.state, newest)
+    older = older.where(t.state.c.algorithm_version.in_(superseded))
     # the first entry that a rotor has not applied is the one after its cursor
     first = and_(e.rotor_id == c.rotor_id, e.seq == c.applied_seq + 1)
     waiting = select(now_s() - func.min(e.received_at)).select_from(t.cursor).join(t.entry, first)
@@ -59,4 +67,5 @@ def read_gauges(connection: Connection) -> Gauges:
         deliveries_dead=deliveries.get("dead", 0),
         deliveries_dropped=int(connection.execute(dropped).scalar_one()),
         alarms=int(connection.execute(alarms).scalar_one()),
+        outdated=int(connection.execute(older).scalar_one()),
     )

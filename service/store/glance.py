@@ -6,6 +6,7 @@ Few plain queries: no state is loaded, no body of a reading is parsed.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from sqlalchemy import Connection, Select, and_, case, func, or_, select, true
@@ -76,7 +77,7 @@ def read_blade_readings(
     }
 
 
-def read_operations(connection: Connection, limit: int) -> Operations:
+def read_operations(connection: Connection, limit: int, superseded: Sequence[str]) -> Operations:
     """The gauges, who holds a lease now, jobs that go on and rotors that are blocked."""
     now = float(connection.execute(select(now_s())).scalar_one())
     held = select(
@@ -107,7 +108,10 @@ def read_operations(connection: Connection, limit: int) -> Operations:
         if row.owner is not None and row.lease_until is not None and row.lease_until > now:
             work.append(AtWork(row.owner, row.kind, row.rotor_id, row.lease_until - now, None))
     return Operations(
-        read_gauges(connection), tuple(work), tuple(jobs), _blocked(connection, limit)
+        read_gauges(connection, superseded),
+        tuple(work),
+        tuple(jobs),
+        _blocked(connection, limit),
     )
 
 

@@ -70,8 +70,8 @@ class SqlTransaction:
         self.webhooks = SqlWebhooks(connection)
         self.blobs = SqlBlobs(connection)
 
-    def gauges(self) -> Gauges:
-        return read_gauges(self.connection)
+    def gauges(self, superseded: Sequence[str]) -> Gauges:
+        return read_gauges(self.connection, superseded)
 
     def blade_readings(self, rotor_id: str, through: int) -> dict[str, BladeReadings]:
         return read_blade_readings(self.connection, rotor_id, through)
@@ -91,8 +91,8 @@ class SqlTransaction:
     def sound_blades(self, rotor: RotorRecord) -> list[BladeRecord]:
         return creation.sound_blades(self.connection, rotor, self._compared)
 
-    def operations(self, limit: int) -> Operations:
-        return read_operations(self.connection, limit)
+    def operations(self, limit: int, superseded: Sequence[str]) -> Operations:
+        return read_operations(self.connection, limit, superseded)
 
 
 class SqlStore:

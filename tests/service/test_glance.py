@@ -181,7 +181,7 @@ def test_operations_name_the_backlog_the_worker_and_what_is_stuck(
     held = claim_rotor(store.engine, "r1", "worker-7", 30.0)
     assert held is not None
     busy = api.get("/v1/operations").json()
-    assert busy["gauges"]["backlog"] == 2
+    assert (busy["gauges"]["backlog"], busy["gauges"]["outdated"]) == (2, 0)
     assert [(w["owner"], w["does"], w["rotor_id"], w["behind"]) for w in busy["work"]] == [
         ("worker-7", "applies", "r1", 2)
     ]

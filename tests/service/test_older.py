@@ -65,6 +65,14 @@ def versions(store: SqlStore) -> list[tuple[int, int, str, bool]]:
         return [tuple(row) for row in connection.execute(query)]
 
 
+def waiting(store: SqlStore, science: FakeScience) -> int:
+    """How many rotors are still to be computed anew, as metrics and operations tell it."""
+    with store.read() as tx:
+        told = tx.gauges(science.superseded).outdated
+        assert tx.operations(5, science.superseded).gauges.outdated == told
+    return told
+
+
 def cursor(store: SqlStore) -> Any:
     with transaction(store.engine, write=False) as connection:
         return connection.execute(select(t.cursor)).one()
@@ -79,7 +87,9 @@ def test_who_seals_computes_it_anew_and_it_rests_on_the_same_entries(
     renewed: bool,
 ) -> None:
     (before,) = versions(store)
+    assert (waiting(store, FakeScience()), waiting(store, Next())) == (0, 1)
     make_worker(store, Next(), settings, "next release", role).drain()
+    assert waiting(store, Next()) == (0 if renewed else 1)
     expected = [(before[0] + 1, before[1], "fake-2", True)] if renewed else []
     assert versions(store) == [before, *expected]
     row = cursor(store)

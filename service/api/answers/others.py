@@ -114,7 +114,7 @@ GAUGES = {
     **dict.fromkeys(("rotors", "backlog", "applied", "versions", "seals", "takeovers"), WHOLE),
     **dict.fromkeys(("dirty", "blocked", "provisional", "jobs"), WHOLE),
     **dict.fromkeys(("deliveries_pending", "deliveries_dead", "deliveries_dropped"), WHOLE),
-    "alarms": WHOLE,
+    **dict.fromkeys(("alarms", "outdated"), WHOLE),
     "least_ess_ratio": maybe(NUMBER),
     "oldest_s": NUMBER,
 }

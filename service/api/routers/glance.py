@@ -103,7 +103,7 @@ def version_out(state: StateRecord) -> dict[str, Any]:
 
 @router.get("/operations", summary="The service at one moment: backlog, workers, jobs, blocked")
 def get_operations(services: Wired, limit: Limit = None) -> dict[str, Any]:
-    found = use.operations(services.store, page_size(services, limit))
+    found = use.operations(services.store, services.science, page_size(services, limit))
     jobs = [diagnosis_out(job) | {"kind": job.kind} for job in found.jobs]
     return {
         "gauges": asdict(found.gauges),

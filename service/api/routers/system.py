@@ -40,7 +40,7 @@ def readyz(request: Request) -> JSONResponse:
 def metrics(request: Request, services: Wired) -> Response:
     try:
         with services.store.read() as tx:
-            found = tx.gauges()
+            found = tx.gauges(services.science.superseded)
     except StoreAwayError:
         found = None
     state = request.app.state

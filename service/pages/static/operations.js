@@ -57,6 +57,7 @@ async function draw() {
     ["Backlog", `${number(g.backlog, "entry", "entries")}${g.backlog ? `, the oldest for ${seconds(g.oldest_s)}` : ""}`],
     ["Rotors with work", fixed(g.dirty, 0)],
     ["Provisional", fixed(g.provisional, 0)],
+    ...(g.outdated ? [["Of an older algorithm", `${number(g.outdated, "rotor")}; computed anew where nothing else is to be done`]] : []),
     ["Jobs", fixed(g.jobs, 0)],
     ["Entries applied", fixed(g.applied, 0)],
     ["Versions written", `${fixed(g.versions, 0)}, ${fixed(g.seals, 0)} of them sealed`],
