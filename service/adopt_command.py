@@ -37,6 +37,8 @@ def adopt(
         told: dict[str, Any] = {**done}
         if not as_json:  # it is done, whatever becomes of the waiting
             typer.echo("\n".join(lines_of(rotor, told["adoption"], found)))
+            if joined := told.get("joined"):
+                typer.echo(f"  joined since, of its lot, and have it, too: {', '.join(joined)}")
         if wait > 0:
             twin.wait_for(rotor, told["head_seq"], wait)
             told["rotor"] = twin.wait_sealed(rotor, wait)

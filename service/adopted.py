@@ -14,15 +14,17 @@ only the last one is backed out.
 A blade that joins a lot of which an effect is in force has the effect, as it grows with the blade's
 own hours: its name goes into the network's list of blades, by an entry of the log for each adoption
 that concerns it, in the transaction in which it joins. What lies above that adoption was put on the
-network without it; so the network that a back-out brings back has the blade as well. Which effects
-a blade joins, and which it would have to be told: `service.concerned`.
+network without it; so the network that a back-out brings back has the blade as well. A blade that
+joined the rotor after a diagnosis joins its effects when they are adopted, in that transaction:
+what is backed out and put back is what it was. Which effects a blade joins, and which it would have
+to be told: `service.concerned`.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from service.concerned import by_lot
@@ -87,6 +89,18 @@ class Adopted:
             for effect in sheet.effects
         ]
 
+    def without(self, late: Collection[str]) -> Json | None:
+        """The network as it would be if these blades had joined no effect in force."""
+        network = self.network
+        for part in {part for sheet in self.sheets for part, _ in sheet.joined}:
+            network = _listed(network, [part], lambda own: own.difference(late))
+        return network
+
+    def laid(self, body: Json, seq: int) -> Sheet:
+        """The sheet of an adoption, by the body of its entry."""
+        parts = frozenset(_parts(body["after"]) - _parts(self.network))
+        return Sheet(body["diagnosis"], tuple(body["effects"]), seq, self.network, parts)
+
     def after(self, event: Event) -> Adopted:
         """With one more entry. ValueError: the entry does not go on from here."""
         body = json.loads(event.body)
@@ -97,9 +111,8 @@ class Adopted:
         if event.kind == ADOPTION:
             if body["diagnosis"] in {sheet.diagnosis for sheet in self.sheets}:
                 raise ValueError(f"diagnosis {body['diagnosis']} is adopted already")
-            parts = frozenset(_parts(body["after"]) - _parts(self.network))
-            new = Sheet(body["diagnosis"], tuple(body["effects"]), event.seq, self.network, parts)
-            return Adopted(body["after"], (*self.sheets, new), self.count + 1)
+            sheets = (*self.sheets, self.laid(body, event.seq))
+            return Adopted(body["after"], sheets, self.count + 1)
         if event.kind == JOINING:
             return self._joined(body)
         if not self.sheets or self.sheets[-1].diagnosis != body["diagnosis"]:
@@ -156,12 +169,19 @@ def with_blade(network: Json | None, parts: Iterable[str], blade: str) -> Json |
     >>> with_blade({"effects": {"drifts": [wear], "biases": []}}, ["wear"], "B0")
     {'effects': {'drifts': [{'name': 'wear', 'blades': ['B0', 'B1']}], 'biases': []}}
     """
+    return _listed(network, parts, lambda own: own | {blade})
+
+
+def _listed(
+    network: Json | None, parts: Iterable[str], change: Callable[[set[str]], set[str]]
+) -> Json | None:
+    """A network whose drifts and biases of these names concern other blades."""
     if network is None or "effects" not in network:
         return network
     names, effects = frozenset(parts), network["effects"]
     changed = {
         kind: [
-            {**one, "blades": sorted({*one["blades"], blade})}
+            {**one, "blades": sorted(change(set(one["blades"])))}
             if one["name"] in names and one.get("blades") is not None
             else one
             for one in effects[kind]

@@ -945,6 +945,7 @@ class DiagnosisListed(TypedDict):
 
 class Adopted(TypedDict):
     adoption: Adoption
+    joined: list[str]
     head_seq: int
 
 

@@ -5,8 +5,10 @@
 * The rotor's model is the one that it was made for: an effect is what *that* model lacked.
 * Every reading that it used still counts, unchanged. Readings that came later are no obstacle, or
   nothing could be adopted on a rotor that is read all the time; the answer tells how many.
-* No blade joined since whom the effect would have to be told about: one of its lot, or one with a
-  clock of its own where the effect runs by the rotor's, be it the machine's or an instrument's.
+* A blade that joined since has the effect, too, where it is of the blade's lot and grows with the
+  blade's own hours, as it would had it joined after the adoption. None joined whom it would have to
+  be told about: one of its lot, or any, where the effect runs by the rotor's hours, be it by the
+  machine or an instrument, for at which of them the blade began is not known.
 
 Each rule raises AdoptionError, with what to do.
 """
@@ -17,11 +19,12 @@ from collections.abc import Sequence
 
 from core.errors import BladetwinError
 from core.log import Entry, effective
-from service.adopted import Adopted
+from service.adopted import Adopted, Sheet
 from service.concerned import concerns
 from service.entries import entries_of
 from service.errors import AdoptionError
 from service.ports import (
+    BladeRecord,
     JobRecord,
     Json,
     ModelCard,
@@ -30,6 +33,7 @@ from service.ports import (
     Store,
     Transaction,
 )
+from service.variant import with_more
 
 PAGE = 500
 
@@ -82,23 +86,32 @@ def holding(job: JobRecord, result: Json) -> None:
 
 
 def models_of(
-    science: Science, card: ModelCard, now: Adopted, network: Json, job: JobRecord, result: Json
+    science: Science,
+    card: ModelCard,
+    now: Adopted,
+    adds: Json,
+    late: Sequence[BladeRecord],
+    job: JobRecord,
+    result: Json,
 ) -> Json:
-    """Digests of the model before and after; AdoptionError: not those of the diagnosis."""
+    """Digests of the model before and after; AdoptionError: not those of the diagnosis.
+
+    late   the blades that joined since (`newcomers`): without the effects in force that they have
+           joined, the models have to be those that were calibrated
+    """
     anew = f"ask for a diagnosis of the present model: POST /v1/rotors/{job.rotor_id}/diagnoses"
-    before = science.vary(card, now.network).digest
+    then = now.without({blade.id for blade in late})
+    before = science.vary(card, then).digest
     if before != result["models"]["before"]:
         since = [sheet.diagnosis for sheet in now.sheets]
-        joined = sorted({blade for sheet in now.sheets for _, blade in sheet.joined})
         why = f" (adopted since: {', '.join(since)})" if since else ""
-        why += f" (joined effects in force: {', '.join(joined)})" if joined else ""
         problem = (
             f"it was made for model {result['models']['before'][:12]}…, "
             f"and the rotor has {before[:12]}…{why}"
         )
         raise AdoptionError(job.id, "adopted", problem, anew)
     try:
-        after = science.vary(card, network).digest
+        after = science.vary(card, with_more(then, adds)).digest
     except BladetwinError as error:
         raise AdoptionError(job.id, "adopted", f"the model refuses it ({error})", anew) from None
     if after != result["models"]["after"]:
@@ -107,6 +120,9 @@ def models_of(
             f"not {result['models']['after'][:12]}…, which was calibrated"
         )
         raise AdoptionError(job.id, "adopted", problem, anew)
+    if then != now.network:
+        networks = (now.network, with_more(now.network, adds))
+        before, after = (science.vary(card, network).digest for network in networks)
     return {"before": before, "after": after}
 
 
@@ -130,13 +146,26 @@ def readings_since(
         shown = ", ".join(gone[:5]) + ("…" if len(gone) > 5 else "")
         problem = f"{len(gone)} of its {len(then)} readings count no longer ({shown})"
         raise AdoptionError(job.id, "adopted", problem, anew)
-    joined = [b for b in tx.records.blades(rotor.id) if b.added_seq > through]
-    for effect in told_effects(result):
-        strangers = [b.id for b in joined if concerns(effect, b)]
-        if strangers:
-            problem = f"{', '.join(strangers)} joined since, and {effect['name']!r} concerns them"
-            raise AdoptionError(job.id, "adopted", problem, anew)
     return len(now) - len(then)
+
+
+def newcomers(tx: Transaction, rotor: RotorRecord, result: Json) -> list[BladeRecord]:
+    """The blades that joined after a diagnosis, the first that joined first."""
+    through = int(result["rests_on"]["through_seq"])
+    late = [b for b in tx.records.blades(rotor.id) if b.added_seq > through]
+    return sorted(late, key=lambda blade: blade.added_seq)
+
+
+def strangers(job: JobRecord, sheet: Sheet, late: Sequence[BladeRecord]) -> None:
+    """AdoptionError: a blade that joined since would have to be told about one of the effects."""
+    for effect in sheet.effects:
+        names = [b.id for b in late if concerns(effect, b) and effect not in sheet.joins(b)]
+        if names:
+            problem = f"{', '.join(names)} joined since, and {effect['name']!r} concerns them"
+            if effect.get("clock") == "rotor":
+                problem += " by the rotor's hours (at which of these their own began is not known)"
+            anew = f"ask for a new diagnosis: POST /v1/rotors/{job.rotor_id}/diagnoses"
+            raise AdoptionError(job.id, "adopted", problem, anew)
 
 
 def told_effects(result: Json) -> list[Json]:

@@ -10,20 +10,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from core.log import Entry
-from service.adopted import ADOPTION, BACK_OUT, JOINING, adopted_at, entries
+from service.adopted import ADOPTION, BACK_OUT, JOINING, PAGE, adopted_at, entries
 from service.digests import digest_of_json
 from service.errors import AdoptionError, NotFoundError
 from service.handlers.adoptable import (
     claimed,
     holding,
     models_of,
+    newcomers,
     read_ahead,
     readings_since,
+    strangers,
     told_effects,
 )
+from service.handlers.blades import join_effect
 from service.handlers.diagnoses import found_in
 from service.ports import Event, JobRecord, Json, NewEvent, Science, Store, Transaction
 from service.variant import with_more
@@ -33,11 +36,26 @@ NOTES = {ADOPTION: "adopted", BACK_OUT: "backed-out"}  # as who listens is told
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """An entry that adopted or backed out, and whether this request appended it."""
+    """An entry that adopted or backed out, and whether this request appended it.
+
+    joined   the entries by which blades that had joined since the diagnosis joined its effects,
+             appended in the same transaction
+    """
 
     event: Event
     body: Json
     new: bool
+    joined: tuple[Event, ...] = ()
+
+    @property
+    def head_seq(self) -> int:
+        """The last entry that the request appended."""
+        return self.joined[-1].seq if self.joined else self.event.seq
+
+    @property
+    def blades(self) -> list[str]:
+        """Those that have joined, the first that joined the rotor first."""
+        return [json.loads(event.body)["blade"] for event in self.joined]
 
 
 def adopt(store: Store, science: Science, rotor_id: str, diagnosis: str) -> Change:
@@ -81,21 +99,26 @@ def adopt_in(
     if unasked:
         holding(job, result)
     card = tx.records.model(rotor.model_id, rotor.model_version)
-    network = with_more(now.network, adds)
-    models = models_of(science, card, now, network, job, result)
+    late = newcomers(tx, rotor, result)
+    models = models_of(science, card, now, adds, late, job, result)
     since = readings_since(tx, rotor, job, result, head, ahead)
     body: Json = {
         "number": now.count + 1,
         "diagnosis": job.id,
         "effects": told_effects(result),
         "before": now.network,
-        "after": network,
+        "after": with_more(now.network, adds),
         "models": models,
         "through_seq": result["rests_on"]["through_seq"],
         "readings_since": since,
         "unasked": unasked,
     }
-    return _append(tx, rotor.id, ADOPTION, body)
+    strangers(job, now.laid(body, head + 1), late)
+    change = _append(tx, rotor.id, ADOPTION, body)
+    now = now.after(change.event)
+    for blade in late:
+        now = join_effect(tx, rotor.id, now, job.id, blade)
+    return replace(_at(tx, rotor.id, change.event.seq), new=True)
 
 
 def back_out(store: Store, science: Science, rotor_id: str, diagnosis: str) -> Change:
@@ -176,7 +199,15 @@ def _change(event: Event, *, new: bool = False) -> Change:
 
 
 def _at(tx: Transaction, rotor_id: str, seq: int) -> Change:
-    return _change(tx.log.changes(rotor_id, seq - 1, 1)[0])
+    """With the joinings right behind it; those of blades that come later stand behind the blade's
+    own entry."""
+    found = tx.log.changes(rotor_id, seq - 1, PAGE)
+    joined = []
+    for number, event in enumerate(found[1:], seq + 1):
+        if event.kind != JOINING or event.seq != number:
+            break
+        joined.append(event)
+    return replace(_change(found[0]), joined=tuple(joined))
 
 
 def _last(tx: Transaction, rotor_id: str, diagnosis: str) -> Change:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from service.adopted import JOINING, adopted_at
+from service.adopted import JOINING, Adopted, adopted_at
 from service.digests import digest_of_json, told_of
 from service.errors import ConflictError, FaultsError, NotFoundError
 from service.ports import Appended, BladeRecord, NewEvent, RotorRecord, Store, Transaction
@@ -73,12 +73,20 @@ def join_effects(tx: Transaction, rotor: RotorRecord, blade: BladeRecord) -> Non
     """A blade that has just joined has the effects in force of its lot, too (`service.adopted`)."""
     now = adopted_at(tx, rotor)
     for diagnosis in [sheet.diagnosis for sheet in now.sheets]:
-        sheet = next(sheet for sheet in now.sheets if sheet.diagnosis == diagnosis)
-        if effects := sheet.joins(blade):
-            text, digest = digest_of_json(now.joining(sheet, effects, blade.id))
-            event = NewEvent(f"{JOINING}/{now.count + 1}", JOINING, text, digest)
-            seq = tx.log.append(rotor.id, [event])[0].seq
-            now = now.after(tx.log.changes(rotor.id, seq - 1, 1)[0])
+        now = join_effect(tx, rotor.id, now, diagnosis, blade)
+
+
+def join_effect(
+    tx: Transaction, rotor_id: str, now: Adopted, diagnosis: str, blade: BladeRecord
+) -> Adopted:
+    """What is adopted once a blade has joined what a diagnosis found of its lot, if anything."""
+    sheet = next(sheet for sheet in now.sheets if sheet.diagnosis == diagnosis)
+    if not (effects := sheet.joins(blade)):
+        return now
+    text, digest = digest_of_json(now.joining(sheet, effects, blade.id))
+    event = NewEvent(f"{JOINING}/{now.count + 1}", JOINING, text, digest)
+    seq = tx.log.append(rotor_id, [event])[0].seq
+    return now.after(tx.log.changes(rotor_id, seq - 1, 1)[0])
 
 
 def retire_blade(store: Store, rotor_id: str, blade_id: str) -> Appended:

@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
+from typer.testing import CliRunner
 
 from core.diagnosis.adopt import parameter_name
 from core.diagnosis.families import FAMILIES
@@ -19,10 +20,11 @@ from core.observation import Inspection
 from core.prior import Prior
 from service.adopted import ADOPTION, JOINING, Adopted, Sheet, adopted_at, part_of
 from service.bootstrap import make_worker
+from service.cli import app as commands
 from service.digests import digest_of_json
 from service.handlers import blades as joining
-from service.handlers.blades import add_blade
-from service.handlers.diagnoses import request_diagnosis
+from service.handlers.blades import add_blade, retire_blade
+from service.handlers.diagnoses import find_diagnosis, request_diagnosis
 from service.handlers.rotors import create_rotor, view_rotor
 from service.handlers.transfer_in import import_rotor
 from service.handlers.transfer_out import export_rotor
@@ -229,17 +231,180 @@ def test_what_lies_above_is_backed_out_and_the_blade_stays_in_what_lies_below(
     assert view_rotor(store, "r1").adopted.network is None
 
 
-def test_an_older_diagnosis_says_who_joined(
+def put_back(api: httpx.Client, worker: Worker, diagnosis: str) -> Json:
+    """Backed out, computed, adopted again and computed; the answer to the latter."""
+    path = f"/v1/rotors/r1/diagnoses/{diagnosis}/adoption"
+    api.delete(path).raise_for_status()
+    worker.drain()
+    sent = api.post(path)
+    assert sent.status_code == 202, sent.text
+    again = api.post(path)
+    assert again.headers["idempotent-replayed"] == "true"
+    assert again.json() == sent.json()
+    worker.drain()
+    told: Json = sent.json()
+    return told
+
+
+def sealed(store: SqlStore) -> tuple[Any, list[Json], str]:
+    """The rotor's network, its effects but for their entries, and what its state is called by."""
+    view = view_rotor(store, "r1")
+    assert view.state is not None
+    assert view.state.sealed
+    effects = [{k: v for k, v in one.items() if k != "seq"} for one in view.adopted.effects]
+    return view.adopted.network, effects, view.state.digest
+
+
+def sound(store: SqlStore, science: Lots, worker: Worker, tmp_path: Path) -> None:
+    """The log gives the rotor again, here and where its file is imported."""
+    with snapshot(store.engine) as connection:
+        assert audit(connection, "r1") == []
+    file = tmp_path / "r1.zip"
+    export_rotor(store, "r1", file, "test")
+    import_rotor(store, science, file, "r2")
+    worker.drain()
+    there, here = view_rotor(store, "r2"), view_rotor(store, "r1")
+    assert there.adopted == here.adopted
+    assert there.state is not None
+    assert here.state is not None
+    assert there.state.digest == here.state.digest
+    assert replay(store, science, "r1")["same"] is True
+
+
+def test_what_is_backed_out_is_put_back_as_it_was_with_the_blade_that_joined(
     api: httpx.Client,
     store: SqlStore,
+    science: Lots,
+    adopted: str,
+    worker: Worker,
+    post: Post,
+    reading: Make,
+    tmp_path: Path,
+) -> None:
+    """Network and sealed state, bit for bit; it was refused for B9."""
+    for blade, lot in (("B8", "L2"), ("B9", "L1")):
+        add_blade(store, "r1", BladeRecord(blade, lot=lot))
+        post("r1", *read(reading, blade, lot))
+    worker.drain()
+    was = sealed(store)
+    assert was[1][0]["joined"] == ["B9"]
+    told = put_back(api, worker, adopted)
+    assert sealed(store) == was
+    assert told["head_seq"] == told["adoption"]["seq"] + 1 == view_rotor(store, "r1").rotor.head_seq
+    assert told["joined"] == ["B9"]
+    said = CliRunner().invoke(commands, ["adopt", "r1", adopted, "--url", str(api.base_url)]).stdout
+    assert "joined since, of its lot, and have it, too: B9" in said
+    listed = api.get("/v1/rotors/r1/adoptions").json()["items"]
+    assert [(one["what"], one["blade"]) for one in listed[-2:]] == [
+        ("adoption", None),
+        ("joining", "B9"),
+    ]
+    assert listed[-1]["networks"]["after"] == was[0]
+    sound(store, science, worker, tmp_path)
+
+
+def test_a_blade_that_joins_while_the_effect_is_out_has_it_once_it_is_back(
+    api: httpx.Client,
+    store: SqlStore,
+    science: Lots,
+    adopted: str,
+    worker: Worker,
+    post: Post,
+    reading: Make,
+    tmp_path: Path,
+) -> None:
+    """As one that joined before has; one that left, too, for its readings count."""
+    path = f"/v1/rotors/r1/diagnoses/{adopted}/adoption"
+    api.delete(path).raise_for_status()
+    for blade in ("B9", "B8"):
+        add_blade(store, "r1", BladeRecord(blade, lot="L1"))
+        post("r1", *read(reading, blade, "L1"))
+    retire_blade(store, "r1", "B8")
+    worker.drain()
+    told = api.post(path).json()
+    assert (told["head_seq"], told["joined"]) == (told["adoption"]["seq"] + 2, ["B9", "B8"])
+    worker.drain()
+    assert concerned(store) == [["B1", "B2", "B8", "B9"]]
+    assert api.get("/v1/rotors/r1").json()["effects"][0]["joined"] == ["B9", "B8"]
+    assert at_the_end(api, "B9") == pytest.approx(TRUE["B9"], abs=0.03)
+    sound(store, science, worker, tmp_path)
+
+
+def test_a_diagnosis_is_adopted_as_if_it_had_been_before_a_blade_of_the_lot_joined(
+    api: httpx.Client, store: SqlStore, named: str, worker: Worker, post: Post, reading: Make
+) -> None:
+    add_blade(store, "r1", BladeRecord("B9", lot="L1"))
+    post("r1", *read(reading, "B9", "L1"))
+    path = f"/v1/rotors/r1/diagnoses/{named}/adoption"
+    told = api.post(path).json()["adoption"]
+    models = api.get(f"/v1/rotors/r1/diagnoses/{named}").json()["result"]["models"]
+    assert (told["models"], told["readings_since"]) == (models, 4)
+    worker.drain()
+    assert concerned(store) == [["B1", "B2", "B9"]]
+    assert at_the_end(api, "B9") == pytest.approx(TRUE["B9"], abs=0.03)
+
+
+def test_what_lies_above_an_effect_that_a_blade_joined_is_put_back_too(
+    api: httpx.Client,
+    store: SqlStore,
+    science: Lots,
     adopted: str,
     second: str,
+    worker: Worker,
+    tmp_path: Path,
 ) -> None:
-    """It was made for a model that did not concern the new blade."""
+    """It was made for a model that did not concern the new blade; both are what they were."""
+    api.post(f"/v1/rotors/r1/diagnoses/{second}/adoption").raise_for_status()
     add_blade(store, "r1", BladeRecord("B9", lot="L1"))
-    told = api.post(f"/v1/rotors/r1/diagnoses/{second}/adoption").json()
-    assert told["type"].endswith("not-adoptable")
-    assert "(joined effects in force: B9)" in told["detail"]
+    worker.drain()
+    was = sealed(store)
+    assert len(was[1]) == 2
+    put_back(api, worker, second)
+    assert sealed(store) == was
+    told = api.get("/v1/rotors/r1/adoptions").json()["items"][-1]
+    found = api.get(f"/v1/rotors/r1/diagnoses/{second}").json()["result"]["models"]
+    now = api.get("/v1/rotors/r1/blades/B1/prediction").json()["rests_on"]["model_digest"]
+    assert told["what"] == "adoption"
+    assert told["models"]["after"] == now
+    assert not {*told["models"].values()} & {*found.values()}, "the models of now, with B9"
+    for one in (second, adopted):
+        api.delete(f"/v1/rotors/r1/diagnoses/{one}/adoption").raise_for_status()
+    for one in (adopted, second):
+        api.post(f"/v1/rotors/r1/diagnoses/{one}/adoption").raise_for_status()
+    worker.drain()
+    assert sealed(store) == was
+    sound(store, science, worker, tmp_path)
+
+
+@pytest.mark.parametrize("clock", ["blade", "rotor"])
+def test_a_blade_that_joins_while_a_rotor_is_diagnosed_that_adopts_by_itself(
+    store: SqlStore, settings: Settings, post: Post, reading: Make, worker: Worker, clock: str
+) -> None:
+    """It has the effect; none is adopted that runs by the rotor's hours, and it is said."""
+
+    class Joined(Lots):
+        def diagnose(self, *given: Any) -> Json:
+            add_blade(store, "r1", BladeRecord("B9", lot="L1"))
+            found = super().diagnose(*given)
+            found["effects"][0]["clock"] = clock
+            return found
+
+    own = [BladeRecord(name, lot=lot) for name, lot in LOTS.items()]
+    create_rotor(store, "r1", "rotor-blade", own, 64, 7, None, "effect")
+    for blade, lot in LOTS.items():
+        post("r1", *read(reading, blade, lot))
+    worker.drain()
+    job = find_diagnosis(store, "r1", diagnosed(store, Joined(), settings))
+    worker.drain()
+    view = view_rotor(store, "r1")
+    if clock == "blade":
+        assert "not_adopted" not in (job.result or {})
+        assert view.adopted.effects[0]["joined"] == ["B9"]
+    else:
+        refused = (job.result or {})["not_adopted"]
+        assert "B9 joined since" in refused
+        assert "at which of these their own began is not known" in refused
+        assert (view.adopted.effects, view.rotor.head_seq) == ([], 17), "B9 alone"
 
 
 def test_versions_before_have_the_network_of_then_and_all_is_made_again_from_the_log(

@@ -105,7 +105,9 @@ ANSWERS: dict[str, Json] = {
     ),
     f"GET {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
     f"DELETE {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
-    f"POST {ROTOR}/diagnoses/{{d}}/adoption": having(adoption=ADOPTION, head_seq=WHOLE),
+    f"POST {ROTOR}/diagnoses/{{d}}/adoption": having(
+        adoption=ADOPTION, joined=each(TEXT), head_seq=WHOLE
+    ),
     f"DELETE {ROTOR}/diagnoses/{{d}}/adoption": having(adoption=ADOPTION, head_seq=WHOLE),
     f"GET {ROTOR}/adoptions": paged(ADOPTION),
     "GET /v1/webhooks": paged(WEBHOOK),

@@ -32,8 +32,8 @@ def adoption_out(rotor: str, change: use.Change) -> dict[str, Any]:
     }
 
 
-def _answer(rotor: str, change: use.Change) -> JSONResponse:
-    told = {"adoption": adoption_out(rotor, change), "head_seq": change.event.seq}
+def _answer(rotor: str, change: use.Change, **more: Any) -> JSONResponse:
+    told = {"adoption": adoption_out(rotor, change), **more, "head_seq": change.head_seq}
     return JSONResponse(told, 202, {} if change.new else {"Idempotent-Replayed": "true"})
 
 
@@ -43,7 +43,8 @@ def _answer(rotor: str, change: use.Change) -> JSONResponse:
     summary="The effect that a diagnosis named enters the rotor's model, as a new version",
 )
 def post_adoption(r: Name, d: Name, services: Wired, body: Nothing | None = None) -> JSONResponse:
-    return _answer(r, use.adopt(services.store, services.science, r, d))
+    change = use.adopt(services.store, services.science, r, d)
+    return _answer(r, change, joined=change.blades)
 
 
 @router.delete(
