@@ -62,6 +62,18 @@ def result_of(twin: Client, rotor: str, diagnosis: str) -> dict[str, Any]:
     return {} if found is None else {**found}
 
 
+def by_whom(effect: dict[str, Any]) -> str:
+    """When an effect was adopted, and that nobody asked for it, as the rotor tells it.
+
+    >>> by_whom({"at": "2026-11-30T13:29:02.852Z", "unasked": True})
+    'adopted 2026-11-30T13:29Z by the rotor itself'
+    >>> by_whom({})  # of a service of an older release
+    'adopted'
+    """
+    when = f" {effect['at'][:16]}Z" if effect.get("at") else ""
+    return f"adopted{when}" + (" by the rotor itself" if effect.get("unasked") else "")
+
+
 def lines_of(rotor: str, one: dict[str, Any], found: dict[str, Any]) -> Iterator[str]:
     """What an entry of the log did to the rotor's model; `found`: the diagnosis' result."""
     what = "backed out" if one["what"] == "back-out" else "adopted"

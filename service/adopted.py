@@ -43,6 +43,7 @@ class Sheet:
 
     parts    what it added to the network's drifts and biases, by name
     joined   (part, blade) of each blade that has joined an effect since
+    at       when it was adopted, s since 1970; unasked: by the rotor itself
     """
 
     diagnosis: str
@@ -51,6 +52,8 @@ class Sheet:
     before: Json | None
     parts: frozenset[str] = frozenset()
     joined: tuple[tuple[str, str], ...] = ()
+    at: float = 0.0
+    unasked: bool = False
 
     def joins(self, blade: BladeRecord) -> list[Json]:
         """Its effects that a blade has which joins now: those of its lot, by its own hours."""
@@ -77,12 +80,14 @@ class Adopted:
 
     @property
     def effects(self) -> list[Json]:
-        """Every effect in force, with its diagnosis and entry."""
+        """Every effect in force, with its diagnosis and entry, and who adopted it when."""
         return [
             {
                 **effect,
                 "diagnosis": sheet.diagnosis,
                 "seq": sheet.seq,
+                "at": sheet.at,
+                "unasked": sheet.unasked,
                 "joined": sheet.joined_to(effect),
             }
             for sheet in self.sheets
@@ -99,7 +104,8 @@ class Adopted:
     def laid(self, body: Json, seq: int) -> Sheet:
         """The sheet of an adoption, by the body of its entry."""
         parts = frozenset(_parts(body["after"]) - _parts(self.network))
-        return Sheet(body["diagnosis"], tuple(body["effects"]), seq, self.network, parts)
+        of_whom, effects = bool(body.get("unasked", False)), tuple(body["effects"])
+        return Sheet(body["diagnosis"], effects, seq, self.network, parts, unasked=of_whom)
 
     def after(self, event: Event) -> Adopted:
         """With one more entry. ValueError: the entry does not go on from here."""
@@ -111,7 +117,8 @@ class Adopted:
         if event.kind == ADOPTION:
             if body["diagnosis"] in {sheet.diagnosis for sheet in self.sheets}:
                 raise ValueError(f"diagnosis {body['diagnosis']} is adopted already")
-            sheets = (*self.sheets, self.laid(body, event.seq))
+            new = replace(self.laid(body, event.seq), at=event.received_at)
+            sheets = (*self.sheets, new)
             return Adopted(body["after"], sheets, self.count + 1)
         if event.kind == JOINING:
             return self._joined(body)

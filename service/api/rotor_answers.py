@@ -70,6 +70,7 @@ def view_out(view: RotorView) -> dict[str, Any]:
         "health": state and health(state),
         "network": view.adopted.network,
         "effects": [
-            effect | {"untold": untold(effect, running)} for effect in view.adopted.effects
+            effect | {"at": moment(effect["at"]), "untold": untold(effect, running)}
+            for effect in view.adopted.effects
         ],
     }

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from core.errors import InputError
+from service.adopt_command import by_whom
 from service.commands import Json
 from service.commands.blade_table import around, blade_lines, columns
 from service.commands.reach import reached
@@ -204,7 +205,7 @@ def lines_of(told: Told) -> Iterator[str]:
         yield f"           {reason}"
     yield from _residuals(told["residuals"])
     for effect in rotor["effects"]:
-        yield f"  effect   {effect['name']}, adopted"
+        yield f"  effect   {effect['name']}, {by_whom(effect)}"
     for name, one in posterior["parameters"].items():
         unit = told["units"].get(name, "")
         yield f"  {name} = {around(one['mean'], one['sd'])} {unit}".rstrip()

@@ -5,7 +5,8 @@
                           discrepancy and noise; sd is the surrogate's own. Names, units and bounds
                           of psi stand in ModelFacts. config: times, node
 ``elongation.posterior``  (hours) → mean, sd of the blade, sd of a reading, lower, upper: what
-                          ``GET …/prediction`` says of the version that ModelFacts names.
+                          ``GET …/prediction`` says of the version that ModelFacts names, with
+                          the hour from which it has too little of an effect (held_from_h).
                           config: count (of hours, 1), node, probability, instrument
 
 Of a vector each output holds x, y, z of the first hour, then of the next.
@@ -21,7 +22,7 @@ import numpy as np
 
 from core.errors import InputError, RangeError
 from service.handlers.questions import MOST_TIMES, Question, question
-from service.handlers.reads import Basis, health, predict
+from service.handlers.reads import Basis, health, held_from, predict
 from service.ports import Forward, Science, Store
 from service.umbridge.protocol import Json, Served, Vectors, number
 
@@ -121,9 +122,15 @@ class Predicted:
             ],
             "outputs": ["mean", "sd_blade", "sd_total", "lower", "upper"],
             "unit": self.found.card.outputs[self.quantity].unit,
+            "held_from_h": self._held_from(),
             "health": health(self.found.state),
             "rests_on": self.found.to_json(),
         }
+
+    def _held_from(self) -> float | None:
+        blade = self.found.blade
+        assert blade is not None
+        return held_from(self.science, self.found, self.found.arrays(self.store), blade)
 
     def input_sizes(self, config: Json) -> list[int]:
         return [self._count(config)]

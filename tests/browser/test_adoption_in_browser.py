@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -184,7 +185,9 @@ def test_what_a_diagnosis_named_is_adopted_and_backed_out_by_its_page(
     assert serious(page) == []
     other = page.context.new_page()
     other.goto(f"{seen.service.url}/rotors/r1")
-    expect(other.locator("dl", has=other.get_by_text("Adopted"))).to_contain_text(NAME)
+    stands = other.locator("dl", has=other.get_by_text("Adopted"))
+    expect(stands).to_contain_text(re.compile(re.escape(NAME) + ", .* ago"))
+    expect(stands).not_to_contain_text("by the rotor itself")
     other.goto(f"{seen.service.url}/rotors/r1/blades/B1")
     versions = other.get_by_role("region", name="Versions").locator("tbody tr")
     expect(versions.first).to_contain_text(f"1 entry; adopted: {NAME}")
@@ -202,6 +205,18 @@ def test_what_a_diagnosis_named_is_adopted_and_backed_out_by_its_page(
     assert twin.digest() == before, "the bit-identical state of before"
     expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible()
     assert page.evaluate("window.same") is True, "never reloaded"
+    assert (seen.errors, seen.outside) == ([], [])
+
+
+def test_a_rotor_s_page_tells_that_it_adopted_by_itself(seen: Watched, twin: Twin) -> None:
+    told = twin.client.post("/v1/rotors/r1/policy", json={"adopt": "effect"})
+    told.raise_for_status()
+    twin.client.post("/v1/rotors/r1/diagnoses", json={}).raise_for_status()
+    twin.diagnoser.drain()
+    twin.worker.drain()
+    page = seen.open("/rotors/r1")
+    stands = page.locator("dl", has=page.get_by_text("Adopted"))
+    expect(stands).to_contain_text(re.compile(re.escape(NAME) + ", .* ago, by the rotor itself"))
     assert (seen.errors, seen.outside) == ([], [])
 
 

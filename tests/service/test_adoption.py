@@ -497,6 +497,33 @@ def test_who_listens_is_told_of_what_goes_into_the_model_and_out_of_it_again(
     ]
 
 
+@pytest.mark.parametrize("unasked", [True, False])
+def test_a_rotor_says_when_an_effect_was_adopted_and_that_nobody_asked_for_it(
+    api: httpx.Client,
+    store: SqlStore,
+    science: Offsets,
+    settings: Settings,
+    post: Post,
+    reading: Make,
+    worker: Worker,
+    diagnoser: Worker,
+    unasked: bool,
+) -> None:
+    """So does its line in `inspect`: who adopts by itself has another model overnight."""
+    automatic(store, settings, post, reading, "effect" if unasked else "never")
+    found = diagnosed(store, science, diagnoser)
+    api.post(f"/v1/rotors/r1/diagnoses/{found}/adoption").raise_for_status()
+    worker.drain()
+    (effect,) = api.get("/v1/rotors/r1").json()["effects"]
+    (entry,) = api.get("/v1/rotors/r1/adoptions").json()["items"]
+    assert (effect["at"], effect["unasked"]) == (entry["at"], entry["unasked"])
+    assert effect["unasked"] is unasked
+    told = CliRunner().invoke(commands, ["inspect", "r1", "--url", str(api.base_url)]).stdout
+    (line,) = [one for one in told.splitlines() if one.startswith("  effect ")]
+    said = f"  effect   {NAME}, adopted {entry['at'][:16]}Z"
+    assert line == said + (" by the rotor itself" if unasked else "")
+
+
 def test_what_forbids_an_adoption_by_itself_stands_in_the_result(
     store: SqlStore, settings: Settings, post: Post, reading: Make
 ) -> None:

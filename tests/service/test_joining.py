@@ -251,7 +251,9 @@ def sealed(store: SqlStore) -> tuple[Any, list[Json], str]:
     view = view_rotor(store, "r1")
     assert view.state is not None
     assert view.state.sealed
-    effects = [{k: v for k, v in one.items() if k != "seq"} for one in view.adopted.effects]
+    effects = [
+        {k: v for k, v in one.items() if k not in ("seq", "at")} for one in view.adopted.effects
+    ]
     return view.adopted.network, effects, view.state.digest
 
 

@@ -22,8 +22,11 @@ from core.observation import Inspection
 from core.prior import Prior
 from core.runs_end import held_from
 from service import fields
-from service.ports import ModelCard
+from service.handlers.reads import basis
+from service.ports import ModelCard, Which
 from service.science import CoreScience
+from service.store.unit_of_work import SqlStore
+from service.umbridge.models import served
 from service.variant import effects_between, with_more
 from service.worker.loop import Worker
 
@@ -151,3 +154,18 @@ def test_lists_series_and_files_say_it(
     arrays = np.load(io.BytesIO(api.get(f"{other}/field?times=50000&format=npz").content))
     assert json.loads(str(arrays["facts"]))["held_from_h"] == "41000.0"
     assert b"41000.0" in api.get(f"{other}/field?time_h=50000&format=vtu").content
+
+
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+def test_um_bridge_says_it(
+    rotor: str,
+    store: SqlStore,
+    science: CoreScience,
+    worker: Worker,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its predictions are those of the service, and what they lack was said there alone."""
+    worker.drain()
+    monkeypatch.setattr(CoreScience, "held_from", lambda *_: 41_000.0)
+    models = served(store, science, basis(store, science, rotor, Which(), "B2"))
+    assert models["elongation.posterior"].info()["held_from_h"] == 41_000.0
