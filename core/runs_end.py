@@ -10,12 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.calibration.state import Posterior
 from core.model import Model
 from core.surrogate.driven import Driven
 
 HOURS = 151  # at which a course is looked at
+UNTIL = np.linspace(0.0, 1.0, 9)  # shares of an hour, where every particle's is
+Array = NDArray[np.float64]
 
 
 def held_from(
@@ -46,3 +49,32 @@ def held_from(
         if outside.any():
             found[own.name] = float(hours[np.argmax(outside)])
     return found
+
+
+def held_by(
+    model: Model,
+    posterior: Posterior,
+    blade: str,
+    of: str,
+    hour: float,
+    known: Mapping[str, float] | None = None,
+) -> float:
+    """The probability that the input `of` the blade would have left its runs by this hour [h]."""
+    answers, network = model.surrogate, model.network
+    moving = [d for o in network.drifts if o.input == of and (d := o.of_blade(blade)) is not None]
+    if not isinstance(answers, Driven) or not any(d.held for d in moving):
+        return 0.0
+    w, given = posterior.particles.w, known or {}
+
+    def column(name: str) -> Array:
+        if name in posterior.names and name not in given:
+            return posterior.column(name)
+        return np.full(len(w), given.get(name, network.parameter(name).nominal or 0.0))
+
+    course = np.repeat(column(of)[:, None], len(UNTIL), axis=1)
+    for d in moving:
+        course = d.moved(course, column(d.name)[:, None], d.shape.at(hour * UNTIL))
+    own = next(i for i in answers.base.inputs if i.name == of)
+    slack = 1e-9 * (own.high - own.low)
+    outside = ((course < own.low - slack) | (course > own.high + slack)).any(axis=1)
+    return float(w @ outside)

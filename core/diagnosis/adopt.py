@@ -3,9 +3,9 @@
 A dormant input that is constant and the same in all blades wakes: the parameter itself becomes
 shared, with the prior that the network declares for it. Of everything else the amplitude is a
 shared parameter with a normal prior of the expected size, cut at zero where physics gives it a
-sign, and where the input would leave the simulation's runs while it is read: later it is held at
-their end (`core.surrogate.reach`), and `held.leaving_runs` tells from when on. Shapes run on until
-`grammar.UNTIL` times the hour at which they reach their size, and stay from then on.
+sign, and where the input would leave the simulation's runs while it is read (`room`): later it is
+held at their end (`core.surrogate.reach`), and `held.leaving_runs` tells from when on. Shapes run
+on until `grammar.UNTIL` times the hour at which they reach their size, and stay from then on.
 """
 
 from __future__ import annotations
@@ -19,20 +19,16 @@ import numpy as np
 
 from core.course import Course
 from core.diagnosis.grammar import Cell, Facts, there
-from core.diagnosis.held import wider
+from core.diagnosis.room import room
 from core.diagnosis.signature import NOISES
 from core.drift import Bias, Drift
-from core.errors import InputError
 from core.model import Model
 from core.network import Network, Parameter
 from core.observation import Inspection
 from core.prior import Prior
-from core.surrogate import Surrogate
-from core.surrogate.driven import Driven
 
 WIDTH = 4.0  # amplitudes reach so many times the expected size
 MOST_LOST, MOST_GAINED = 0.8, 4.0  # of a reading
-LEAST_ROOM = 0.2  # of the expected size, or the runs cannot hold the effect
 
 
 def with_effects(
@@ -135,7 +131,7 @@ def _with(
         changes: dict[str, Any] = {"biases": (*network.biases, bias)}
     else:
         drift = Drift(name, family.of, course, family.how, blades, since, held=True)
-        low, high = _room(model, drift, low, high, size, read_h)
+        low, high = room(model, drift, low, high, size, read_h)
         changes = {"drifts": (*network.drifts, drift)}
     amplitude = Parameter(
         name, "shared", Prior("normal", low, high, 0.0, size), nominal=0.0, symbol="a"
@@ -171,51 +167,6 @@ def concerned(cell: Cell, facts: Mapping[str, Facts]) -> tuple[str, ...] | None:
     if cell.family.clock == "event":
         found = [b for b in (facts if found is None else found) if there(cell, facts[b])]
     return None if found is None else tuple(sorted(found))
-
-
-def _room(
-    model: Model,
-    drift: Drift,
-    low: float,
-    high: float,
-    size: float,
-    read_h: Mapping[str, float] | None = None,
-) -> tuple[float, float]:
-    """The amplitudes that keep the input inside the runs, over its prior, while it is read."""
-    base = model.surrogate.base if isinstance(model.surrogate, Driven) else model.surrogate
-    if not isinstance(base, Surrogate):
-        raise InputError(
-            f"effect {drift.name}", drift.input, "needs simulation runs", "train a surrogate"
-        )
-    box = {i.name: i for i in base.inputs}
-    if drift.input not in box:
-        raise InputError(
-            f"effect {drift.name}", drift.input, "is no input of the runs", f"one of {[*box]}"
-        )
-    parameter = model.network.parameter(drift.input)
-    own, asleep = box[drift.input], parameter.level == "dormant"
-    at = [parameter.nominal] if asleep else [parameter.prior.low, parameter.prior.high]
-    zeros, last = dict(drift.since), base.horizon_h
-    until = {(zero, last) for zero in (0.0, *zeros.values())}
-    if read_h is not None:
-        whose = read_h if drift.blades is None else drift.blades
-        until = {(zeros.get(b, 0.0), min(read_h.get(b, 0.0), last)) for b in whose}
-    s = np.concatenate([drift.shape.over(zero, zero + hour) for zero, hour in until])
-    for x in at:
-        assert x is not None
-        for v in (float(s.min()), float(s.max())):
-            slope = v if drift.how == "plus" else x * v
-            if slope:
-                ends = sorted(((own.low - x) / slope, (own.high - x) / slope))
-                low, high = max(low, ends[0]), min(high, ends[1])
-    if high - max(low, 0.0) < LEAST_ROOM * size:
-        raise InputError(
-            f"effect {drift.name}",
-            (round(low, 4) + 0.0, round(high, 4) + 0.0),  # no "-0.0"
-            f"finds no room in the runs of {drift.input}, {own.low:g} … {own.high:g}",
-            wider(model.network, drift.input),
-        )
-    return low, high
 
 
 def amplitude_of(cell: Cell, *, woken: bool = False) -> str:

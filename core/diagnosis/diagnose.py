@@ -40,7 +40,7 @@ from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.courses import with_both
 from core.diagnosis.densities import leans
 from core.diagnosis.grammar import Cell
-from core.diagnosis.held import leaving_runs
+from core.diagnosis.held import leaving_runs, while_read
 from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.left_out import left_out
 from core.diagnosis.misread import set_apart, slips
@@ -159,14 +159,14 @@ def diagnose(
         case.halves(model, state, taken),
         search.refused,
         gone,
-        [end for c in taken.effects if (end := _end(c, model, taken)) is not None],
+        [end for c in taken.effects if (end := _end(c, model, case, taken)) is not None],
     )
     verdict = shared(verdict, turns, search.prices)
     verdict = heard(verdict, case.concerned(model, state, taken) if taken.effects else ())
     leading = _leading(taken, turns, verdict)
     rivals = shares(leading, [*search.known.values()], turns, search.prices)
     if verdict.word == "effect":
-        no_room = lambda cell, rival: _end(cell, model, rival)  # noqa: E731
+        no_room = lambda cell, rival: _end(cell, model, case, rival)  # noqa: E731
         if (both := with_both(search, taken, rivals, verdict.names, no_room)) is not None:
             taken, told = both
             verdict = replace(verdict, reasons=(*verdict.reasons, told))
@@ -201,15 +201,16 @@ def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:
     return replace(verdict, reasons=(*verdict.reasons, *told))
 
 
-def _end(cell: Cell, before: Model, taken: Rival) -> str | None:
-    """That a cell's amplitude would go on if it could, in words; None where it has room."""
+def _end(cell: Cell, before: Model, case: Case, taken: Rival) -> str | None:
+    """That a cell's amplitude would go on if it could, or that it takes blades that are read to the
+    end of the runs, in words; None where it has room."""
     name, origin = amplitude(cell, before.network)
     prior = taken.model.network.parameter(name).prior
     shared = shared_posterior(taken.state.meta, taken.state.arrays.__getitem__)
     side = leans(prior, shared.column(name), shared.particles.w)
     end = {"low": prior.low, "high": prior.high}.get(side or "", origin)
     if end == origin:
-        return None
+        return while_read(name, taken.model, taken.state, case.read_h, case.spec.known)
     why = "the runs end there" if cell.family.target == "input" else "none so large is expected"
     return f"the amplitude of {cell.name} leans on {end - origin:.3g}, no room: {why}"
 

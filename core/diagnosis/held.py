@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from core.calibration.state import RotorState, blade_posterior
 from core.model import Model
 from core.network import Network
-from core.runs_end import held_from
+from core.runs_end import held_by, held_from
 from core.surrogate.driven import Driven
 
+WHILE_READ = 0.05  # of the concerned blades, on average: more that are held is an end
 WIDENED = ("tbc_thickness", "t1t_rate")  # inputs of which rotor-blade-wide has more
 
 
@@ -56,3 +57,33 @@ def leaving_runs(
         "have too little of the effect"
         for name, hours in sorted(ends.items())
     ]
+
+
+def while_read(
+    name: str,
+    model: Model,
+    state: RotorState,
+    read_h: Mapping[str, float],
+    known: Mapping[str, Mapping[str, float]] | None = None,
+) -> str | None:
+    """That a drift takes blades to the end of the runs before their last reading, in words; None:
+    hardly any of them (`WHILE_READ`).
+
+    read_h  hours of the blades at which each was read last
+    known   inputs that are given, by blade
+    """
+    drift = next((d for d in model.network.drifts if d.name == name), None)
+    blades = [b for b in read_h if drift is not None and drift.of_blade(b) is not None]
+    if drift is None or not blades:
+        return None
+    held = 0.0
+    for blade in blades:
+        posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
+        given = (known or {}).get(blade)
+        held += held_by(model, posterior, blade, drift.input, read_h[blade], given)
+    if held <= WHILE_READ * len(blades):
+        return None
+    return (
+        f"{name} takes {held:.1f} of {len(blades)} blades to the end of the runs before their last "
+        "reading, no room: the runs end there"
+    )

@@ -12,18 +12,23 @@ import pytest
 
 from core.builtin import creep_specimens
 from core.calibration.online import RotorSpec, Workspace, update
+from core.calibration.state import blade_posterior
 from core.course import Course
 from core.diagnosis import Case, Facts, adopt
-from core.diagnosis.adopt import _room, with_effects
+from core.diagnosis.adopt import with_effects
 from core.diagnosis.conclude import Rival
+from core.diagnosis.diagnose import _end
 from core.diagnosis.families import FAMILIES
-from core.diagnosis.grammar import Cell
+from core.diagnosis.grammar import UNTIL, Cell
+from core.diagnosis.held import while_read
 from core.diagnosis.hypotheses import Hypothesis
+from core.diagnosis.room import room as room_of
 from core.diagnosis.search import Search
 from core.drift import Drift, How
 from core.errors import CalibrationError, InputError
-from core.model import Model, rotor_blade_wide
+from core.model import Model, rotor_blade, rotor_blade_wide
 from core.observation import Inspection
+from core.runs_end import held_by
 
 FAMILY = {f.name: f for f in FAMILIES}
 FOULING = Cell(FAMILY["fouling"], "linear", "all")
@@ -59,13 +64,51 @@ def test_effects_that_leave_the_runs_together_are_held_at_their_end(search: Sear
 
 
 def test_a_search_gives_an_effect_the_room_of_the_readings(search: Search) -> None:
-    """Read to 21,000 h, when a coating has lost 0.42 of what it loses by 50,000 h."""
+    """Read to 21,000 h, when a coating has lost 0.42 of what it loses by 50,000 h: the runs would
+    have 1.24, and four times the expected size is less. The whole prior has 0.95."""
     wear = Cell(FAMILY["coating wear"], "linear", "blade", "B1")
     assert search.case.read_h == {"B1": 21e3, "B2": 21e3}
     made = search.calibrated((wear,))
     assert made is not None
     prior = made.model.network.parameter(wear.name).prior
-    assert prior.high == pytest.approx(0.4 / 0.42)
+    assert prior.high == pytest.approx(4 * 0.25)
+
+
+@pytest.mark.parametrize(("hour", "given"), [(21e3, None), (9e4, None), (9e4, 0.7), (9e4, 1.3)])
+def test_blades_that_an_effect_takes_out_of_the_runs_while_they_are_read_are_told(
+    search: Search, hour: float, given: float | None
+) -> None:
+    """As often as their particles leave them; of blades without the effect nothing is."""
+    wear = Cell(FAMILY["coating wear"], "linear", "blade", "B1")
+    made = search.calibrated((wear,))
+    assert made is not None
+    posterior = blade_posterior(made.state.meta, made.state.arrays.__getitem__, "B1")
+    x = posterior.column("tbc_thickness") if given is None else given
+    share = min(hour / 5e4, UNTIL)
+    left = x * (1.0 - posterior.column(wear.name) * share) < 0.4
+    held = float(posterior.particles.w @ left)
+    known = None if given is None else {"B1": {"tbc_thickness": given}}
+    found = held_by(made.model, posterior, "B1", "tbc_thickness", hour, (known or {}).get("B1"))
+    assert found == pytest.approx(held, abs=1e-12)
+    if given is None:
+        told = while_read(wear.name, made.model, made.state, {"B1": hour, "B2": 1.5e5})
+        assert (told is None) == (held < 0.05)
+        assert told is None or f"{wear.name} takes {held:.1f} of 1 blades to the end" in told
+        assert while_read(wear.name, made.model, made.state, {"B2": 1.5e5}) is None
+
+
+def test_an_effect_that_is_held_while_it_is_read_has_no_room(search: Search) -> None:
+    """Its amplitude may stand far from the end of its own prior."""
+    wear = Cell(FAMILY["coating wear"], "linear", "blade", "B1")
+    made = search.calibrated((wear,))
+    assert made is not None
+    spec = replace(search.case.spec, known={"B1": {"tbc_thickness": 0.42}})
+    cases = search.case, replace(search.case, spec=spec)
+    usual, thin = (_end(wear, search.model, case, made) for case in cases)
+    assert usual is None
+    assert thin is not None
+    assert thin.startswith("coating wear (blade B1) takes ")
+    assert thin.endswith("before their last reading, no room: the runs end there")
 
 
 def test_where_a_pair_has_no_room_each_of_the_two_is_tried(
@@ -123,32 +166,46 @@ def drift(course: list[tuple[float, float]], moved: str, how: How = "plus") -> D
 def test_an_amplitude_keeps_its_input_inside_the_runs_over_the_whole_prior(
     one: Drift, room: tuple[float, float]
 ) -> None:
-    assert _room(rotor_blade_wide(), one, -10.0, 10.0, 0.05) == pytest.approx(room, abs=1e-9)
+    assert room_of(rotor_blade_wide(), one, -10.0, 10.0, 0.05) == pytest.approx(room, abs=1e-9)
 
 
 @pytest.mark.parametrize(
     ("read_h", "blades", "room"),
     [
-        ({"B1": 2.5e4, "B2": 1e4}, None, 0.8),  # half of it by then: the thin ones have 0.4
-        ({"B1": 2.5e4, "B2": 1e4}, ("B2",), 2.0),
+        ({"B1": 2.5e4, "B2": 1e4}, None, 1.04),  # half of it by then, from 5 / 6 to 0.4
+        ({"B1": 2.5e4, "B2": 1e4}, ("B2",), 2.6),
         ({"B1": 2.5e4, "B2": 1e4}, ("B3",), 10.0),  # never read
-        ({"B1": 9e4}, None, 0.4),
-        ({"B1": 9e5}, None, 0.4),
+        ({"B1": 9e4}, None, 0.52),
+        ({"B1": 9e5}, None, 0.52),
     ],
 )
-def test_while_it_is_read_an_input_stays_inside_and_later_it_is_held(
+def test_while_it_is_read_the_middle_half_of_blades_stays_inside_and_later_it_is_held(
     read_h: dict[str, float], blades: tuple[str, ...] | None, room: float
 ) -> None:
     one = replace(drift([(5e4, -1.0)], "tbc_thickness", "times"), blades=blades)
-    found = _room(rotor_blade_wide(), one, 0.0, 10.0, 0.25, read_h)
+    found = room_of(rotor_blade_wide(), one, 0.0, 10.0, 0.25, read_h)
     assert found == pytest.approx((0.0, room))
+
+
+def test_without_room_for_the_whole_prior_the_middle_half_of_it_does_not_help() -> None:
+    """The narrow model's runs end where its prior does, whatever most blades would allow."""
+    one = drift([(5e4, -1.0)], "tbc_thickness", "times")
+    with pytest.raises(InputError, match=r"finds no room in the runs of tbc_thickness, 0.666667"):
+        room_of(rotor_blade(), one, 0.0, 10.0, 0.25, {"B1": 2.5e4})
+
+
+def test_what_the_blades_share_keeps_the_whole_of_its_prior_inside() -> None:
+    one = drift([(5e4, 1.0)], "t1t_rate")
+    assert room_of(rotor_blade_wide(), one, 0.0, 10.0, 0.02, {"B1": 2.5e4})[1] == pytest.approx(
+        0.09
+    )
 
 
 def test_by_the_rotor_s_hours_each_blade_s_last_reading_counts() -> None:
     """0.045 of room; s is 0.5 at the last reading of the old blade, 0.6 at that of the young."""
     course = Course.of([(0.0, 0.0), (1e5, 1.0)])
     one = Drift("effect", "t1t_rate", course, since=(("old", 0.0), ("young", 2e4)))
-    found = _room(rotor_blade_wide(), one, 0.0, 10.0, 0.01, {"old": 5e4, "young": 4e4})
+    found = room_of(rotor_blade_wide(), one, 0.0, 10.0, 0.01, {"old": 5e4, "young": 4e4})
     assert found[1] == pytest.approx(0.045 / 0.6)
 
 
@@ -156,24 +213,24 @@ def test_by_the_rotor_s_hours_the_youngest_blade_s_last_hour_counts() -> None:
     """0.045 of room above: s is 1.4 where its 150,000 h end, after 170,000 h of the rotor."""
     course = Course.of([(0.0, 0.0), (1.5e5, 1.0), (1.7e5, 1.4), (1.9e5, 1.8)])
     one = Drift("effect", "t1t_rate", course, since=(("young", 2e4),))
-    assert _room(rotor_blade_wide(), one, 0.0, 10.0, 0.01)[1] == pytest.approx(0.045 / 1.4)
+    assert room_of(rotor_blade_wide(), one, 0.0, 10.0, 0.01)[1] == pytest.approx(0.045 / 1.4)
 
 
 def test_room_that_the_runs_have_beyond_what_was_asked_is_not_given() -> None:
     one = drift([(1e4, 1.0)], "cooling_flow")
-    assert _room(rotor_blade_wide(), one, -0.01, 0.02, 0.05) == (-0.01, 0.02)
+    assert room_of(rotor_blade_wide(), one, -0.01, 0.02, 0.05) == (-0.01, 0.02)
 
 
 def test_an_effect_with_less_room_than_a_fifth_of_its_size_is_refused() -> None:
     """Room on the side that physics does not take counts for nothing: 0.1 above, 0.15 below."""
     model, one = rotor_blade_wide(), drift([(1e4, 1.0)], "cooling_flow")
-    assert _room(model, one, -9.0, 9.0, 0.499)[1] == pytest.approx(0.1)
+    assert room_of(model, one, -9.0, 9.0, 0.499)[1] == pytest.approx(0.1)
     with pytest.raises(InputError, match=r"finds no room in the runs of cooling_flow, 0.85 … 1.1"):
-        _room(model, one, -9.0, 9.0, 0.501)
+        room_of(model, one, -9.0, 9.0, 0.501)
     with pytest.raises(InputError, match=r"finds no room .* a narrower prior of cooling_flow"):
-        _room(model, one, 0.09, 9.0, 0.06)
+        room_of(model, one, 0.09, 9.0, 0.06)
     with pytest.raises(InputError, match=r"= \(-0.15, 0.0\) finds no room"):
-        _room(model, one, -9.0, -0.0, 0.06)
+        room_of(model, one, -9.0, -0.0, 0.06)
 
 
 @pytest.mark.parametrize(
@@ -210,15 +267,15 @@ def test_what_an_instrument_reads_wrong_is_no_blade_s_whatever_its_kind(
     assert [one.lasting for one in model.network.biases] == [lasting]
 
 
-def test_an_input_that_no_run_varied_has_no_room() -> None:
+def test_an_input_that_no_run_varied_has_noroom_of() -> None:
     with pytest.raises(InputError, match="is no input of the runs"):
-        _room(rotor_blade_wide(), drift([(1e4, 1.0)], "slot"), -1.0, 1.0, 0.1)
+        room_of(rotor_blade_wide(), drift([(1e4, 1.0)], "slot"), -1.0, 1.0, 0.1)
 
 
 def test_a_formula_has_no_runs_to_stay_in() -> None:
     model = Model(creep_specimens.network(), creep_specimens.formula())
     with pytest.raises(InputError, match="needs simulation runs"):
-        _room(model, drift([(1e4, 1.0)], model.input_names[0]), -1.0, 1.0, 0.1)
+        room_of(model, drift([(1e4, 1.0)], model.input_names[0]), -1.0, 1.0, 0.1)
 
 
 def test_a_posterior_that_cannot_be_computed_refuses_that_hypothesis_alone(
