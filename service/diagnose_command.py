@@ -162,7 +162,7 @@ def adopted_line(told: Told) -> str:
             yours = f"bladetwin adopt {told['rotor']} {told['id']}"
             return f"no effect to adopt; a discrepancy without a cause is borne out: {yours} has it"
         return f"nothing to adopt: the verdict is {found['verdict']}"
-    return f"adopted, with entry {told['head_seq']}; the new version follows"
+    return f"adopted, with entry {told['adoption']['seq']}; the new version follows"
 
 
 def read_families(file: Path) -> list[Told]:

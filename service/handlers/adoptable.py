@@ -91,6 +91,7 @@ def models_of(
     now: Adopted,
     adds: Json,
     late: Sequence[BladeRecord],
+    below: Sequence[str],
     job: JobRecord,
     result: Json,
 ) -> Json:
@@ -98,18 +99,23 @@ def models_of(
 
     late   the blades that joined since (`newcomers`): without the effects in force that they have
            joined, the models have to be those that were calibrated
+    below  the diagnoses of which effects were in the model for which this one was made
     """
     anew = f"ask for a diagnosis of the present model: POST /v1/rotors/{job.rotor_id}/diagnoses"
     then = now.without({blade.id for blade in late})
     before = science.vary(card, then).digest
     if before != result["models"]["before"]:
-        since = [sheet.diagnosis for sheet in now.sheets]
+        there = [sheet.diagnosis for sheet in now.sheets]
+        since = [name for name in there if name not in below]
+        out = [name for name in below if name not in there]
         why = f" (adopted since: {', '.join(since)})" if since else ""
+        why += f" (backed out since: {', '.join(out)})" if out else ""
         problem = (
             f"it was made for model {result['models']['before'][:12]}…, "
             f"and the rotor has {before[:12]}…{why}"
         )
-        raise AdoptionError(job.id, "adopted", problem, anew)
+        again = f"adopt {out[0]} again first, or " if out and not since else ""
+        raise AdoptionError(job.id, "adopted", problem, again + anew)
     try:
         after = science.vary(card, with_more(then, adds)).digest
     except BladetwinError as error:

@@ -100,7 +100,9 @@ def adopt_in(
         holding(job, result)
     card = tx.records.model(rotor.model_id, rotor.model_version)
     late = newcomers(tx, rotor, result)
-    models = models_of(science, card, now, adds, late, job, result)
+    then = adopted_at(tx, rotor, int(result["rests_on"]["through_seq"]))
+    below = [sheet.diagnosis for sheet in then.sheets]
+    models = models_of(science, card, now, adds, late, below, job, result)
     since = readings_since(tx, rotor, job, result, head, ahead)
     body: Json = {
         "number": now.count + 1,

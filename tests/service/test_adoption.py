@@ -306,6 +306,39 @@ def test_adoptions_lie_on_one_another_and_the_last_one_goes_first(
         assert called(store) == digest
 
 
+def test_a_refusal_says_what_was_adopted_or_backed_out_since(
+    api: httpx.Client,
+    store: SqlStore,
+    science: Offsets,
+    rotor: str,
+    post: Post,
+    reading: Make,
+    worker: Worker,
+    diagnoser: Worker,
+) -> None:
+    """It named what had been there before as adopted since, and had a model diagnosed anew that two
+    requests give back."""
+    post(rotor, *visits(reading, {"c2": 0.2, "c3": -0.12}))
+    path = lambda which: f"/v1/rotors/r1/diagnoses/{which}/adoption"  # noqa: E731
+    first = diagnosed(store, science, diagnoser)
+    api.post(path(first)).raise_for_status()
+    second = diagnosed(store, science, diagnoser)
+    beside = api.post("/v1/rotors/r1/diagnoses", json={"horizon_h": 1000.0}).json()["diagnosis"]
+    diagnoser.drain()
+    api.post(path(second)).raise_for_status()
+    told = refused(api.post(path(beside["id"])))
+    assert f"(adopted since: {second})" in told["detail"]
+    assert told["faults"][0]["remedy"].startswith("ask for a diagnosis of the present model")
+    for which in (second, first):
+        api.delete(path(which)).raise_for_status()
+    told = refused(api.post(path(second)))
+    assert f"(backed out since: {first})" in told["detail"]
+    assert "adopted since" not in told["detail"]
+    assert told["faults"][0]["remedy"].startswith(f"adopt {first} again first, or ask for")
+    for which in (first, second):
+        assert api.post(path(which)).status_code == 202
+
+
 def test_a_diagnosis_of_another_model_than_the_rotor_s_is_refused(
     api: httpx.Client, store: SqlStore, science: Offsets, named: str, diagnoser: Worker
 ) -> None:

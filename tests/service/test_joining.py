@@ -21,6 +21,7 @@ from core.prior import Prior
 from service.adopted import ADOPTION, JOINING, Adopted, Sheet, adopted_at, part_of
 from service.bootstrap import make_worker
 from service.cli import app as commands
+from service.diagnose_command import adopted_line
 from service.digests import digest_of_json
 from service.handlers import blades as joining
 from service.handlers.blades import add_blade, retire_blade
@@ -296,6 +297,8 @@ def test_what_is_backed_out_is_put_back_as_it_was_with_the_blade_that_joined(
     assert told["joined"] == ["B9"]
     said = CliRunner().invoke(commands, ["adopt", "r1", adopted, "--url", str(api.base_url)]).stdout
     assert "joined since, of its lot, and have it, too: B9" in said
+    line = adopted_line(told)  # of `diagnose --adopt`
+    assert line == f"adopted, with entry {told['adoption']['seq']}; the new version follows"
     listed = api.get("/v1/rotors/r1/adoptions").json()["items"]
     assert [(one["what"], one["blade"]) for one in listed[-2:]] == [
         ("adoption", None),
