@@ -81,12 +81,10 @@ class Turn:
         return cause if share >= NAMED else None
 
     def called(self, name: str) -> str:
-        """A name, or its cause, where others of this cause share the cause's evidence."""
-        causes = self.causes
-        cause = causes.get(name, name)
-        shares = self.evidence
-        whole = sum(shares.get(n, 0.0) for n, c in causes.items() if c == cause)
-        return name if shares.get(name, 0.0) >= NAMED * whole else cause
+        """A name, or its cause, where no single name has the cause's evidence."""
+        cause = self.causes.get(name, name)
+        own = [self.evidence.get(n, 0.0) for n, c in self.causes.items() if c == cause]
+        return name if max(own, default=0.0) >= NAMED * sum(own) else cause
 
     @property
     def in_doubt(self) -> tuple[str, ...]:
@@ -195,7 +193,7 @@ def conclude(
     doubt = [t for t in took if any(claims.get(n, n) is None for n in t.took)]
     rest = {n for turn in doubt for n in turn.in_doubt}
     several = tuple(sorted({*sure, *rest}))
-    why = f"{len(rest)} names share the evidence"
+    why = f"{len(rest - set(sure) or rest)} names share the evidence"
     if sure:
         why += f" beside {' and '.join(sure)}"
     if len(several) > MOST_NAMES:

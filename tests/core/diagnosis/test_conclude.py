@@ -122,6 +122,25 @@ def test_where_the_course_is_open_the_cause_is_claimed_and_said() -> None:
     assert named.names == (names[2], names[0])
 
 
+def test_no_set_has_a_name_and_its_cause_side_by_side() -> None:
+    cells = (worn("linear"), worn("step", 1), Cell(FAMILIES[0], "linear", "coating_lot", "C1"))
+    names = [c.name for c in cells]
+    weights = {names[0]: 0.53, names[1]: 0.05, names[2]: 0.38, "gain": 0.04}
+    one = turn(names[0], **weights)
+    found = said((names[0],), Turn(one.hypotheses, one.took, one.rivals, cells))
+    assert found.word == "not separable"
+    assert set(found.names) == {names[0], names[1], names[2]}, "wear has its cause's evidence"
+
+
+def test_names_are_counted_without_the_sure_one_that_they_share_the_evidence_beside() -> None:
+    pair = Hypothesis((0, 1), ("wear", "offset"), 9.0, 0.6)
+    other = Hypothesis((0, 2), ("wear", "gain"), 9.0, 0.4)
+    both = Turn((pair, other), ("offset",), {})
+    found = said(("wear", "offset"), turn("wear", wear=0.99, gain=0.01), both)
+    assert (found.names, found.beside) == (("gain", "offset", "wear"), ("wear",))
+    assert found.reasons == ("2 names share the evidence beside wear",)
+
+
 def test_a_set_holds_what_was_taken_even_where_another_cause_has_the_evidence() -> None:
     found = said(("wear",), turn("wear", cooling=0.99, wear=0.01))
     assert (found.word, found.names) == ("not separable", ("cooling", "wear"))
