@@ -21,7 +21,7 @@ from core.errors import BladetwinError, InputError
 from service.commands.blade_table import around
 from service.commands.reach import reached
 from service.report import noticed
-from service.report.alternatives import names
+from service.report.alternatives import hypothesis, names
 from service.report.split import what_to_read
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def lines_of(told: Told) -> Iterator[str]:
     if found["calibrated"]:
         yield "calibrated: log evidence gained [nat]"
     for one in found["calibrated"]:
-        yield f"  {one['gained_nat']:>8.1f}  {' and '.join(one['names'])}"
+        yield f"  {one['gained_nat']:>8.1f}  {hypothesis(one)}"
     if found["tried"]:
         yield f"tried: {len(found['tried'])}, by log Bayes factor; the first {SHOWN} at most"
     for one in found["tried"][:SHOWN]:

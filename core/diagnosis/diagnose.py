@@ -68,7 +68,7 @@ class Diagnosis:
     first     the scan's verdict on the model as it was
     effects   those that are in the model `after`
     gained    log evidence of the effects by the particle filter
-    tried     every calibrated hypothesis: names and log evidence against the model as it was
+    tried     every calibrated hypothesis: cells and log evidence against the model as it was
     refused   hypotheses that the runs have no room for, with the reason: the scan's word alone
     turns     what each turn weighed and took
     rivals    what else the readings allow in place of the effects, with shares (`alternatives`)
@@ -81,7 +81,7 @@ class Diagnosis:
     after: tuple[Model, RotorState]
     effects: tuple[Effect, ...]
     gained: float
-    tried: tuple[tuple[tuple[str, ...], float], ...]
+    tried: tuple[tuple[tuple[Cell, ...], float], ...]
     refused: tuple[tuple[tuple[str, ...], str], ...] = ()
     turns: tuple[Turn, ...] = ()
     rivals: tuple[tuple[Rival, float], ...] = ()
@@ -179,7 +179,7 @@ def diagnose(
         (taken.model, taken.state),
         tuple(_effect(c, model, taken.state) for c in taken.effects),
         taken.gained,
-        tuple((tuple(c.name for c in r.effects), r.gained) for r in search.known.values()),
+        tuple((r.effects, r.gained) for r in search.known.values()),
         tuple(search.refused.items()),
         tuple(turns),
         rivals,

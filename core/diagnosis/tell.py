@@ -73,7 +73,7 @@ def to_json(
         "claimed": verdict.word == "effect",
         "gained_nat": found.gained,
         "evidence": verdict.evidence,
-        "calibrated": [{"names": list(names), "gained_nat": gain} for names, gain in found.tried],
+        "calibrated": [_calibrated(cells, gain) for cells, gain in found.tried],
         "no_room": [{"names": list(names), "why": why} for names, why in found.refused],
         "tried": tried(found.first),
         "holds": [h.to_json() for h in verdict.held],
@@ -125,6 +125,15 @@ def in_words(wide: Widened) -> str:
         f"{what} gains {wide.gained:.1f} nat and is {wide.share:.0%} of the variance at "
         f"{wide.hour_h:,.0f} h; it names no cause"
     )
+
+
+def _calibrated(cells: Sequence[Cell], gained: float) -> Json:
+    """A calibrated hypothesis: of one name several courses, or hours of a step, may be."""
+    return {
+        "names": [c.name for c in cells],
+        "effects": [{"name": c.name, "shape": c.shape, "step_h": c.step_h} for c in cells],
+        "gained_nat": gained,
+    }
 
 
 def cell_json(cell: Cell) -> Json:

@@ -121,7 +121,7 @@ def one(
         "gained_nat": round(told.gained, 2),
         "effects": {e.cell.name: [round(e.mean, 5), round(e.sd, 5)] for e in told.effects},
         "reasons": list(verdict.reasons),
-        "tried": [[" and ".join(names), round(gained, 2)] for names, gained in told.tried],
+        "tried": [[" and ".join(c.name for c in cells), round(g, 2)] for cells, g in told.tried],
         "refused": {" and ".join(names): why[:200] for names, why in told.refused},
         **moved,
         "cpu_s": round(time.process_time() - start, 1),

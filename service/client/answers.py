@@ -452,11 +452,9 @@ class Adoption(TypedDict):
 
 
 class Course(TypedDict):
-    mean: list[list[float]]
-    sd: list[list[float]]
-    low: list[list[float]]
-    median: list[list[float]]
-    high: list[list[float]]
+    name: str
+    shape: str
+    step_h: float | None
 
 
 class Foreseen(TypedDict):
@@ -488,14 +486,22 @@ class PicturesReading(TypedDict):
     after: Foreseen
 
 
+class PicturesCoursesBefore(TypedDict):
+    mean: list[list[float]]
+    sd: list[list[float]]
+    low: list[list[float]]
+    median: list[list[float]]
+    high: list[list[float]]
+
+
 class PicturesCourses(TypedDict):
     quantity: str
     unit: str
     time_h: list[float]
     blades: list[str]
     now_h: NotRequired[list[float]]
-    before: Course
-    after: Course
+    before: PicturesCoursesBefore
+    after: PicturesCoursesBefore
 
 
 class PicturesAmplitudePrior(TypedDict):
@@ -596,6 +602,7 @@ class Separating(TypedDict):
 
 class FoundCalibrated(TypedDict):
     names: list[str]
+    effects: NotRequired[list[Course]]
     gained_nat: float | None
 
 
@@ -682,14 +689,8 @@ class FoundCondition(TypedDict):
     after: dict[str, Any]
 
 
-class FoundAlternativesEachEffect(TypedDict):
-    name: str
-    shape: str
-    step_h: float | None
-
-
 class FoundAlternativesEach(TypedDict):
-    effects: list[FoundAlternativesEachEffect]
+    effects: list[Course]
     share: float
     mean: float
     sd: float

@@ -77,12 +77,18 @@ def names(told: Json) -> list[str]:
     ...                 {"effects": [{"name": "wear", "shape": "late", "step_h": None}]}]})
     ['wear, linear', 'wear, late']
     """
-    every = [[_called(e) for e in one["effects"]] for one in told["each"]]
+    every = [[called(e) for e in one["effects"]] for one in told["each"]]
     common = set.intersection(*map(set, every))
     return [joined([e for e in one if e not in common]) or joined(one) for one in every]
 
 
-def _called(effect: Json) -> str:
+def hypothesis(one: Json) -> str:
+    """A calibrated one by its effects and their courses, for several may be of one name; by names
+    where an older release made it."""
+    return joined([called(e) for e in one.get("effects", ())] or one["names"])
+
+
+def called(effect: Json) -> str:
     """An effect with its course before whom it concerns."""
     hour = effect["step_h"]
     when = f", {effect['shape']}" if hour is None else f" at {number(hour)} h"

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from service.report import figures
+from service.report.alternatives import hypothesis
 from service.report.markup import Child, Markup, el
 from service.report.sections import ALARM, CONFIRMED, LEFT, NAMED, OLDER, SHOWN, changes
 from service.report.tables import cell, figure, note, section, table
@@ -29,7 +30,7 @@ def evidence(found: Json) -> Markup:
         drawn = figures.bars("Share of the evidence", "[%]", shares[:SHOWN], share=True)
         parts.append(figure(drawn, said))
     calibrated = [
-        (joined(one["names"]), one["gained_nat"])
+        (hypothesis(one), one["gained_nat"])
         for one in found["calibrated"]
         if one["gained_nat"] is not None
     ]

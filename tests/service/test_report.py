@@ -102,6 +102,30 @@ def test_a_forecast_is_drawn_to_its_hour_and_no_further() -> None:
     assert ticks(found)[-1] == "17,500", "twice 8,000 h, and up to the next hour that is known"
 
 
+def test_calibrated_hypotheses_of_one_name_are_told_apart_by_their_courses() -> None:
+    wear = {"name": "coating wear (coating lot C2)", "shape": "late", "step_h": None}
+    step = {"name": "firing temperature step", "shape": "step", "step_h": 9000.0}
+    each = [[wear], [wear | {"shape": "early"}, step], [wear, step | {"step_h": 15_000.0}]]
+    found = told(
+        "effect",
+        calibrated=[
+            {"names": [e["name"] for e in one], "effects": one, "gained_nat": 7.0 + k}
+            for k, one in enumerate(each)
+        ],
+    )
+    shown = "\n".join(lines_of({"rotor": "r1", "result": found}))
+    for name in (
+        "coating wear, late (coating lot C2)",
+        "coating wear, early (coating lot C2) and firing temperature step at 9,000 h",
+        "coating wear, late (coating lot C2) and firing temperature step at 15,000 h",
+    ):
+        assert name in shown
+        assert name in unescape(page_of(found))
+    del found["calibrated"][1]["effects"]
+    older = "\n".join(lines_of({"rotor": "r1", "result": found}))
+    assert "8.0  coating wear (coating lot C2) and firing temperature step\n" in older
+
+
 def test_what_else_the_readings_allow_is_itsbeside_the_forecast() -> None:
     """Rivals by what tells them apart, with shares; where there is one only, nothing is said."""
     found = told("effect")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from service.api.answers.residuals import REQUEST
-from service.api.answers.shown import ALTERNATIVES, NOTICED, PICTURES, SEPARATING
+from service.api.answers.shown import ALTERNATIVES, COURSE, NOTICED, PICTURES, SEPARATING
 from service.api.answers.words import (
     ANY,
     NUMBER,
@@ -57,7 +57,9 @@ FOUND = having(
     claimed=YES,
     gained_nat=maybe(NUMBER),
     evidence=named(maybe(NUMBER)),
-    calibrated=each(having(names=each(TEXT), gained_nat=maybe(NUMBER))),
+    calibrated=each(
+        having(("effects",), names=each(TEXT), effects=each(COURSE), gained_nat=maybe(NUMBER))
+    ),
     no_room=each(having(names=each(TEXT), why=TEXT)),
     tried=each(having(what=TEXT, log_bf=maybe(NUMBER))),
     holds=each(ANY),

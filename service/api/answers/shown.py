@@ -104,6 +104,7 @@ SEPARATING = having(
         )
     ),
 )
+COURSE = having(name=TEXT, shape=TEXT, step_h=maybe(NUMBER))
 FORESEEN = {"mean": NUMBER, "sd": NUMBER}
 ALTERNATIVES = having(
     quantity=TEXT,
@@ -113,7 +114,7 @@ ALTERNATIVES = having(
     together=having(**FORESEEN),
     each=each(
         having(
-            effects=each(having(name=TEXT, shape=TEXT, step_h=maybe(NUMBER))),
+            effects=each(COURSE),
             share=NUMBER,
             **FORESEEN,
         )

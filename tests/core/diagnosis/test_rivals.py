@@ -16,6 +16,7 @@ from core.diagnosis.diagnose import Diagnosis, diagnose
 from core.diagnosis.grammar import Facts
 from core.diagnosis.rivals import rivals_of, splitting
 from core.diagnosis.separate import separation_json
+from core.diagnosis.tell import to_json
 from core.observation import Inspection
 from tests.core.calibration.test_exact import SLOPES, conjugate
 from tests.core.diagnosis.fleet import READING
@@ -56,10 +57,21 @@ def test_the_rivals_are_those_of_the_verdict_with_the_evidence_that_it_saw(
     rivals = rivals_of(found, case, work)
     assert {n for r in rivals for n in r.names} == set(found.verdict.names)
     assert len(rivals) == len(found.verdict.names) == 3
-    base, seen = found.before[1].meta["log_evidence"], dict(found.tried)
+    base = found.before[1].meta["log_evidence"]
+    seen = {tuple(c.name for c in cells): gained for cells, gained in found.tried}
     for one in rivals:
         gained = one.state.meta["log_evidence"] - base
         assert gained == pytest.approx(seen[one.names], abs=1e-6)
+
+
+def test_what_was_calibrated_is_told_with_its_course_for_one_name_may_have_several(
+    torn: tuple[Diagnosis, Case, Workspace],
+) -> None:
+    found, case, _ = torn
+    told = to_json(found, case)["calibrated"]
+    every = [tuple((e["name"], e["shape"], e["step_h"]) for e in one["effects"]) for one in told]
+    assert len(set(every)) == len(every), "no two read alike"
+    assert [[name for name, _, _ in one] for one in every] == [one["names"] for one in told]
 
 
 def test_a_rival_is_called_as_the_verdict_has_it(
