@@ -193,7 +193,8 @@ def diagnosed(
     unseen = None
     if found.scan is not None:
         then("what would have been noticed")
-        unseen = noticed(found.scan, case.noise(model, state), case.seed, case.dealt)
+        could = len(case.once(model)) < len(case.read_h)
+        unseen = noticed(found.scan, case.noise(model, state), case.seed, case.dealt, could=could)
     told = to_json(found, case, both, pictures(found, case), apart, wide, others, unseen)
     if claimed and compare_h is not None:
         held = transferred(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -74,6 +75,16 @@ class Case:
             found[one.blade] = max(one.time_h, found.get(one.blade, 0.0))
         return found
 
+    def once(self, model: Model) -> frozenset[str]:
+        """Blades of one number, where these are more than half: their own parameters make up for
+        it, as far as priors go, and no second order holds there. None without such parameters."""
+        numbers = Counter[str]()
+        for one in self.readings:
+            numbers[one.blade] += one.values.size
+        few = frozenset(b for b, n in numbers.items() if n == 1)
+        own = model.network.of_level("local")
+        return few if own and 2 * len(few) > len(numbers) else frozenset()
+
     def noise(self, model: Model, state: RotorState) -> dict[str, float]:
         """Of a reading, by quantity, as the state has it."""
         shared = shared_posterior(state.meta, state.arrays.__getitem__)
@@ -113,9 +124,12 @@ class Case:
         """Its scores under a state; those of the last few states are kept.
 
         whole  with blades that one reading sets apart (`misread.apart`): their particles were
-               fitted to that reading, and what they say of the others is worth nothing
+               fitted to that reading, and what they say of the others is worth nothing; and with
+               those that were read `once`, which are left out beside others
         """
-        out = frozenset[str]() if whole else apart(state)
+        once = self.once(model)
+        told = frozenset[str]() if len(once) == len(self.read_h) else once
+        out = frozenset[str]() if whole else apart(state) | told
         key = (model.digest, state.digest, out)
         if key not in self._seen:
             while len(self._seen) >= KEPT:

@@ -47,7 +47,7 @@ from core.diagnosis.misread import set_apart, slips
 from core.diagnosis.scan import Scan
 from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.together import shared
-from core.diagnosis.verdict import Verdict, judge
+from core.diagnosis.verdict import ONCE, Verdict, judge, of_once
 from core.errors import InputError
 from core.model import Model
 
@@ -126,7 +126,12 @@ def diagnose(
     search.say("scan")
     scan = case.scan(model, state)
     search.prices = prices(scan)
-    first = found = judge(scan, case.seed, dealt=case.dealt)
+    once = case.once(model)
+    first = found = (
+        of_once(scan, once)
+        if len(once) == len(case.read_h)
+        else judge(scan, case.seed, dealt=case.dealt)
+    )
     nothing = taken = Rival((), model, lambda: state, 0.0)
     if first.word == "adequate":
         first = _with_slips(first, case, nothing)
@@ -195,9 +200,12 @@ def _leading(taken: Rival, turns: Sequence[Turn], verdict: Verdict) -> Rival:
 
 
 def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:
-    """With the readings that may be misread in its reasons, and campaigns of no single day."""
+    """With the readings that may be misread in its reasons, campaigns of no single day, and blades
+    that were left out."""
     told = slips(left_out(case.seen(taken.model, taken.state, whole=True)))
     told += set_apart(taken.state) + of_no_day(case.readings)
+    once, every = len(case.once(taken.model)), len(case.read_h)
+    told += (ONCE.format(once, every),) if 0 < once < every else ()
     return replace(verdict, reasons=(*verdict.reasons, *told))
 
 

@@ -84,12 +84,13 @@ class Noticed:
 
 
 def noticed(
-    scan: Scan, noise: Mapping[str, float], seed: int, dealt: int = DEALT
+    scan: Scan, noise: Mapping[str, float], seed: int, dealt: int = DEALT, *, could: bool = True
 ) -> tuple[Noticed, ...]:
     """What a scan without an alarm would have noticed, in the order of its families.
 
     noise  from which offsets without a size have theirs, by quantity
     seed   that of the test; it deals the same sets
+    could  whether the readings can contradict the model at all: else of no size
     """
     if all(cell.whom == "blade" for cell in scan.cells):
         return ()
@@ -98,7 +99,7 @@ def noticed(
 
     def size(i: int) -> float | None:
         if i not in own:
-            own[i] = trial.size(i, noise)
+            own[i] = trial.size(i, noise) if could else None
         return own[i]
 
     told, out = np.diag(several.information), []

@@ -7,6 +7,10 @@ With c_b and I_b blade b's shares of an effect's score and information, and a = 
 is one where noise alone scatters the blades that the effect concerns; (Σ I_b)² / Σ I_b² of them
 count, for three hot blades may know more than all others. Above one it discounts
 score and information alike (a quasi-likelihood: Wedderburn, Biometrika 61, 1974).
+
+Cells of too few blades for a phi of their own have the typical one of the others. What parameters
+imitate is none of these: of next to no information phi tells what second order leaves out, not how
+blades scatter (of blades read once it was 57, and every sound rotor of these alarmed).
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LEAST_BLADES = 8  # from which phi is a cell's own
+TOLD = 0.1  # information of an expected size below which a cell's phi sets no example
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +59,8 @@ class Scatter:
         if least < LEAST_BLADES:  # of few blades each counts
             count = seen.sum(axis=0).astype(float)
         many = np.asarray(count >= least)
-        return Scatter(seen.astype(float), held, expected, many, many & ~alone)
+        typical = many & ~alone & (whole >= TOLD)
+        return Scatter(seen.astype(float), held, expected, many, typical)
 
     def phi(self, c: Array, u: Array, information: Array) -> Array:
         """phi ≥ 1 of each cell (C,) from contributions c (B, C), scores and informations (C,).

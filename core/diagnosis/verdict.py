@@ -16,6 +16,7 @@ left is scanned again with the misfits without a name (bins of hours) among what
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -35,6 +36,10 @@ WIDE = 5.0  # prior sd of a half's amplitude, in sizes
 CONFIRMED = 5.0  # nats by which an effect is found in a half by itself
 MOST_NAMES = 5  # in a set that is still an answer
 DEALT = 400
+ONCE = (
+    "{} of {} blades were read once: their own parameters make up for what one reading says, and "
+    "they are left out of what is looked for"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +145,15 @@ def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Ve
         word, names, why = "unattributed", (), f"{len(names)} names would explain it"
     best, shown = best_of(hypotheses, named), tuple(hypotheses[:20])
     return Verdict(word, p, None, names, best, shown, evidence, tried, (), (why,))
+
+
+def of_once(scan: Scan, blades: Collection[str]) -> Verdict:
+    """The verdict where no blade was read twice."""
+    why = (
+        f"none of {len(blades)} blades was read twice: its own parameters make up for what one "
+        "reading says, so that nothing can contradict the model yet"
+    )
+    return Verdict("adequate", 1.0, None, (), None, (), {}, scan.found, (), (why,))
 
 
 def describe(cell: Cell) -> str:
