@@ -70,6 +70,14 @@ class Family:
                 raise InputError(
                     f"{what} of the effect {self.name!r}", wrong, "is unknown", f"use {[*known]}"
                 )
+        for what, each in (("shapes", self.shapes), ("whom", self.whom)):
+            if len(set(each)) < len(each):
+                raise InputError(
+                    f"{what} of the effect {self.name!r}",
+                    [*each],
+                    "has one twice",
+                    "give each once",
+                )
         if self.size is None and (self.target, self.how) != ("reading", "plus"):
             raise InputError(f"size of the effect {self.name!r}", None, "is missing", "give it")
         if self.size is not None and not self.size > 0:

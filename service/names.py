@@ -11,6 +11,7 @@ ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._:@+\-]*$"
 ID_LENGTH = 100
 TEXT_PATTERN = r"^[^\x00-\x1f\x7f]+$"
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
+TITLE_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _+\-]*$"
 LONGEST_NUMBER = 40
 
 

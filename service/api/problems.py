@@ -17,7 +17,7 @@ from fastapi.responses import JSONResponse
 from core.errors import InputError
 from service.api.visit import visit_of
 from service.errors import MOST_FAULTS as MOST_FAULTS
-from service.names import TEXT_PATTERN
+from service.names import TEXT_PATTERN, TITLE_PATTERN
 from service.tokens import redacted
 
 LONGEST = 200
@@ -153,6 +153,10 @@ REMEDIES = {
     "model_attributes_type": OBJECT,
 }
 ONE_LINE = "write one line of text, without tabs and other control characters"
+PATTERNS = {
+    TEXT_PATTERN: ONE_LINE,
+    TITLE_PATTERN: "use letters, digits, blanks and _ + -, a letter or a digit first",
+}
 VALUED = {"no_value": "value", "two_values": "value"}  # faults of a whole reading, by the field
 NOT_THERE = frozenset({"missing", *VALUED})
 TAGS = frozenset({"vector", "scalar"})
@@ -166,9 +170,8 @@ def faults_of_validation(errors: Sequence[Any], prefix: str = "") -> list[Fault]
             prefix + (VALUED.get(error["type"]) or _field(error["loc"])),
             None if error["type"] in NOT_THERE else error.get("input"),
             _problem(error["msg"]),
-            ONE_LINE
-            if error.get("ctx", {}).get("pattern") == TEXT_PATTERN
-            else REMEDIES.get(error["type"], "correct the value"),
+            PATTERNS.get(error.get("ctx", {}).get("pattern"))
+            or REMEDIES.get(error["type"], "correct the value"),
         )
         for error in errors
     ]

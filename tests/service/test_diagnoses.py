@@ -15,6 +15,7 @@ import pytest
 from sqlalchemy import select, true, update
 from typer.testing import CliRunner
 
+from core.family import Family
 from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.cli import app as commands
@@ -482,6 +483,8 @@ def test_retracted_readings_and_those_that_come_later_do_not_count(
         ({"target": "input"}, "whom"),
         ({"of": "colour"}, "of"),
         ({"name": "fouling"}, "name"),
+        ({"shapes": ["linear", "step", "linear"]}, "shapes"),
+        ({"whom": ["instrument", "instrument"]}, "whom"),
         ({"colour": "red"}, "colour"),
     ],
 )
@@ -492,6 +495,20 @@ def test_a_family_that_is_none_is_refused_by_its_field(
     assert sent.status_code == 422, sent.text
     assert field in sent.json()["faults"][0]["field"]
     assert api.get("/v1/rotors/r1/diagnoses").json()["items"] == []
+
+
+def test_a_family_is_told_which_cause_it_shares_and_how_it_may_be_called(
+    api: httpx.Client, straight: str
+) -> None:
+    families = [FAMILY | {"cause": "wrong zero"}, FAMILY | {"name": "sag 2"}]
+    sent = api.post("/v1/rotors/r1/diagnoses", json={"families": families})
+    assert sent.status_code == 202, sent.text
+    assert sent.json()["diagnosis"]["request"]["families"] == families
+    [of_cause, bare] = [Family.from_json(one) for one in families]
+    assert (of_cause.to_json(), bare.cause) == (families[0], "")
+    refused = api.post("/v1/rotors/r1/diagnoses", json={"families": [FAMILY | {"name": "sag.2"}]})
+    [fault] = refused.json()["faults"]
+    assert fault["remedy"] == "use letters, digits, blanks and _ + -, a letter or a digit first"
 
 
 def test_an_hour_beyond_the_model_is_refused_with_the_hours_it_covers(

@@ -13,12 +13,11 @@ from service.api.schemas import Body, Id
 from service.api.services import Cursor, Limit, Name, Services, Wired, moment, page, page_size
 from service.handlers import diagnoses as use
 from service.handlers.adoptions import standing
+from service.names import TITLE_PATTERN
 from service.ports import JobRecord
 
 router = APIRouter(prefix="/v1/rotors/{r}/diagnoses", tags=["diagnoses"])
-Title = Annotated[
-    str, StringConstraints(min_length=1, max_length=80, pattern=r"^[A-Za-z0-9][A-Za-z0-9 _+\-]*$")
-]
+Title = Annotated[str, StringConstraints(min_length=1, max_length=80, pattern=TITLE_PATTERN)]
 EXAMPLE: dict[str, Any] = {
     "families": [
         {
@@ -60,6 +59,11 @@ class FamilyIn(Body):
     ]
     clock: Literal["blade", "rotor", "event"]
     kind: Literal["physics", "operation", "material", "sensor"]
+    cause: Title | None = None
+
+    def told(self) -> dict[str, Any]:
+        """As `core.diagnosis.Family.to_json` tells it."""
+        return {k: v for k, v in self.model_dump().items() if (k, v) != ("cause", None)}
 
 
 class DiagnosisIn(Body):
@@ -102,7 +106,7 @@ def post_diagnosis(r: Name, services: Wired, body: DiagnosisIn | None = None) ->
         services.store,
         services.science,
         r,
-        [one.model_dump() for one in asked.families],
+        [one.told() for one in asked.families],
         compare=asked.compare,
         horizon_h=asked.horizon_h,
     )
