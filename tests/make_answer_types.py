@@ -79,6 +79,7 @@ OF_ROUTES = {
     f"GET {ROTOR}/plan": "Plan",
     f"GET {ROTOR}/diagnoses": "DiagnosisListed",
     f"POST {ROTOR}/diagnoses/{{d}}/adoption": "Adopted",
+    f"DELETE {ROTOR}/diagnoses/{{d}}/adoption": "BackedOut",
     "POST /v1/webhooks": "WebhookMade",
     "DELETE /v1/webhooks/{w}": "WebhookDeleted",
 }

@@ -950,6 +950,11 @@ class Adopted(TypedDict):
     head_seq: int
 
 
+class BackedOut(TypedDict):
+    adoption: Adoption
+    head_seq: int
+
+
 class WebhookMade(TypedDict):
     webhook: Webhook
     secret: str | None

@@ -57,7 +57,7 @@ def adopt(rotor: str, diagnosis: str) -> Steps[answers.Adopted]:
     return ask("POST", path("rotors", rotor, "diagnoses", diagnosis, "adoption"))
 
 
-def back_out(rotor: str, diagnosis: str) -> Steps[answers.Adopted]:
+def back_out(rotor: str, diagnosis: str) -> Steps[answers.BackedOut]:
     """The network before the adoption comes back; `head_seq` is what to wait for."""
     return ask("DELETE", path("rotors", rotor, "diagnoses", diagnosis, "adoption"))
 
