@@ -13,6 +13,9 @@ from tests.service.machine.log import Log
 from tests.service.machine.steps import act, rotors
 from tests.service.modelled import Json, Modelled
 
+CHANGES = {"adoption": "adopted", "back-out": "backed-out"}
+KINDS = {"applied", "diagnosed", "diagnosis-failed", "residuals", *CHANGES.values()}
+
 
 class Streams(Log):
     """A client that listens, loses its connection, and goes on."""
@@ -46,14 +49,30 @@ class Streams(Log):
         numbers = [one["id"] for one in told]
         assert numbers == sorted(set(numbers))
         assert {one["rotor"] for one in told} <= {self.id(rotor)}
-        assert {one["event"] for one in told} <= {"applied", "diagnosed", "residuals"}
+        assert {one["event"] for one in told} <= KINDS
         self.compare_versions(rotor, model, [one for one in told if one["event"] == "applied"])
-        ended = [one["diagnosis"] for one in told if one["event"] == "diagnosed"]
-        assert sorted(ended) == sorted(one.id for one in model.diagnoses if one.status == "done")
+        for kind, status in (("diagnosed", "done"), ("diagnosis-failed", "failed")):
+            ended = [one["diagnosis"] for one in told if one["event"] == kind]
+            assert sorted(ended) == sorted(d.id for d in model.diagnoses if d.status == status)
+        self.compare_changes(model, told)
         alarms = [one["alarms"] for one in told if one["event"] == "residuals"]
         now = self.send("GET", self.path(rotor, "residuals")).json()["alarms"]
         assert now == (alarms or [0])[-1]
         return told
+
+    @staticmethod
+    def compare_changes(model: Modelled, told: list[Json]) -> None:
+        """Each entry that adopted or backed out is told once, in order; not those of a file."""
+        own = {one.id for one in model.diagnoses}
+        assert [
+            (one["event"], one["seq"], one["diagnosis"])
+            for one in told
+            if one["event"] in CHANGES.values()
+        ] == [
+            (CHANGES[kind], seq, content["diagnosis"])
+            for seq, (name, content) in enumerate(model.entries, 1)
+            if (kind := name.partition("/")[0]) in CHANGES and content["diagnosis"] in own
+        ]
 
     def compare_versions(self, rotor: str, model: Modelled, told: list[Json]) -> None:
         """Each version is told once; those that were read are as they were read."""
