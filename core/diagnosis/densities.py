@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -116,6 +116,23 @@ def leans(prior: Prior, a: Array, w: Array) -> str | None:
     if high - last <= edge and high - mean <= NEAR * sd:
         return "high"
     return None
+
+
+def leaning(model: Model, state: RotorState, besides: Collection[str] = ()) -> list[str]:
+    """One sentence for each shared input or adopted amplitude that leans on an end of its prior,
+    but for those named `besides`: what is found may stand for what the prior does not allow."""
+    shared, told = shared_posterior(state.meta, state.arrays.__getitem__), []
+    for one in model.network.of_level("shared"):
+        if one.name in besides or one.name not in shared.names:
+            continue
+        side = leans(one.prior, shared.column(one.name), shared.particles.w)
+        if side is not None:
+            end = {"low": one.prior.low, "high": one.prior.high}[side]
+            told.append(
+                f"{one.name} leans on {end:g}, the {side} end of its prior, and would go on "
+                "beyond: what is found may stand for that. Where it can be so, widen the prior"
+            )
+    return told
 
 
 def parameter_pictures(found: Diagnosis) -> list[Json]:

@@ -15,8 +15,8 @@
        readings without it: a name that is not settled must not keep those that are from being said.
        So does one beside which the others' amplitudes do not hold (`leaving`).
     6. The amplitudes have to hold (`verdict`), to lie inside of their room and to be those of all
-       blades that the effect is said of (`concerned`), and what is left has to be chance
-       (`conclude`).
+       blades that the effect is said of (`concerned`), no shared input may lean on an end of its
+       prior, and what is left has to be chance (`conclude`).
     7. Where a cause is claimed and its course in time is open, another course joins (`courses`).
 
 Everything is a function of the readings that count, the facts of the blades and the seed.
@@ -38,7 +38,7 @@ from core.diagnosis.clock import of_no_day
 from core.diagnosis.concerned import heard
 from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.courses import with_both
-from core.diagnosis.densities import leans
+from core.diagnosis.densities import leaning, leans
 from core.diagnosis.grammar import Cell
 from core.diagnosis.held import leaving_runs, while_read
 from core.diagnosis.leaving import without_open, without_unsteady
@@ -134,6 +134,7 @@ def diagnose(
     )
     nothing = taken = Rival((), model, lambda: state, 0.0)
     if first.word == "adequate":
+        first = replace(first, reasons=(*first.reasons, *leaning(model, state)))
         first = _with_slips(first, case, nothing)
         same = (model, state)
         return Diagnosis(first, first, same, same, (), 0.0, (), scan=scan)
@@ -164,7 +165,10 @@ def diagnose(
         case.halves(model, state, taken),
         search.refused,
         gone,
-        [end for c in taken.effects if (end := _end(c, model, case, taken)) is not None],
+        [end for c in taken.effects if (end := _end(c, model, case, taken)) is not None]
+        + leaning(
+            taken.model, taken.state, [amplitude(c, model.network)[0] for c in taken.effects]
+        ),
     )
     verdict = shared(verdict, turns, search.prices)
     verdict = heard(verdict, case.concerned(model, state, taken) if taken.effects else ())
@@ -207,6 +211,13 @@ def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:
     once, every = len(case.once(taken.model)), len(case.read_h)
     told += (ONCE.format(once, every),) if 0 < once < every else ()
     return replace(verdict, reasons=(*verdict.reasons, *told))
+
+
+def _ends(before: Model, case: Case, taken: Rival) -> list[str]:
+    """What of the taken effects, and of what blades share beside them, would go on if it could."""
+    found = (_end(cell, before, case, taken) for cell in taken.effects)
+    own = [amplitude(cell, before.network)[0] for cell in taken.effects]
+    return [one for one in found if one is not None] + leaning(taken.model, taken.state, own)
 
 
 def _end(cell: Cell, before: Model, case: Case, taken: Rival) -> str | None:

@@ -303,6 +303,24 @@ def test_an_amplitude_that_leans_on_the_end_of_its_room_is_not_accepted() -> Non
     assert "the amplitude of bend leans on 0.15, no room: the runs end there" in one.verdict.reasons
 
 
+@pytest.mark.parametrize("effect", [0.25, 0.0])
+def test_where_what_blades_share_leans_on_the_end_of_its_prior_nothing_is_claimed(
+    effect: float,
+) -> None:
+    """The prior of `s` ends far below where it is; with room a bend is named, and none is not."""
+    data = readings(lambda b, t: effect * t**2)
+    free = found(data)
+    assert free.verdict.word == ("effect" if effect else "adequate")
+    assert not any("leans" in why for why in free.verdict.reasons)
+    own = replace(MODEL.network.parameter("s"), prior=Prior("uniform", 0.0, 1.4))
+    parameters = tuple(own if p.name == "s" else p for p in MODEL.network.parameters)
+    cut = found(data, Model(replace(MODEL.network, parameters=parameters), MODEL.surrogate))
+    assert cut.verdict.word == ("unattributed" if effect else "adequate")
+    assert not cut.verdict.names
+    told = "s leans on 1.4, the high end of its prior, and would go on beyond"
+    assert any(why.startswith(told) for why in cut.verdict.reasons)
+
+
 def test_what_is_adopted_may_be_found_again_under_another_name_in_the_network() -> None:
     cell = Cell(OFFSET, "constant", "instrument", "gauge 1")
     noise, facts = {"y": SIGMA}, {b: Facts() for b in SPEC.blades}
