@@ -39,6 +39,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-late-second", ("some blades late",), 6),
         ("effects-scans-named", NAMED, 1),
         ("effects-scans-named-second", NAMED, 1),
+        ("effects-worn", ("worn lot",), 12),
     ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
@@ -53,6 +54,20 @@ def test_every_set_is_there_and_the_seed_comes_from_the_commit(
     beside = ("effects-late-second", "effects-scans-named-second")  # ones of the same commit
     begin = 1 if name in beside else 0
     assert found["seed"] == int(found["commit"][begin : begin + 6], 16)
+
+
+def test_worn_lots_have_the_room_of_their_blades_and_what_leans_on_it_is_told() -> None:
+    """0.40 is planted; the room of the prior's thinnest coating was 0.44 to 0.48."""
+    found = kept("effects-worn")
+    row, gains = found["table"]["worn lot"], found["improvement"]["worn lot"]
+    assert (round(12 * row["right"]), row["wrong"], row["alarms"]) == (9, 0.0, 1.0)
+    assert "**9 of 12** get the right" in WORDS
+    leans = [s for s in found["sets"] if any("leans" in why for why in s["reasons"])]
+    assert [s["word"] for s in leans] == ["unattributed"]
+    wear = [s["effects"][n] for s in found["sets"] for n in s["effects"] if len(s["effects"]) == 1]
+    assert all(abs(mean - 0.4) < 2.0 * sd for mean, sd in wear)
+    assert sum(mean > 0.437 for mean, _ in wear) == 4, "what the old room would have cut off"
+    assert (round(12 * gains["better"]), round(gains["rmse"], 2)) == (11, 0.52)
 
 
 def test_clean_sets_alarm_as_seldom_as_asked_and_those_of_heavy_tails_too_often() -> None:
