@@ -43,7 +43,7 @@ from core.diagnosis.grammar import Cell
 from core.diagnosis.held import leaving_runs, while_read
 from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.left_out import left_out
-from core.diagnosis.misread import set_apart, slips
+from core.diagnosis.misread import copied, set_apart, slips
 from core.diagnosis.scan import Scan
 from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.together import shared
@@ -204,10 +204,10 @@ def _leading(taken: Rival, turns: Sequence[Turn], verdict: Verdict) -> Rival:
 
 
 def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:
-    """With the readings that may be misread in its reasons, campaigns of no single day, and blades
-    that were left out."""
+    """With the readings that may be misread or copied in its reasons, campaigns of no single day,
+    and blades that were left out."""
     told = slips(left_out(case.seen(taken.model, taken.state, whole=True)))
-    told += set_apart(taken.state) + of_no_day(case.readings)
+    told += set_apart(taken.state) + of_no_day(case.readings) + copied(case.readings)
     once, every = len(case.once(taken.model)), len(case.read_h)
     told += (ONCE.format(once, every),) if 0 < once < every else ()
     return replace(verdict, reasons=(*verdict.reasons, *told))

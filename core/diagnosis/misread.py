@@ -24,10 +24,13 @@ nothing is scanned (`apart`), and the verdict says so (`set_apart`). One whose r
 together stays in: an effect of its own may be what they have in common. So do two blades whose
 readings look exchanged: an instrument three noises off makes some look so, and without
 them what was left behind its offset was called more than chance.
+
+One value of half of the blades at a visit was hardly read of them (`copied`).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -171,3 +174,29 @@ def slips(read: LeftOut) -> tuple[str, ...]:
 
 def _told(reading: Inspection, z: float) -> str:
     return f"{reading.id} (blade {reading.blade}, {reading.time_h:,.0f} h, {z:+.1f} sd)"
+
+
+def copied(readings: Sequence[Inspection]) -> tuple[str, ...]:
+    """That one value stands for half of the blades of a visit, or more, in words: at most `TOLD`.
+
+    >>> data = [Inspection(str(b), f"B{b}", "y", 9e3, [0.3], campaign="c") for b in range(9)]
+    >>> copied(data)
+    ('y is 0.3 in 9 of 9 blades in campaign c: copied, or rounded too coarsely?',)
+    >>> copied(data[:7])
+    ()
+    """
+    visits: dict[tuple[str, str, str], dict[str, float]] = {}
+    for one in readings:
+        if one.values.size == 1:
+            place = "" if one.nodes is None else f" at node {int(one.nodes[0])}"
+            when = f"in campaign {one.campaign}" if one.campaign else f"at {one.time_h:,.0f} h"
+            visits.setdefault((one.quantity, place, when), {})[one.blade] = float(one.values.item())
+    told = []
+    for (quantity, place, when), read in sorted(visits.items()):
+        value, count = Counter(read.values()).most_common(1)[0]
+        if count >= max(LEAST_BLADES, 0.5 * len(read)):
+            told.append(
+                f"{quantity}{place} is {value:.6g} in {count} of {len(read)} blades {when}: "
+                "copied, or rounded too coarsely?"
+            )
+    return tuple(told[:TOLD])

@@ -321,6 +321,15 @@ def test_where_what_blades_share_leans_on_the_end_of_its_prior_nothing_is_claime
     assert any(why.startswith(told) for why in cut.verdict.reasons)
 
 
+def test_readings_that_are_one_value_in_all_blades_are_told_whatever_is_found() -> None:
+    data = readings(lambda b, t: 0.0)
+    same = {t: data[i].values for i, t in enumerate(TIMES)}
+    one = found(tuple(replace(r, values=same[r.time_h]) for r in data))
+    told = [why for why in one.verdict.reasons if f"in {BLADES} of {BLADES} blades at" in why]
+    assert len(told) == len(TIMES)
+    assert not any("copied" in why for why in found(data).verdict.reasons)
+
+
 def test_what_is_adopted_may_be_found_again_under_another_name_in_the_network() -> None:
     cell = Cell(OFFSET, "constant", "instrument", "gauge 1")
     noise, facts = {"y": SIGMA}, {b: Facts() for b in SPEC.blades}

@@ -11,11 +11,12 @@ import pytest
 from core.diagnosis.bayes import one_by_one
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.left_out import left_out
-from core.diagnosis.misread import Spared, slips, spared
+from core.diagnosis.misread import Spared, copied, slips, spared
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import signatures
 from core.diagnosis.verdict import judge
+from core.observation import Inspection
 from tests.core.diagnosis import fleet
 from tests.core.diagnosis.fleet import READING, SIGMA, rotor, scan
 
@@ -219,3 +220,29 @@ def test_of_many_far_readings_the_farthest_are_told_and_the_rest_counted() -> No
     told = slips(left_out(rotor(3, lambda b, k: (20 + b) * SIGMA * (k == b % 3) * (b < 9))[0]))
     assert "more;" in told[0]
     assert told[0].count("(blade ") == 5
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ([0.31] * 16, "elongation is 0.31 in 16 of 16 blades in campaign c: copied"),
+        ([0.31] * 8 + [0.3 + 0.01 * k for k in range(2, 10)], "elongation is 0.31 in 8 of 16"),
+        ([0.31] * 8 + [0.3 + 0.01 * k for k in range(2, 11)], None),  # less than half
+        ([0.31] * 7, None),  # of a few blades it may be so
+        ([0.3 + 0.01 * (k // 2) for k in range(16)], None),
+    ],
+)
+def test_one_value_of_half_of_the_blades_at_a_visit_is_told(
+    values: list[float], told: str | None
+) -> None:
+    """Blades of other ages have other hours; a second visit is another one."""
+    data = [
+        Inspection(f"{c}{b}", f"B{b}", "elongation", 8e3 + 500.0 * b, [v + more * b], campaign=c)
+        for c, more in (("c", 0.0), ("d", 0.001))
+        for b, v in enumerate(values)
+    ]
+    found = copied(data)
+    assert len(found) == (told is not None)
+    assert told is None or found[0].startswith(told)
+    again = copied([replace(one, campaign=None, time_h=9e3) for one in data if one.id[0] == "c"])
+    assert [one.replace("at 9,000 h", "in campaign c") for one in again] == list(found)
