@@ -189,7 +189,8 @@ def copied(readings: Sequence[Inspection]) -> tuple[str, ...]:
     for one in readings:
         if one.values.size == 1:
             place = "" if one.nodes is None else f" at node {int(one.nodes[0])}"
-            when = f"in campaign {one.campaign}" if one.campaign else f"at {one.time_h:,.0f} h"
+            hour = f"{one.time_h:,.0f}" if one.time_h >= 1000 else f"{one.time_h:.6g}"
+            when = f"in campaign {one.campaign}" if one.campaign else f"at {hour} h"
             visits.setdefault((one.quantity, place, when), {})[one.blade] = float(one.values.item())
     told = []
     for (quantity, place, when), read in sorted(visits.items()):
