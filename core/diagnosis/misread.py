@@ -185,19 +185,20 @@ def copied(readings: Sequence[Inspection]) -> tuple[str, ...]:
     >>> copied(data[:7])
     ()
     """
-    visits: dict[tuple[str, str, str], dict[str, float]] = {}
+    visits: dict[tuple[str, int, str, float], dict[str, float]] = {}
     for one in readings:
         if one.values.size == 1:
-            place = "" if one.nodes is None else f" at node {int(one.nodes[0])}"
-            hour = f"{one.time_h:,.0f}" if one.time_h >= 1000 else f"{one.time_h:.6g}"
-            when = f"in campaign {one.campaign}" if one.campaign else f"at {hour} h"
-            visits.setdefault((one.quantity, place, when), {})[one.blade] = float(one.values.item())
+            node = -1 if one.nodes is None else int(one.nodes[0])
+            when = (one.campaign, 0.0) if one.campaign else ("", one.time_h)
+            visits.setdefault((one.quantity, node, *when), {})[one.blade] = float(one.values.item())
     told = []
-    for (quantity, place, when), read in sorted(visits.items()):
+    for (quantity, node, campaign, hour), read in sorted(visits.items()):
         value, count = Counter(read.values()).most_common(1)[0]
         if count >= max(LEAST_BLADES, 0.5 * len(read)):
+            place = "" if node < 0 else f" at node {node}"
+            at = f"in campaign {campaign}" if campaign else f"at {hour:,.6g} h"
             told.append(
-                f"{quantity}{place} is {value:.6g} in {count} of {len(read)} blades {when}: "
+                f"{quantity}{place} is {value:.6g} in {count} of {len(read)} blades {at}: "
                 "copied, or rounded too coarsely?"
             )
     return tuple(told[:TOLD])
