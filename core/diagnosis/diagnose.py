@@ -15,8 +15,8 @@
        readings without it: a name that is not settled must not keep those that are from being said.
        So does one beside which the others' amplitudes do not hold (`leaving`).
     6. The amplitudes have to hold (`verdict`), to lie inside of their room and to be those of all
-       blades that the effect is said of (`concerned`), no shared input may lean on an end of its
-       prior, and what is left has to be chance (`conclude`).
+       blades that the effect is said of (`concerned`), and what is left has to be chance
+       (`conclude`).
     7. Where a cause is claimed and its course in time is open, another course joins (`courses`).
 
 Everything is a function of the readings that count, the facts of the blades and the seed.
@@ -134,8 +134,7 @@ def diagnose(
     )
     nothing = taken = Rival((), model, lambda: state, 0.0)
     if first.word == "adequate":
-        first = replace(first, reasons=(*first.reasons, *leaning(model, state)))
-        first = _with_slips(first, case, nothing)
+        first = _with_slips(first, case, nothing, model)
         same = (model, state)
         return Diagnosis(first, first, same, same, (), 0.0, (), scan=scan)
     turns: list[Turn] = []
@@ -165,10 +164,7 @@ def diagnose(
         case.halves(model, state, taken),
         search.refused,
         gone,
-        [end for c in taken.effects if (end := _end(c, model, case, taken)) is not None]
-        + leaning(
-            taken.model, taken.state, [amplitude(c, model.network)[0] for c in taken.effects]
-        ),
+        [end for c in taken.effects if (end := _end(c, model, case, taken)) is not None],
     )
     verdict = shared(verdict, turns, search.prices)
     verdict = heard(verdict, case.concerned(model, state, taken) if taken.effects else ())
@@ -182,7 +178,7 @@ def diagnose(
         later = leaving_runs(taken.model, taken.state, case.present, case.spec.known)
         verdict = replace(verdict, reasons=(*verdict.reasons, *later))
     return Diagnosis(
-        _with_slips(verdict, case, taken),
+        _with_slips(verdict, case, taken, model),
         first,
         (nothing.model, nothing.state),
         (taken.model, taken.state),
@@ -203,21 +199,16 @@ def _leading(taken: Rival, turns: Sequence[Turn], verdict: Verdict) -> Rival:
     return turns[0].rivals[single[-1]]
 
 
-def _with_slips(verdict: Verdict, case: Case, taken: Rival) -> Verdict:
-    """With the readings that may be misread or copied in its reasons, campaigns of no single day,
-    and blades that were left out."""
-    told = slips(left_out(case.seen(taken.model, taken.state, whole=True)))
+def _with_slips(verdict: Verdict, case: Case, taken: Rival, before: Model) -> Verdict:
+    """With what leans on an end of its prior in its reasons, readings that may be misread or
+    copied, campaigns of no single day, and blades that were left out."""
+    own = [amplitude(cell, before.network)[0] for cell in taken.effects]
+    told = (*leaning(taken.model, taken.state, own),)
+    told += slips(left_out(case.seen(taken.model, taken.state, whole=True)))
     told += set_apart(taken.state) + of_no_day(case.readings) + copied(case.readings)
     once, every = len(case.once(taken.model)), len(case.read_h)
     told += (ONCE.format(once, every),) if 0 < once < every else ()
     return replace(verdict, reasons=(*verdict.reasons, *told))
-
-
-def _ends(before: Model, case: Case, taken: Rival) -> list[str]:
-    """What of the taken effects, and of what blades share beside them, would go on if it could."""
-    found = (_end(cell, before, case, taken) for cell in taken.effects)
-    own = [amplitude(cell, before.network)[0] for cell in taken.effects]
-    return [one for one in found if one is not None] + leaning(taken.model, taken.state, own)
 
 
 def _end(cell: Cell, before: Model, case: Case, taken: Rival) -> str | None:

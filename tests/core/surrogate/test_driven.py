@@ -300,11 +300,14 @@ def test_a_node_whose_creep_has_stopped_answers_under_wear(monkeypatch: pytest.M
     noise = {q.name: 1e-4 for q in wide.network.quantities}
     model = with_effects(wide, [Cell(wear, "linear", "all")], {}, noise, {"B1": 24e3}).surrogate
     assert isinstance(model, Driven)
-    x = points(model, 40)
+    assert model.inputs[-1].high > 0.4 / 0.48, "the thinnest coatings are held before 24,000 h"
+    low, high = np.array([(i.low, i.high) for i in model.inputs]).T
+    x = low + np.random.default_rng(3).random((150, len(low))) * (high - low)
     mean, sd = model.response("ceeq", hours, [node]).evaluate(x)
     direct, _ = model.predict(x, "ceeq", np.array(hours), [node])
-    assert np.all(sd > 0)
-    assert np.abs(mean - direct[:, :, 0]).max() < 0.15 * direct.max()
+    off = np.abs(mean - direct[:, :, 0])
+    assert np.all(off < 4.0 * sd)
+    assert off.max() < 0.15 * direct.max()
     model.response("ceeq", hours, [other])
     monkeypatch.setattr(driven, "follow", lambda *a, late, **n: follow(*a, **n))
     with pytest.raises(RangeError, match="longer runs"):
