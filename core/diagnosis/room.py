@@ -6,10 +6,10 @@ reading, for a good part of the size that is expected.
 
 If so, and the input is each blade's own, the amplitudes that are asked for are those by which the
 middle half of its prior, from quartile to quartile, stays inside: the thinnest coating that a prior
-allows is no blade's, and it used to bound what all of them may have lost (0.44 by 50,000 h, where
-0.38 ± 0.04 was found: the effect leaned on an end that no blade came near). What begins further out
-is held at the runs' end (`core.surrogate.reach`); whether blades are, while they are read, is asked
-of the posterior (`core.diagnosis.held.while_read`).
+allows used to bound what all blades may have lost (0.44, where 0.38 ± 0.04 was found: the effect
+leaned on an end that no blade had reached). What begins further out is held at the runs' end
+(`core.surrogate.reach`); whether blades are, while they are read, is asked of the posterior
+(`core.diagnosis.held.while_read`).
 
 Where the blades' hours are not known, the whole prior stays inside to the runs' last hour.
 """
