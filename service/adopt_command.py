@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from core.errors import InputError
 from service.commands.reach import reached
 from service.diagnose_command import amplitude
 
@@ -20,6 +21,12 @@ NOT_FOUND = 404
 def adopt(
     rotor: Annotated[str, typer.Argument(help="The rotor.")],
     diagnosis: Annotated[str, typer.Argument(help="The diagnosis, by its id.")],
+    alternative: Annotated[
+        int | None, typer.Option(help="Adopt this one of its alternatives, by its number.")
+    ] = None,
+    because: Annotated[
+        str | None, typer.Option(help="From where it is known that it is this one.")
+    ] = None,
     out: Annotated[
         bool, typer.Option("--back-out", help="Bring the network before the adoption back.")
     ] = False,
@@ -30,10 +37,18 @@ def adopt(
     key: Annotated[str | None, typer.Option(help="An API key with read and operate.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Adopt the effect that a diagnosis named, or back it out; the posterior follows by itself."""
+    """Adopt the effect that a diagnosis named, or one of what it could not tell apart, or back it
+    out; the posterior follows by itself."""
+    if out and (alternative, because) != (None, None):
+        remedy = "leave out --alternative and --because"
+        raise InputError("--back-out", True, "takes out what was chosen", remedy)
     with reached(url, key) as twin:
         found = {} if as_json else result_of(twin, rotor, diagnosis)
-        done = twin.back_out(rotor, diagnosis) if out else twin.adopt(rotor, diagnosis)
+        done = (
+            twin.back_out(rotor, diagnosis)
+            if out
+            else twin.adopt(rotor, diagnosis, alternative=alternative, because=because)
+        )
         told: dict[str, Any] = {**done}
         if not as_json:  # it is done, whatever becomes of the waiting
             typer.echo("\n".join(lines_of(rotor, told["adoption"], found)))
@@ -63,15 +78,24 @@ def result_of(twin: Client, rotor: str, diagnosis: str) -> dict[str, Any]:
 
 
 def by_whom(effect: dict[str, Any]) -> str:
-    """When an effect was adopted, and that nobody asked for it, as the rotor tells it.
+    """When an effect was adopted, and that nobody asked for it, or why somebody chose it, as the
+    rotor tells it.
 
     >>> by_whom({"at": "2026-11-30T13:29:02.852Z", "unasked": True})
     'adopted 2026-11-30T13:29Z by the rotor itself'
+    >>> by_whom({"chosen": {"alternative": 2, "because": "borescope of outage 4"}})
+    'adopted, alternative 2, because: borescope of outage 4'
     >>> by_whom({})  # of a service of an older release
     'adopted'
     """
     when = f" {effect['at'][:16]}Z" if effect.get("at") else ""
-    return f"adopted{when}" + (" by the rotor itself" if effect.get("unasked") else "")
+    told = f"adopted{when}" + (" by the rotor itself" if effect.get("unasked") else "")
+    return f"{told}, {chose(chosen)}" if (chosen := effect.get("chosen")) else told
+
+
+def chose(chosen: dict[str, Any]) -> str:
+    """Which alternative somebody chose, and why."""
+    return f"alternative {chosen['alternative']}, because: {chosen['because']}"
 
 
 def lines_of(rotor: str, one: dict[str, Any], found: dict[str, Any]) -> Iterator[str]:
@@ -81,5 +105,7 @@ def lines_of(rotor: str, one: dict[str, Any], found: dict[str, Any]) -> Iterator
     for effect in one["effects"]:
         sized = "amplitude" in effect  # a discrepancy without a cause has none
         yield f"  {effect['name']}: {amplitude(effect, found)}" if sized else f"  {effect['words']}"
+    if one.get("chosen"):
+        yield f"  {chose(one['chosen'])}"
     if one["readings_since"]:
         yield f"  {one['readings_since']} readings came since the diagnosis"

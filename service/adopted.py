@@ -44,6 +44,7 @@ class Sheet:
     parts    what it added to the network's drifts and biases, by name
     joined   (part, blade) of each blade that has joined an effect since
     at       when it was adopted, s since 1970; unasked: by the rotor itself
+    chosen   the `alternative` that somebody chose, and `because`; None: the diagnosis' own claim
     """
 
     diagnosis: str
@@ -54,6 +55,7 @@ class Sheet:
     joined: tuple[tuple[str, str], ...] = ()
     at: float = 0.0
     unasked: bool = False
+    chosen: Json | None = None
 
     def joins(self, blade: BladeRecord) -> list[Json]:
         """Its effects that a blade has which joins now: those of its lot, by its own hours."""
@@ -88,6 +90,7 @@ class Adopted:
                 "seq": sheet.seq,
                 "at": sheet.at,
                 "unasked": sheet.unasked,
+                "chosen": sheet.chosen,
                 "joined": sheet.joined_to(effect),
             }
             for sheet in self.sheets
@@ -105,7 +108,8 @@ class Adopted:
         """The sheet of an adoption, by the body of its entry."""
         parts = frozenset(_parts(body["after"]) - _parts(self.network))
         of_whom, effects = bool(body.get("unasked", False)), tuple(body["effects"])
-        return Sheet(body["diagnosis"], effects, seq, self.network, parts, unasked=of_whom)
+        own = Sheet(body["diagnosis"], effects, seq, self.network, parts, unasked=of_whom)
+        return replace(own, chosen=body.get("chosen"))
 
     def after(self, event: Event) -> Adopted:
         """With one more entry. ValueError: the entry does not go on from here."""

@@ -121,10 +121,14 @@ def lines_of(told: Told) -> Iterator[str]:
             f"{others['quantity']} of {len(others['blades'])} blades at {others['time_h']:g} h, by "
             "what else the readings allow (share of the evidence, mean ± sd of a blade)"
         )
-        for name, one in zip(names(others), others["each"], strict=True):
-            yield f"  {100 * one['share']:>7.0f}% {one['mean']:.4g} ± {one['sd']:.2g}  {name}"
+        for k, (name, one) in enumerate(zip(names(others), others["each"], strict=True), 1):
+            told_of = f"{one['mean']:.4g} ± {one['sd']:.2g}"
+            yield f"  {k} {100 * one['share']:>5.0f}% {told_of}  {name}"
         together = others["together"]
         yield f"  together {together['mean']:.4g} ± {together['sd']:.2g}"
+        if "adoption" in others["each"][0]:
+            how = f"bladetwin adopt {told['rotor']} {told['id']} --alternative 1 --because …"
+            yield f"  who knows from elsewhere which it is: {how}"
     if found["calibrated"]:
         yield "calibrated: log evidence gained [nat]"
     for one in found["calibrated"]:

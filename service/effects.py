@@ -48,6 +48,7 @@ from core.errors import InputError
 from core.model import Model
 from core.observation import Inspection
 from core.surrogate.driven import Driven
+from service.choices import with_adoptions
 from service.ports import BladeRecord, Json, Progress
 from service.variant import effects_between
 
@@ -213,6 +214,8 @@ def diagnosed(
             for one in held
             if not one.holds
         ]
+    if others is not None:
+        told["alternatives"] = with_adoptions(told["alternatives"], found)
     return told | {"adds": _adds(found, wide)}
 
 

@@ -87,6 +87,10 @@ class Diagnosis:
     rivals: tuple[tuple[Rival, float], ...] = ()
     scan: Scan | None = None
 
+    def effects_of(self, rival: Rival) -> tuple[Effect, ...]:
+        """A rival's effects, with their amplitudes as it was calibrated."""
+        return tuple(_effect(cell, self.before[0], rival.state) for cell in rival.effects)
+
     @property
     def foretold(self) -> bool:
         """Whether forecasts by the rivals are told: where names are claimed, or share the evidence.

@@ -13,12 +13,13 @@ from core.diagnosis import noticed
 from core.diagnosis.adopt import amplitude_of, frees
 from core.diagnosis.alternatives import Alternatives
 from core.diagnosis.case import Case
-from core.diagnosis.diagnose import Diagnosis
+from core.diagnosis.diagnose import Diagnosis, Effect
 from core.diagnosis.grammar import Cell
 from core.diagnosis.noticed import Noticed
 from core.diagnosis.report import BeforeAfter, Scored
 from core.diagnosis.verdict import Verdict, describe
 from core.diagnosis.widen import EARNED, Widened
+from core.network import Network
 from core.quantity import Discrepancy
 
 Json = dict[str, Any]
@@ -59,17 +60,7 @@ def to_json(
         ],
         "p": verdict.p,
         "p_after": verdict.after,
-        "effects": [
-            {
-                **cell_json(e.cell),
-                "amplitude": {
-                    "mean": e.mean,
-                    "sd": e.sd,
-                    "of": amplitude_of(e.cell, woken=frees(e.cell, found.before[0].network)),
-                },
-            }
-            for e in found.effects
-        ],
+        "effects": [effect_json(e, found.before[0].network) for e in found.effects],
         "claimed": verdict.word == "effect",
         "gained_nat": found.gained,
         "evidence": verdict.evidence,
@@ -133,6 +124,15 @@ def _calibrated(cells: Sequence[Cell], gained: float) -> Json:
         "names": [c.name for c in cells],
         "effects": [{"name": c.name, "shape": c.shape, "step_h": c.step_h} for c in cells],
         "gained_nat": gained,
+    }
+
+
+def effect_json(effect: Effect, before: Network) -> Json:
+    """An effect that was calibrated, with its amplitude in the network that it went into."""
+    of = amplitude_of(effect.cell, woken=frees(effect.cell, before))
+    return {
+        **cell_json(effect.cell),
+        "amplitude": {"mean": effect.mean, "sd": effect.sd, "of": of},
     }
 
 

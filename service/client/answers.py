@@ -436,6 +436,11 @@ class AdoptionNetworks(TypedDict):
     after: dict[str, Any] | None
 
 
+class AdoptionChosen(TypedDict):
+    alternative: int
+    because: str
+
+
 class Adoption(TypedDict):
     rotor: str
     diagnosis: str
@@ -447,6 +452,7 @@ class Adoption(TypedDict):
     networks: AdoptionNetworks
     readings_since: int | None
     unasked: bool
+    chosen: AdoptionChosen | None
     posted_by: str | None
     at: str
 
@@ -689,11 +695,19 @@ class FoundCondition(TypedDict):
     after: dict[str, Any]
 
 
+class FoundAlternativesEachAdoption(TypedDict):
+    model: str
+    effects: list[dict[str, Any]]
+    adds: FoundAdds
+
+
 class FoundAlternativesEach(TypedDict):
     effects: list[Course]
     share: float
     mean: float
     sd: float
+    number: NotRequired[int]
+    adoption: NotRequired[FoundAlternativesEachAdoption]
 
 
 class FoundAlternatives(TypedDict):

@@ -52,9 +52,18 @@ def report(rotor: str, diagnosis: str, *, limit: float | None = None) -> Steps[s
     return one(lambda response: checked(response).text, Call("GET", where, told(limit=limit)))
 
 
-def adopt(rotor: str, diagnosis: str) -> Steps[answers.Adopted]:
-    """The effects of a diagnosis enter the rotor's model; `head_seq` is what to wait for."""
-    return ask("POST", path("rotors", rotor, "diagnoses", diagnosis, "adoption"))
+def adopt(
+    rotor: str, diagnosis: str, *, alternative: int | None = None, because: str | None = None
+) -> Steps[answers.Adopted]:
+    """The effects of a diagnosis enter the rotor's model; `head_seq` is what to wait for.
+
+    alternative   the number of one of the diagnosis' alternatives, in place of what it claims
+    because       from where it is known that it is this one; the log keeps it
+    """
+    body = {"alternative": alternative, "because": because}
+    chosen = {name: value for name, value in body.items() if value is not None}
+    where = path("rotors", rotor, "diagnoses", diagnosis, "adoption")
+    return ask("POST", where, json=chosen) if chosen else ask("POST", where)
 
 
 def back_out(rotor: str, diagnosis: str) -> Steps[answers.BackedOut]:

@@ -56,7 +56,8 @@ def claimed(job: JobRecord, result: Json | None) -> Json:
         remedy = {
             "adequate": "leave the model as it is",
             "not separable": "take the readings that would separate "
-            f"{' and '.join(result['names']) or 'the effects'}, then ask anew: {where}",
+            f"{' and '.join(result['names']) or 'the effects'}, then ask anew: {where}; if you "
+            "know which it is from elsewhere, choose it: its `alternative`, and `because`",
         }.get(verdict, f"add readings, or families of effects of your own, then ask anew: {where}")
         raise AdoptionError(job.id, "adopted", problem, remedy)
     adds: Json | None = result.get("adds")

@@ -27,6 +27,7 @@ from service.handlers.adoptable import (
     told_effects,
 )
 from service.handlers.blades import join_effect
+from service.handlers.choice import Choice, chosen, same
 from service.handlers.diagnoses import found_in
 from service.ports import Event, JobRecord, Json, NewEvent, Science, Store, Transaction
 from service.variant import with_more
@@ -58,10 +59,15 @@ class Change:
         return [json.loads(event.body)["blade"] for event in self.joined]
 
 
-def adopt(store: Store, science: Science, rotor_id: str, diagnosis: str) -> Change:
+def adopt(
+    store: Store, science: Science, rotor_id: str, diagnosis: str, choice: Choice | None = None
+) -> Change:
     """The effects of a diagnosis enter the model; one that is in force gives its entry again.
 
-    Raises NotFoundError, and AdoptionError with what to do.
+    choice  one of its alternatives in place of what it claims
+
+    Raises NotFoundError, InputError for an alternative that it has not, and AdoptionError with
+    what to do.
     """
     with store.read() as tx:
         job = found_in(tx, rotor_id, diagnosis)
@@ -70,7 +76,7 @@ def adopt(store: Store, science: Science, rotor_id: str, diagnosis: str) -> Chan
     science.vary(card, rotor.network)  # loads the model before anybody waits for a lock
     ahead = read_ahead(store, rotor_id)
     with store.write() as tx:
-        return adopt_in(tx, science, job, job.result, ahead)
+        return adopt_in(tx, science, job, job.result, ahead, choice=choice)
 
 
 def adopt_in(
@@ -81,6 +87,7 @@ def adopt_in(
     ahead: Sequence[Entry],
     *,
     unasked: bool = False,
+    choice: Choice | None = None,
 ) -> Change:
     """The same inside a writing transaction.
 
@@ -93,7 +100,10 @@ def adopt_in(
     now = adopted_at(tx, rotor)
     for sheet in now.sheets:
         if sheet.diagnosis == job.id:
+            same(job, sheet, choice)
             return _at(tx, rotor.id, sheet.seq)
+    if choice is not None and result is not None:
+        result = chosen(job, result, choice)
     adds = claimed(job, result)
     assert result is not None
     if unasked:
@@ -115,6 +125,7 @@ def adopt_in(
         "readings_since": since,
         "unasked": unasked,
     }
+    body |= {} if choice is None else {"chosen": choice.to_json()}
     strangers(job, now.laid(body, head + 1), late)
     change = _append(tx, rotor.id, ADOPTION, body)
     now = now.after(change.event)

@@ -55,6 +55,11 @@ class ModelsBody(Body):
     after: str
 
 
+class ChosenBody(Body):
+    alternative: int
+    because: str
+
+
 class AdoptionBody(Body):
     """Of an adoption, a back-out, or a blade that joins an effect."""
 
@@ -67,6 +72,7 @@ class AdoptionBody(Body):
     through_seq: int | None = None
     readings_since: int | None = None
     unasked: bool = False
+    chosen: ChosenBody | None = None
     blade: str | None = None
 
 

@@ -50,17 +50,22 @@ def alternatives(found: Json) -> Markup | None:
             " An adoption puts the effects of this diagnosis into the model, and foretells by "
             "these alone."
         )
+    elif "adoption" in told["each"][0]:
+        said += (
+            " None is claimed. Who knows from elsewhere which it is, by a borescope, say, may "
+            "adopt it by its number, with the reason."
+        )
     return section(
         "What else the readings allow",
         el("p", said),
         table(
-            ["", "share", f"mean {what}"],
+            ["number", "", "share", f"mean {what}"],
             [
-                [name, "–" if share is None else percent(share),
+                [str(one.get("number", "–")), name, "–" if share is None else percent(share),
                  with_sd(one["mean"], one["sd"])]
                 for name, share, one in rows
             ],
-            (1, 2),
+            (0, 2, 3),
         ),
         figure(
             intervals(rows, f"mean {what}"),

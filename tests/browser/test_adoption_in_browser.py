@@ -28,7 +28,7 @@ from service.store.unit_of_work import SqlStore
 from service.worker.loop import Worker
 from tests.browser.conftest import Running, Watched, watching
 from tests.browser.test_pages_in_browser import serious
-from tests.service.adopting import Lots, Offsets
+from tests.service.adopting import Doubtful, Lots, Offsets
 from tests.service.conftest import RunningServer, served
 from tests.service.test_adoption import NAME, OFF, of_a_lot, visits
 from tests.service.test_joining import LOTS, read
@@ -239,6 +239,44 @@ def test_a_discrepancy_that_is_borne_out_is_adopted_and_backed_out_by_its_page(
         assert nameless.rotor()["head_seq"] == 14
         assert serious(page) == []
         assert (seen.errors, seen.outside) == ([], [])
+
+
+def test_one_of_what_is_not_told_apart_is_chosen_with_a_reason_and_backed_out(
+    browser: Browser, tmp_path: Path
+) -> None:
+    blades = [BladeRecord(f"B{i}") for i in (1, 2, 3)]
+    with running(tmp_path, Doubtful(), blades, visits(reading, OFF)) as twin:
+        made = twin.client.post("/v1/rotors/r1/diagnoses").json()["diagnosis"]["id"]
+        twin.diagnoser.drain()
+        for seen in watched(browser, twin):
+            page = seen.open(f"/rotors/r1/diagnoses/{made}")
+            known = page.locator("section", has=page.get_by_role("heading", name="Known from"))
+            expect(known.locator("tbody tr")).to_have_count(2)
+            expect(known.locator("tbody tr").last).to_contain_text("campaign c3), constant")
+            expect(page.get_by_role("button", name="Adopt into the model")).to_have_count(0)
+            assert serious(page) == []
+            for answer in ("", "   ", None):
+                page.once("dialog", lambda d, a=answer: d.dismiss() if a is None else d.accept(a))
+                page.get_by_role("button", name="Adopt 2").click()
+            page.wait_for_timeout(200)
+            assert twin.rotor()["head_seq"] == 12, "negative control: nothing without a reason"
+            page.once("dialog", lambda asked: asked.accept("the scanner's log"))
+            page.get_by_role("button", name="Adopt 2").click()
+            standing = page.locator("section", has=page.get_by_role("heading", name="In the model"))
+            expect(standing).to_contain_text("alternative 2: the scanner's log")
+            expect(known).to_have_count(0)
+            twin.worker.drain()
+            (effect,) = twin.rotor()["effects"]
+            assert effect["chosen"] == {"alternative": 2, "because": "the scanner's log"}
+            other = page.context.new_page()
+            other.goto(f"{seen.service.url}/rotors/r1")
+            stands = other.locator("dl", has=other.get_by_text("Adopted"))
+            expect(stands).to_contain_text("chosen: the scanner's log")
+            other.close()
+            press(page, "Back out", sure=True)
+            expect(standing).to_contain_text("Backed out.")
+            expect(known.locator("tbody tr")).to_have_count(2)
+            assert (seen.errors, seen.outside) == ([], [])
 
 
 def test_the_report_is_saved_and_a_refusal_is_told_where_the_button_is(

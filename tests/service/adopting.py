@@ -143,6 +143,49 @@ class Offsets(FakeScience):
         )
 
 
+class Doubtful(Offsets):
+    """The twin that does not tell which of two campaigns is off, the one it would name or c3."""
+
+    OTHER, OTHER_SIZE = "c3", 0.03
+
+    def named(self, card: ModelCard, campaign: str, size: float) -> Json:
+        each = [
+            super(Doubtful, self).named(card, *one)
+            for one in ((campaign, size), (self.OTHER, self.OTHER_SIZE))
+        ]
+        names = [one["names"][0] for one in each]
+        return {
+            "verdict": "not separable",
+            "names": names,
+            "effects": each[0]["effects"],
+            "models": {"before": card.digest, "after": card.digest},
+            "alternatives": {
+                "quantity": "elongation",
+                "time_h": 50_000.0,
+                "blades": ["B1", "B2", "B3"],
+                "before": {"mean": 0.7, "sd": 0.05},
+                "together": {"mean": 0.6, "sd": 0.06},
+                "each": [
+                    {
+                        "effects": [{"name": name, "shape": "constant", "step_h": None}],
+                        "share": share,
+                        "mean": 0.6,
+                        "sd": 0.05,
+                        "number": number,
+                        "adoption": {
+                            "model": one["models"]["after"],
+                            "effects": one["effects"],
+                            "adds": one["adds"],
+                        },
+                    }
+                    for number, (one, name, share) in enumerate(
+                        zip(each, names, (0.6, 0.4), strict=True), start=1
+                    )
+                ],
+            },
+        }
+
+
 class Lots(Offsets):
     """The twin whose lot L1 may be longer than it creeps; then campaigns are looked at."""
 

@@ -140,6 +140,15 @@ def test_what_else_the_readings_allow_is_itsbeside_the_forecast() -> None:
         "mean permanent tip elongation at 50,000 h [mm]",
     ):
         assert one in said, one
+    assert "None is claimed" not in said, "one is"
+    doubtful = told("not separable")
+    for k, one in enumerate(doubtful["alternatives"]["each"], 1):
+        one |= {"number": k, "adoption": {}}
+    open_ = " ".join(Read(page_of(doubtful)).said.split())
+    assert "None is claimed. Who knows from elsewhere which it is" in open_
+    assert "2 coating wear, late 30 % 0.420 ± 0.020" in open_
+    how = "bladetwin adopt r1 d1 --alternative 1 --because"
+    assert how in "\n".join(lines_of({"rotor": "r1", "id": "d1", "result": doubtful}))
     for nothing in ({"alternatives": None}, {}):
         older = {k: v for k, v in found.items() if k != "alternatives"} | nothing
         assert "What else" not in page_of(older), "an older diagnosis has none"

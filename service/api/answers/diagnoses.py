@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from service.api.answers.residuals import REQUEST
-from service.api.answers.shown import ALTERNATIVES, COURSE, NOTICED, PICTURES, SEPARATING
+from service.api.answers.shown import ADDS, ALTERNATIVES, COURSE, NOTICED, PICTURES, SEPARATING
 from service.api.answers.words import (
     ANY,
     NUMBER,
@@ -29,6 +29,7 @@ ADOPTION = having(
     networks=having(before=maybe(ANY), after=maybe(ANY)),
     readings_since=maybe(WHOLE),
     unasked=YES,
+    chosen=maybe(having(alternative=WHOLE, because=TEXT)),
     posted_by=maybe(TEXT),
     at=TEXT,
 )
@@ -78,15 +79,7 @@ FOUND = having(
     readings=having(delivered=WHOLE, used=WHOLE),
     models=having(before=TEXT, after=TEXT),
     before_after=maybe(ANY),
-    adds=maybe(
-        having(
-            ("parameters", "drifts", "biases", "quantities"),
-            parameters=each(ANY),
-            drifts=each(ANY),
-            biases=each(ANY),
-            quantities=named(ANY),
-        )
-    ),
+    adds=maybe(ADDS),
     widened=maybe(
         having(
             quantity=TEXT,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from service.api.answers.words import NUMBER, TEXT, WHOLE, YES, each, having, maybe
+from service.api.answers.words import ANY, NUMBER, TEXT, WHOLE, YES, each, having, maybe, named
 
 TWICE = having(mean=NUMBER, sd=NUMBER, z=NUMBER)
-COURSE = having(
+BANDED = having(
     mean=each(each(NUMBER)),
     sd=each(each(NUMBER)),
     low=each(each(NUMBER)),
@@ -39,8 +39,8 @@ PICTURES = having(
             time_h=each(NUMBER),
             blades=each(TEXT),
             now_h=each(NUMBER),
-            before=COURSE,
-            after=COURSE,
+            before=BANDED,
+            after=BANDED,
         )
     ),
     amplitudes=each(
@@ -104,6 +104,13 @@ SEPARATING = having(
         )
     ),
 )
+ADDS = having(
+    ("parameters", "drifts", "biases", "quantities"),
+    parameters=each(ANY),
+    drifts=each(ANY),
+    biases=each(ANY),
+    quantities=named(ANY),
+)
 COURSE = having(name=TEXT, shape=TEXT, step_h=maybe(NUMBER))
 FORESEEN = {"mean": NUMBER, "sd": NUMBER}
 ALTERNATIVES = having(
@@ -114,9 +121,12 @@ ALTERNATIVES = having(
     together=having(**FORESEEN),
     each=each(
         having(
+            ("number", "adoption"),  # older ones have none
             effects=each(COURSE),
             share=NUMBER,
             **FORESEEN,
+            number=WHOLE,
+            adoption=having(model=TEXT, effects=each(ANY), adds=ADDS),
         )
     ),
 )

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse
+from pydantic import ConfigDict, Field
 
-from service.api.schemas import Nothing
+from service.api.schemas import Body, Text
 from service.api.services import Limit, Name, Number, Wired, moment, page, page_size
 from service.handlers import adoptions as use
+from service.handlers.choice import Choice
 
 router = APIRouter(prefix="/v1/rotors/{r}", tags=["diagnoses"])
+
+
+class AdoptionIn(Body):
+    """One of the diagnosis' alternatives in place of what it claims, and from where it is known."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"alternative": 2, "because": "borescope of outage 4"}]}
+    )
+
+    alternative: Annotated[int, Field(ge=1)] | None = None
+    because: Text | None = None
 
 
 def adoption_out(rotor: str, change: use.Change) -> dict[str, Any]:
@@ -27,6 +40,7 @@ def adoption_out(rotor: str, change: use.Change) -> dict[str, Any]:
         "networks": {"before": body["before"], "after": body["after"]},
         "readings_since": body.get("readings_since"),
         "unasked": body.get("unasked", False),
+        "chosen": body.get("chosen"),
         "posted_by": event.posted_by,
         "at": moment(event.received_at),
     }
@@ -42,8 +56,11 @@ def _answer(rotor: str, change: use.Change, **more: Any) -> JSONResponse:
     status_code=202,
     summary="The effect that a diagnosis named enters the rotor's model, as a new version",
 )
-def post_adoption(r: Name, d: Name, services: Wired, body: Nothing | None = None) -> JSONResponse:
-    change = use.adopt(services.store, services.science, r, d)
+def post_adoption(
+    r: Name, d: Name, services: Wired, body: AdoptionIn | None = None
+) -> JSONResponse:
+    choice = Choice.of(body.alternative, body.because) if body else None
+    change = use.adopt(services.store, services.science, r, d, choice)
     return _answer(r, change, joined=change.blades)
 
 

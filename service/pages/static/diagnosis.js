@@ -172,6 +172,7 @@ function standing(history, now, found) {
       { name: "Entry", value: (one) => fixed(one.seq, 0), number: true },
       { name: "When", value: (one) => moment(one.at) },
       { name: "By key", value: (one) => (one.unasked ? "the rotor itself" : one.posted_by ?? "–") },
+      { name: "Chosen", value: (one) => (one.chosen ? `alternative ${one.chosen.alternative}: ${one.chosen.because}` : "–") },
       { name: "Readings since the diagnosis", value: (one) => (one.readings_since === null ? "–" : fixed(one.readings_since, 0)), number: true },
     ], history)),
   ];
@@ -186,6 +187,24 @@ async function drawings(can) {
     if (!(error instanceof Problem)) throw error;
     return panel("Pictures", h("p", { class: "soft" }, error.message));
   }
+}
+
+/** Which of the alternatives somebody knows it to be, where none is claimed: a button each. */
+function choices(told, choose) {
+  const called = (one) => one.effects.map((e) => `${e.name}, ${e.step_h === null ? e.shape : `at ${hours(e.step_h)}`}`).join(" and ");
+  return panel("Known from elsewhere", h("p", {}, "The readings do not tell these apart. Who knows which it is, by a borescope, say, or a workshop's report, may adopt it; the log keeps who chose, and why."),
+    scroll("Alternatives", table([
+      { name: "Number", value: (one) => String(one.number), number: true },
+      { name: "Effects", value: called },
+      { name: "Share of the evidence [%]", value: (one) => fixed(100 * one.share, 0), sort: (one) => one.share, number: true },
+      { name: "", value: (one) => h("button", { type: "button", onclick: () => choose(one, called(one)) }, `Adopt ${one.number}`) },
+    ], told.each)));
+}
+
+/** A reason is asked for; without one nothing happens. */
+function choose(one, name) {
+  const because = prompt(`Put ${name} into this rotor's model? From where is it known?`)?.trim();
+  if (because) act(`Adopt ${one.number}`, () => post(`${url}/adoption`, { alternative: one.number, because }));
 }
 
 let next = 0;
@@ -205,6 +224,7 @@ async function draw() {
   const done = d.status === "done";
   const wider = done && isWider(d.result);
   const adoptable = wider || (done && d.result.claimed);
+  const choosable = done && !d.result.claimed && d.result.alternatives?.each[0].adoption !== undefined;
   const what = wider ? "discrepancy, which names no cause," : "effect";
   const model = done ? await get(path`/v1/models/${d.result.rests_on.model}`) : null;
   const unitName = model?.outputs[d.result.before_after?.quantity]?.unit ?? "";
@@ -215,7 +235,8 @@ async function draw() {
       going && canCancel ? button("Cancel", () => act("Cancel", () => remove(url)), true) : null,
       done && canReport ? button("Save the report", () => act("Report", report), true) : null,
       adoptable && canAdopt && !inForce ? button("Adopt into the model", () => confirm(`Put the ${what} into this rotor's model?`) && act("Adopt", () => post(`${url}/adoption`))) : null,
-      adoptable && canBackOut && inForce ? button("Back out", () => confirm(`Take the ${what} out of this rotor's model again?`) && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
+      (adoptable || choosable) && canBackOut && inForce ? button("Back out", () => confirm(`Take the ${what} out of this rotor's model again?`) && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
+    choosable && canAdopt && !inForce ? choices(d.result.alternatives, choose) : null,
     adoptable || history.length ? panel("In the model", standing(history, now, d.result)) : null,
     done ? h("div", { class: "columns halves" }, result(d.result, unitName), await drawings(canReport)) : null);
   clearTimeout(next);

@@ -174,7 +174,7 @@ function drawState(rotorNow) {
     ["Backlog", number(rotorNow.head_seq - rotorNow.applied_seq, "entry", "entries")],
     ["Health", rotorNow.health ? `${rotorNow.health.status}${rotorNow.health.ess ? `, ${fixed(rotorNow.health.ess, 0)} effective nodes` : ""}` : "–"],
     alarming(tested),
-    rotorNow.effects?.length > 0 && ["Adopted", h("span", {}, rotorNow.effects.flatMap((e, i) => [i ? "; " : "", e.name, ", ", since(e.at), e.unasked ? ", by the rotor itself" : ""]))],
+    rotorNow.effects?.length > 0 && ["Adopted", h("span", {}, rotorNow.effects.flatMap((e, i) => [i ? "; " : "", e.name, ", ", since(e.at), e.unasked ? ", by the rotor itself" : "", e.chosen ? `, chosen: ${e.chosen.because}` : ""]))],
     ["Model", h("a", { href: path`/models/${rotorNow.model}` }, `${rotorNow.model} ${rotorNow.model_version.slice(0, 8)}`)],
     ["Blades", `${rotorNow.blades.filter((b) => !b.retired).length} in place, ${rotorNow.blades.filter((b) => b.retired).length} retired`],
   ]));
