@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.online import Workspace, update
-from core.diagnosis.alternatives import alternatives
+from core.diagnosis.alternatives import Alternative, alternatives
 from core.diagnosis.diagnose import Diagnosis
 from core.diagnosis.expected import with_fewer
 from core.diagnosis.report import Scored, before_after, fleet, parted, score
@@ -81,6 +81,10 @@ def foretold(told: Diagnosis, given: Set, horizon_h: float) -> dict[str, Any]:
     """Where several rivals stand: errors at the horizon of the blades that they differ in, by the
     model as it was, the leading rival's and all of them together, and how many sds of a single
     blade (rms) the last is off: a mean over blades is known better than that.
+
+    Where nothing is claimed and what is planted is among the rivals, `chosen` is the error of the
+    weightiest that has it, as somebody would choose who knows it, and `missed` the mean size of
+    the errors of those that have it not.
     """
     others = alternatives(told.before, told.rivals, given.case, "elongation", horizon_h)
     if others is None or not given.ahead:
@@ -91,7 +95,18 @@ def foretold(told: Diagnosis, given: Set, horizon_h: float) -> dict[str, Any]:
     means = {"before": others.before[0], "leading": leading, "together": others.together[0]}
     errors = {k: None if m is None else round(m / truth - 1.0, 5) for k, m in means.items()}
     off = (others.together[0] - truth) / others.together[1]
+    if told.verdict.word != "effect":
+        true = [one.mean for one in others.each if _is_true(one, given)]
+        rest = [abs(one.mean / truth - 1.0) for one in others.each if not _is_true(one, given)]
+        errors["chosen"] = round(true[0] / truth - 1.0, 5) if true else None
+        errors["missed"] = round(float(np.mean(rest)), 5) if rest else None
     return {"rivals": {"count": len(others.each), **errors, "z": round(off, 3)}}
+
+
+def _is_true(one: Alternative, given: Set) -> bool:
+    """Whether an alternative has all that is planted, by name or cause."""
+    own = {called for cell in one.effects for called in (cell.name, cell.cause)}
+    return bool(given.each) and all(names & own for names in given.each)
 
 
 def _after(own: Sequence[Record], what: str, power: int = 1) -> Array:
@@ -101,6 +116,21 @@ def _after(own: Sequence[Record], what: str, power: int = 1) -> Array:
     sizes = [[abs(r[when][what]) ** power for when in whens] for r in own]
     means = np.mean(sizes, axis=0) ** (1.0 / power)
     return np.asarray(means[1:] / means[0])
+
+
+def _chosen(own: Sequence[Record]) -> dict[str, float]:
+    """What it is worth to choose what is planted, and what to choose something else."""
+    known = [r["rivals"] for r in own if r.get("rivals", {}).get("chosen") is not None]
+    if not known:
+        return {}
+    before = float(np.mean([abs(r["before"]) for r in known]))
+    chosen = float(np.mean([abs(r["chosen"]) for r in known]))
+    found: dict[str, float] = {"known": len(known), "chosen": chosen / before}
+    missed = [r for r in known if r["missed"] is not None]
+    if missed:
+        there = float(np.mean([abs(r["before"]) for r in missed]))
+        found["missed"] = float(np.mean([r["missed"] for r in missed])) / there
+    return found
 
 
 def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
@@ -117,13 +147,17 @@ def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
                  left there no effect can take away
     leading, together   where several rivals stand (`open` sets): the same of the blades that they
                  differ in, by the leading rival and by all of them
+    chosen, missed   where nothing is claimed and what is planted is among the rivals (`known`
+                 sets): the same by the one that has it, and by those that have it not
     """
     found: dict[str, Mapping[str, float]] = {}
     for condition in CONDITIONS:
-        own = [r for r in records if r["condition"] == condition and "after" in r]
+        every = [r for r in records if r["condition"] == condition]
+        if known := _chosen(every):
+            found[condition] = known
+        own = [r for r in every if "after" in r]
         if not own:
             continue
-
         sound = all("sound" in r for r in own)
         each = {"rmse": _after(own, "exact_rmse", 2), "bias": _after(own, "exact_bias")}
         if "forecast_error" in own[0]["after"]:
@@ -136,6 +170,7 @@ def improvement(records: Sequence[Record]) -> dict[str, Mapping[str, float]]:
             / len(own),
             "inside 95": sum(r["held"] * r["after"]["inside_95"] for r in own) / held,
             **({f"least {what}": float(ratio[1]) for what, ratio in each.items()} if sound else {}),
+            **known,
         }
         several = [r["rivals"] for r in own if r.get("rivals", {}).get("leading") is not None]
         if several:

@@ -26,13 +26,14 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from core.calibration.online import Workspace, update
 from core.diagnosis.diagnose import diagnose
 from core.diagnosis.verdict import Verdict
 from core.errors import BladetwinError, InputError
 from core.model import Model, rotor_blade_wide
-from core.validation.effect_gains import compared
+from core.validation.effect_gains import compared, foretold
 from core.validation.effect_plans import plan as plan_of
 from core.validation.effect_sets import (
     ALIKE,
@@ -103,7 +104,11 @@ def one(
     try:
         state = update(model, given.case.spec, given.case.readings, workspace=work)
         told = diagnose(model, state, given.case, workspace=work)
-        moved = compared(told, given, plan_of(plan).horizon_h, work) if told.effects else {}
+        horizon_h, moved = plan_of(plan).horizon_h, dict[str, Any]()
+        if told.effects:
+            moved = compared(told, given, horizon_h, work)
+        elif told.foretold:
+            moved = foretold(told, given, horizon_h)
     except BladetwinError as error:
         alarm = condition in CLEAN  # where nothing is, an error is no "adequate"
         return found | {"outcome": "wrong", "alarm": alarm, "error": str(error)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -228,13 +229,22 @@ def test_improvement_is_over_all_sets_with_an_effect_in_the_model() -> None:
     found = improvement([one | {"rivals": rivals}, torn, two])["wear"]
     assert (found["open"], found["sets"]) == (1, 3)
     assert (found["leading"], found["together"]) == pytest.approx((0.4, 0.1))
+    assert "known" not in found, "of a claim nothing is chosen"
+    seen = {"condition": "wear", "rivals": rivals | {"chosen": 0.02, "missed": 0.15}}
+    unseen = {"condition": "wear", "rivals": rivals | {"chosen": None, "missed": 0.3}}
+    alone = {"condition": "wear", "rivals": rivals | {"chosen": -0.04, "missed": None}}
+    found = improvement([seen, unseen, alone])["wear"]
+    assert (found["known"], found["chosen"], found["missed"]) == pytest.approx((2, 0.3, 1.5))
+    both = improvement([one, seen])["wear"]
+    assert (both["sets"], both["known"]) == (1, 1)
 
 
 def test_rivals_are_held_against_the_truth_of_the_blades_that_they_differ_in() -> None:
     """Of ten blades two are worn; the leading rival foretells half of what wear adds."""
     case = SimpleNamespace(spec=SimpleNamespace(blades=[f"b{k}" for k in range(10)]))
     ahead = {f"b{k}": 1.5 if k < 2 else 1.0 for k in range(10)}
-    cell, other = object(), object()
+    Named = namedtuple("Named", ["name", "cause"])
+    cell, other = Named("coating wear", "coating loss"), Named("fouling", "gas temperature")
     each = (
         SimpleNamespace(effects=(cell,), share=0.75, mean=1.2, sd=0.1),
         SimpleNamespace(effects=(other,), share=0.25, mean=1.8, sd=0.1),
@@ -243,13 +253,20 @@ def test_rivals_are_held_against_the_truth_of_the_blades_that_they_differ_in() -
         blades=("b0", "b1"), before=(0.9, 0.1), together=(1.35, 0.3), each=each
     )
     told = SimpleNamespace(before=None, rivals=(), effects=[SimpleNamespace(cell=cell)])
+    told.verdict = SimpleNamespace(word="effect")
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(effect_gains, "alternatives", lambda *given: others)
-        given: Any = SimpleNamespace(case=case, ahead=ahead)
+        given: Any = SimpleNamespace(case=case, ahead=ahead, each=(frozenset({"coating loss"}),))
         found = effect_gains.foretold(cast(Any, told), given, 5e4)
+        told.verdict.word = "not separable"
+        chosen = effect_gains.foretold(cast(Any, told), given, 5e4)["rivals"]
+        given.each = (frozenset({"tip rub"}),)
+        none = effect_gains.foretold(cast(Any, told), given, 5e4)["rivals"]
     assert found == {
         "rivals": {"count": 2, "before": -0.4, "leading": -0.2, "together": -0.1, "z": -0.5}
     }
+    assert (chosen["chosen"], chosen["missed"]) == (-0.2, 0.2), "by cause"
+    assert (none["chosen"], none["missed"]) == (None, 0.2)
 
 
 def test_a_sound_rotor_is_adequate_and_a_campaign_set_to_zero_anew_is_named() -> None:
