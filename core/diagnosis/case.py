@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,10 +21,11 @@ from core.diagnosis.halves import halves
 from core.diagnosis.misread import apart
 from core.diagnosis.moving import Physics, follows
 from core.diagnosis.parted import Parted
+from core.diagnosis.placebos import Placebo, placebos
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
 from core.diagnosis.scoring import scores
-from core.diagnosis.signature import signatures, unnamed
+from core.diagnosis.signature import exchanged, signatures, unnamed
 from core.diagnosis.verdict import DEALT, Held
 from core.errors import InputError
 from core.family import Family
@@ -157,6 +158,26 @@ class Case:
         left = [c for c in self.cells(model) if c.name not in gone]
         found = signatures(model, seen, left, facts, noise, _physics(model))
         return Scan.of(left, seen, found, unnamed(seen, facts))
+
+    def placebos(
+        self,
+        model: Model,
+        state: RotorState,
+        taken: Rival,
+        without: Callable[[Cell], Rival | None],
+    ) -> tuple[Placebo, ...]:
+        """Of each effect in a model, beside all others; model, state without any effect.
+
+        without  the rotor with all effects but one in its model; None: it could not be calibrated
+        """
+        facts = {b: self.facts.get(b, Facts()) for b in self.spec.blades}
+        noise, found = self.noise(model, state), list[Placebo]()
+        for cell in taken.effects:
+            if (rest := without(cell)) is not None:
+                seen = self.seen(rest.model, rest.state)
+                changed = exchanged(seen, cell, facts, noise, _physics(rest.model))
+                found += placebos(seen, cell, facts, changed, self.seed)
+        return tuple(found)
 
     @cached_property
     def parted(self) -> Parted:

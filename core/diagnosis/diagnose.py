@@ -44,6 +44,7 @@ from core.diagnosis.held import leaving_runs, while_read
 from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.left_out import left_out
 from core.diagnosis.misread import copied, set_apart, slips
+from core.diagnosis.placebos import Placebo, withstood
 from core.diagnosis.scan import Scan
 from core.diagnosis.search import MOST, Progress, Search, prices
 from core.diagnosis.together import shared
@@ -73,6 +74,7 @@ class Diagnosis:
     turns     what each turn weighed and took
     rivals    what else the readings allow in place of the effects, with shares (`alternatives`)
     scan      the first one, where nothing was found: what it would have found is asked (`noticed`)
+    placebos  of the effects in the model, where one may be claimed: the same where they are not
     """
 
     verdict: Verdict
@@ -86,6 +88,7 @@ class Diagnosis:
     turns: tuple[Turn, ...] = ()
     rivals: tuple[tuple[Rival, float], ...] = ()
     scan: Scan | None = None
+    placebos: tuple[Placebo, ...] = ()
 
     def effects_of(self, rival: Rival) -> tuple[Effect, ...]:
         """A rival's effects, with their amplitudes as it was calibrated."""
@@ -172,6 +175,10 @@ def diagnose(
     )
     verdict = shared(verdict, turns, search.prices)
     verdict = heard(verdict, case.concerned(model, state, taken) if taken.effects else ())
+    tried: tuple[Placebo, ...] = ()
+    if verdict.word in ("effect", "not separable"):
+        tried = case.placebos(model, state, taken, lambda cell: search.beside(taken, cell))
+        verdict = withstood(verdict, tried)
     leading = _leading(taken, turns, verdict)
     rivals = shares(leading, [*search.known.values()], turns, search.prices)
     if verdict.word == "effect":
@@ -192,6 +199,7 @@ def diagnose(
         tuple(search.refused.items()),
         tuple(turns),
         rivals,
+        placebos=tried,
     )
 
 

@@ -178,10 +178,14 @@ class Search:
         gone = [c for c in taken.effects if c not in effects]
         return self.calibrated(effects, lambda: without(taken.model, taken.state, gone, self.model))
 
+    def beside(self, taken: Rival, out: Cell) -> Rival | None:
+        """Calibrated with all effects that are taken but one."""
+        return self.only(taken, tuple(c for c in taken.effects if c != out))
+
     def needed(self, taken: Rival) -> Rival:
         """Without the effects that do not earn their place beside the others."""
         for out in taken.effects if len(taken.effects) > 1 else ():
-            rest = self.only(taken, tuple(c for c in taken.effects if c != out))
+            rest = self.beside(taken, out)
             if rest is not None and taken.gained < rest.gained + self.paid.get(out, 0.0):
                 return self.needed(rest)
         return taken

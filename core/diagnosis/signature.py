@@ -9,7 +9,7 @@ whom it concerns is a mask over blades or readings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,8 @@ from core.errors import InputError
 from core.model import Model
 
 Array = NDArray[np.float64]
+Order = NDArray[np.intp]
+Change = Callable[[Order], tuple[Array, Array]]
 NOISES = 3.0  # size of an offset, in noises
 BINS = 6  # of hours, for what has no name
 PROPORTION = 0.1  # its size, of the answer
@@ -71,37 +73,62 @@ def signatures(
     physics = physics or Physics.of(model.network, model.surrogate, {})
     held: Held = {}
 
-    def course(cell: Cell) -> Moving | None:
-        family = cell.family
-        if family.target == "reading":
-            return None
-        return Moving(family.of, family.how, directed(cell), cell.course, family.clock != "blade")
-
     def changed(key: Moving) -> tuple[Array, Array]:
         return seen.over(change(physics, seen, facts, key, held))
 
-    keys = [course(cell) for cell in cells]
+    keys = [_course(cell) for cell in cells]
     every = [key for key in dict.fromkeys(keys) if key is not None]
     found = {key: changed(key) for key in every[:1]}  # computes what is without, for all
     found |= zip(every[1:], POOL.map(changed, every[1:]), strict=True)
     parts = [
-        _reading(cell, seen, facts, noise) if key is None else found[key]
+        _reading(cell, seen, _fault(cell, seen, facts, noise)) if key is None else found[key]
         for cell, key in zip(cells, keys, strict=True)
     ]
     return Signatures.of(parts, masks(cells, seen, facts))
 
 
-def _reading(
+def exchanged(
+    seen: Scores,
+    cell: Cell,
+    facts: Mapping[str, Facts],
+    noise: Mapping[str, float],
+    physics: Physics,
+) -> Change:
+    """g and h (B, n) of a cell, were all blades and readings concerned, as a function of which of a
+    blade's rows each row is taken for, (B, n).
+
+    A sensor's fault is that of the other row; physics changes a row by what it changes the other.
+    """
+    if (key := _course(cell)) is None:
+        share = _fault(cell, seen, facts, noise)
+        return lambda order: _reading(cell, seen, np.take_along_axis(share, order, axis=1))
+    values = change(physics, seen, facts, key, {})
+    return lambda order: seen.over(np.take_along_axis(values, order[:, None, :], axis=2))
+
+
+def _course(cell: Cell) -> Moving | None:
+    """How a cell moves an input; None of a sensor's."""
+    family = cell.family
+    if family.target == "reading":
+        return None
+    return Moving(family.of, family.how, directed(cell), cell.course, family.clock != "blade")
+
+
+def _fault(
     cell: Cell, seen: Scores, facts: Mapping[str, Facts], noise: Mapping[str, float]
-) -> tuple[Array, Array]:
-    """g and h (B, n) of a sensor's cell."""
+) -> Array:
+    """Size of a sensor's cell at each row, (B, n)."""
     size = cell.family.size if cell.family.size is not None else NOISES * noise[cell.family.of]
     size *= cell.family.sign or 1
     hours = seen.hours
     if cell.family.clock != "blade":
         hours = hours + np.array([[facts[b].offset_h] for b in seen.blades])
-    s = np.where(seen.real, cell.course.at(hours), 0.0)
-    return seen.in_proportion(size * s) if cell.family.how == "times" else (size * s, 0.0 * s)
+    return np.asarray(size * np.where(seen.real, cell.course.at(hours), 0.0))
+
+
+def _reading(cell: Cell, seen: Scores, fault: Array) -> tuple[Array, Array]:
+    """g and h (B, n) of a sensor's cell that is so large at each row."""
+    return seen.in_proportion(fault) if cell.family.how == "times" else (fault, 0.0 * fault)
 
 
 def unnamed(seen: Scores, facts: Mapping[str, Facts], bins: int = BINS) -> dict[str, Signatures]:

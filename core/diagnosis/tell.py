@@ -69,6 +69,7 @@ def to_json(
         "tried": tried(found.first),
         "holds": [h.to_json() for h in verdict.held],
         "concerns": [c.to_json() for c in verdict.concerns],
+        "placebos": [p.to_json() for p in found.placebos],
         "parameters": {
             "before": shared(found.before[1]),
             "after": shared(after[1]),

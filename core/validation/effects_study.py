@@ -125,6 +125,7 @@ def one(
         "p": verdict.p,
         "gained_nat": round(told.gained, 2),
         "effects": {e.cell.name: [round(e.mean, 5), round(e.sd, 5)] for e in told.effects},
+        "placebos": [[p.effect, p.by, p.count, p.won] for p in told.placebos],
         "reasons": list(verdict.reasons),
         "tried": [[" and ".join(c.name for c in cells), round(g, 2)] for cells, g in told.tried],
         "refused": {" and ".join(names): why[:200] for names, why in told.refused},

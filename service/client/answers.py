@@ -632,6 +632,16 @@ class FoundConcern(TypedDict):
     stands: bool
 
 
+class FoundPlacebo(TypedDict):
+    effect: str
+    by: str
+    count: int
+    won: int
+    gained_nat: float
+    best_nat: float
+    stands: bool
+
+
 class FoundParameters(TypedDict):
     before: dict[str, Any]
     after: dict[str, Any]
@@ -747,6 +757,7 @@ class Found(TypedDict):
     tried: list[FoundTried]
     holds: list[dict[str, Any]]
     concerns: NotRequired[list[FoundConcern]]
+    placebos: NotRequired[list[FoundPlacebo]]
     parameters: FoundParameters
     readings: FoundReadings
     models: AdoptionModels

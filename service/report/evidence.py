@@ -8,7 +8,7 @@ from typing import Any
 from service.report import figures
 from service.report.alternatives import hypothesis
 from service.report.markup import Child, Markup, el
-from service.report.sections import ALARM, CONFIRMED, LEFT, NAMED, OLDER, SHOWN, changes
+from service.report.sections import ALARM, ALLOWED, CONFIRMED, LEFT, NAMED, OLDER, SHOWN, changes
 from service.report.tables import cell, figure, note, section, table
 from service.report.words import joined, number, with_sd
 
@@ -61,7 +61,8 @@ def held(found: Json) -> Markup:
     """Whether effects hold between halves of the blades, and early and late."""
     title = "What held"
     if not found["holds"]:
-        return section(title, el("p", "No amplitude was held against itself."))
+        nothing = el("p", "No amplitude was held against itself.")
+        return section(title, nothing, *placebos(found), *concerned(found))
     rows: list[list[Child]] = []
     for one in found["holds"]:
         a, b = one["amplitudes"]
@@ -79,7 +80,28 @@ def held(found: Json) -> Markup:
         "Amplitudes in multiples of the expected size; they agree within three sd. Where a large "
         f"one does not, each half by itself has to have each effect by {CONFIRMED:g} nat."
     )
-    return section(title, table(head, rows, (2, 3, 4)), note(said), *concerned(found))
+    shown = [table(head, rows, (2, 3, 4)), note(said)]
+    return section(title, *shown, *placebos(found), *concerned(found))
+
+
+def placebos(found: Json) -> list[Child]:
+    """The effects where they are not: how often they gain as much; nothing in older reports."""
+    rows: list[list[Child]] = []
+    for one in found.get("placebos", ()):
+        word, kind = ("few", "better") if one["stands"] else ("too many", "mark")
+        share = f"{one['won']} of {one['count']}"
+        gains = [f"{one[name]:.1f}" for name in ("gained_nat", "best_nat")]
+        rows.append([one["effect"], one["by"], share, *gains, cell(word, kind=kind)])
+    if not rows:
+        return []
+    head = ["", "given to", "gain as much", "effect [nat]", "best placebo [nat]", ""]
+    said = (
+        "The same effect at other blades (or the other way round in half of them), and at other "
+        "readings of the same blades, drawn at random. Where more than "
+        f"{ALLOWED:.0%} of these gain as much as the effect, nothing is claimed. Gains are the "
+        "scan's."
+    )
+    return [table(head, rows, (2, 3, 4)), note(said)]
 
 
 def concerned(found: Json) -> list[Child]:

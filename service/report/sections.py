@@ -15,6 +15,7 @@ from service.report.words import capital, counted, number, sentence, unit_of, wi
 
 Json = Mapping[str, Any]
 ALARM, LEFT, CONFIRMED, NAMED = 0.05, 0.01, 5.0, 0.90  # of core.diagnosis.verdict
+ALLOWED = 0.05  # of core.diagnosis.placebos
 SHOWN = 12
 OLDER = "This diagnosis was made by a release that did not keep {}. Ask for a new one to have them."
 

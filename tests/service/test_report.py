@@ -15,11 +15,12 @@ import httpx
 import pytest
 from sqlalchemy import update
 
+from core.diagnosis import placebos
 from service.adopt_command import lines_of as adoption_lines
 from service.client import Client, ProblemError
 from service.diagnose_command import lines_of
 from service.handlers.diagnoses import request_diagnosis
-from service.report import markup, svg
+from service.report import markup, sections, svg
 from service.report.heat import heat
 from service.report.life import lives
 from service.report.page import policy, report, style
@@ -771,3 +772,14 @@ def test_blades_share_out_over_the_heat_maps(blades: int, each: list[int]) -> No
     drawn = heat(readings, changed=True)
     key = 11  # cells that say what the colours mean
     assert [(one.count('class="cell ') - key) // 2 for one in drawn] == each
+
+
+def test_placebos_are_told_with_how_many_gain_as_much() -> None:
+    found = told("effect")
+    said = " ".join(Read(page_of(found)).said.split())
+    assert "other readings 3 of 187 12.4 13.1 few" in said
+    found["placebos"][0] |= {"won": 60, "stands": False}
+    assert "60 of 187 12.4 13.1 too many" in " ".join(Read(page_of(found)).said.split())
+    older = {k: v for k, v in found.items() if k != "placebos"}
+    assert "best placebo" not in page_of(older)
+    assert sections.ALLOWED == placebos.ALLOWED

@@ -46,6 +46,8 @@ def told(verdict: str, blade: str = "B1", campaign: str = "spring", **changes: A
                    "agrees": True, "stands": True, "gained_nat": None}] * named,
         "concerns": [{"effect": name, "blades": 12, "all": 0.9312, "share": 0.3, "some_nat": -1.5,
                       "those": [], "stands": True}] * named,
+        "placebos": [{"effect": name, "by": "other readings", "count": 187, "won": 3,
+                      "gained_nat": 12.4, "best_nat": 13.1, "stands": True}] * named,
         "parameters": {"before": {"t1t_rate": {"mean": 0.9, "sd": 0.01}},
                        "after": {"t1t_rate": {"mean": 0.91, "sd": 0.01}}},
         "readings": {"delivered": 12, "used": 12},

@@ -43,6 +43,7 @@ FOUND = having(
         "not_adopted",
         "noticed",
         "pictures",
+        "placebos",
         "separating",
         "several",
         "widened",
@@ -72,6 +73,17 @@ FOUND = having(
             share=NUMBER,
             some_nat=NUMBER,
             those=each(TEXT),
+            stands=YES,
+        )
+    ),
+    placebos=each(
+        having(
+            effect=TEXT,
+            by=TEXT,
+            count=WHOLE,
+            won=WHOLE,
+            gained_nat=NUMBER,
+            best_nat=NUMBER,
             stands=YES,
         )
     ),

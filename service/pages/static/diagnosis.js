@@ -133,6 +133,13 @@ function result(found, unitName) {
       ], found.tried.slice(0, MOST)))) : null,
       found.no_room.length ? h("p", { class: "small" }, `No room for: ${found.no_room.map((n) => `${n.names.join(" + ")} (${n.why})`).join("; ")}`) : null,
       halves(found.holds),
+      found.placebos?.length ? aside("Placebos: the same effect where it is not", scroll("Placebos", table([
+        { name: "Effect", value: (one) => one.effect },
+        { name: "Given to", value: (one) => one.by },
+        { name: "Gain as much", value: (one) => `${one.won} of ${one.count}`, number: true },
+        { name: "Effect [nat]", value: (one) => fixed(one.gained_nat, 1), number: true },
+        { name: "Best placebo [nat]", value: (one) => fixed(one.best_nat, 1), number: true },
+      ], found.placebos))) : null,
       found.concerns?.length ? aside("Do all blades have it", scroll("Do all blades have it", table([
         { name: "Effect", value: (c) => c.effect },
         { name: "Blades", value: (c) => String(c.blades), sort: (c) => c.blades, number: true },

@@ -24,6 +24,7 @@ from core.diagnosis.grammar import Cell
 from core.diagnosis.hypotheses import Hypothesis
 from core.diagnosis.leaving import without_open
 from core.diagnosis.pictures import pictures
+from core.diagnosis.placebos import Placebo
 from core.diagnosis.search import Search
 from core.diagnosis.verdict import LEFT
 from core.errors import InputError
@@ -120,6 +121,8 @@ def test_a_dormant_input_that_acts_is_named_woken_and_sized_as_the_exact_posteri
     case = Case(SPEC, data, {b: Facts() for b in SPEC.blades})
     told = to_json(one, case, None, pictures(one, case))
     assert told["claimed"] is True
+    assert {one["by"] for one in told["placebos"]} == {"other blades", "other readings"}
+    assert all(one["stands"] and one["effect"] == "bend" for one in told["placebos"])
     (drawn,) = told["pictures"]["amplitudes"]
     assert drawn["name"] == "bend"
     assert drawn["quantiles"][0] < effect.mean < drawn["quantiles"][-1]
@@ -162,6 +165,17 @@ def test_the_halves_are_what_refuses_it(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(Case, "halves", lambda *args: ())
     one = found(readings(lambda b, t: 0.5 * t**2 * (b % 2), seed=5))
     assert any(effect.cell.name == "bend" for effect in one.effects)
+
+
+def test_a_claim_is_dropped_where_the_same_effect_at_other_blades_gains_as_much(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lost = Placebo("bend", "other blades", 190, 80, 9.0, 9.5)
+    monkeypatch.setattr(Case, "placebos", lambda *given: (lost,))
+    one = found(readings(lambda b, t: 0.25 * t**2))
+    assert (one.verdict.word, one.verdict.names) == ("unattributed", ())
+    assert one.verdict.reasons[0] == lost.told
+    assert one.placebos == (lost,)
 
 
 def test_the_verdict_follows_the_instruments_label_and_not_the_order_or_the_ids() -> None:
