@@ -8,7 +8,7 @@ the two; a worker sends it, and it counts as delivered when that was answered wi
 sealed            a rotor has a new sealed version
 blocked           a rotor is blocked; its error, and the entry that stops it
 alarm             a sealed version is not to be trusted, and the one before was (health)
-diagnosed         a diagnosis is done; its verdict
+diagnosed         a diagnosis is done; its verdict, and why the rotor did not adopt it by itself
 diagnosis-failed  a diagnosis failed and is not tried again; its error
 adopted           effects are put into a rotor's model: of which diagnosis, and whether unasked
 backed-out        they are taken out again

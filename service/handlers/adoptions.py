@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from core.log import Entry
-from service.adopted import ADOPTION, BACK_OUT, JOINING, PAGE, adopted_at, entries
+from service.adopted import ADOPTION, BACK_OUT, JOINING, PAGE, Adopted, adopted_at, entries
 from service.digests import digest_of_json
 from service.errors import AdoptionError, NotFoundError
 from service.handlers.adoptable import (
@@ -29,7 +29,16 @@ from service.handlers.adoptable import (
 from service.handlers.blades import join_effect
 from service.handlers.choice import Choice, chosen, same
 from service.handlers.diagnoses import found_in
-from service.ports import Event, JobRecord, Json, NewEvent, Science, Store, Transaction
+from service.ports import (
+    BladeRecord,
+    Event,
+    JobRecord,
+    Json,
+    NewEvent,
+    Science,
+    Store,
+    Transaction,
+)
 from service.variant import with_more
 
 NOTES = {ADOPTION: "adopted", BACK_OUT: "backed-out"}  # as who listens is told
@@ -76,10 +85,25 @@ def adopt(
     science.vary(card, rotor.network)  # loads the model before anybody waits for a lock
     ahead = read_ahead(store, rotor_id)
     with store.write() as tx:
-        return adopt_in(tx, science, job, job.result, ahead, choice=choice)
+        tx.log.lock(rotor_id)
+        for sheet in adopted_at(tx, tx.records.rotor(rotor_id)).sheets:
+            if sheet.diagnosis == job.id:
+                same(job, sheet, choice)
+                return _at(tx, rotor_id, sheet.seq)
+        return enter(tx, ready(tx, science, job, job.result, ahead, choice=choice))
 
 
-def adopt_in(
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """An adoption that nothing forbids: what it lies on, its entry, and who joins with it."""
+
+    rotor_id: str
+    now: Adopted
+    body: Json
+    late: Sequence[BladeRecord]
+
+
+def ready(
     tx: Transaction,
     science: Science,
     job: JobRecord,
@@ -88,8 +112,8 @@ def adopt_in(
     *,
     unasked: bool = False,
     choice: Choice | None = None,
-) -> Change:
-    """The same inside a writing transaction.
+) -> Ready:
+    """What would enter, and nothing is written; AdoptionError: something forbids it.
 
     ahead     the first of the log's entries, read before the transaction (`read_ahead`)
     unasked   by the rotor's own option `adopt`, with the result that is being written
@@ -98,10 +122,6 @@ def adopt_in(
     head = tx.log.lock(job.rotor_id)
     rotor = tx.records.rotor(job.rotor_id)
     now = adopted_at(tx, rotor)
-    for sheet in now.sheets:
-        if sheet.diagnosis == job.id:
-            same(job, sheet, choice)
-            return _at(tx, rotor.id, sheet.seq)
     if choice is not None and result is not None:
         result = chosen(job, result, choice)
     adds = claimed(job, result)
@@ -127,11 +147,16 @@ def adopt_in(
     }
     body |= {} if choice is None else {"chosen": choice.to_json()}
     strangers(job, now.laid(body, head + 1), late)
-    change = _append(tx, rotor.id, ADOPTION, body)
-    now = now.after(change.event)
-    for blade in late:
-        now = join_effect(tx, rotor.id, now, job.id, blade)
-    return replace(_at(tx, rotor.id, change.event.seq), new=True)
+    return Ready(rotor.id, now, body, late)
+
+
+def enter(tx: Transaction, made: Ready) -> Change:
+    """Append it, in the transaction in which it was found ready."""
+    change = _append(tx, made.rotor_id, ADOPTION, made.body)
+    now = made.now.after(change.event)
+    for blade in made.late:
+        now = join_effect(tx, made.rotor_id, now, made.body["diagnosis"], blade)
+    return replace(_at(tx, made.rotor_id, change.event.seq), new=True)
 
 
 def back_out(store: Store, science: Science, rotor_id: str, diagnosis: str) -> Change:
@@ -177,33 +202,15 @@ def history(store: Store, rotor_id: str, after: int, limit: int) -> list[Change]
         return [_change(event) for event in tx.log.changes(rotor_id, after, limit)]
 
 
-def backed_out(tx: Transaction, rotor_id: str, effects: Sequence[Json]) -> str | None:
-    """Which back-out keeps these effects from being adopted unasked, in words; None: none does.
-
-    One that is the last thing done to the rotor's model, or one of an effect of the same cause that
-    nobody has adopted since.
-    """
-    own = [_change(e) for e in entries(tx, rotor_id) if e.kind != JOINING]
-    if own and own[-1].event.kind == BACK_OUT:
-        seq = own[-1].event.seq
-        return f"somebody backed out what was adopted last, with entry {seq}"
-    last = {_cause(e): (change.event, e) for change in own for e in change.body["effects"]}
-    for event, effect in (last[_cause(e)] for e in effects if _cause(e) in last):
-        if event.kind == BACK_OUT:
-            return f"somebody backed out {effect['name']}, with entry {event.seq}"
-    return None
-
-
-def _cause(effect: Json) -> str:
-    """Older entries tell none."""
-    return str(effect.get("cause") or effect["name"])
+def in_order(tx: Transaction, rotor_id: str) -> list[Change]:
+    """Everything that was adopted and backed out, who joined left aside."""
+    return [_change(event) for event in entries(tx, rotor_id) if event.kind != JOINING]
 
 
 def standing(store: Store, rotor_id: str, diagnosis: str) -> Change | None:
     """The entry by which a diagnosis was last adopted or backed out; None: it never was."""
     with store.read() as tx:
-        own = [e for e in entries(tx, rotor_id) if e.kind != JOINING]
-    found = [c for c in map(_change, own) if c.body["diagnosis"] == diagnosis]
+        found = [c for c in in_order(tx, rotor_id) if c.body["diagnosis"] == diagnosis]
     return found[-1] if found else None
 
 

@@ -20,6 +20,8 @@ class Gauges:
     least_ess_ratio  of the newest version of any rotor; None: no version says one
     oldest_s         age of the oldest entry that is not applied, s; 0: there is none
     alarms           tests of residuals that alarm
+    adoptions        effects of a diagnosis put into a rotor's model; back_outs: taken out again
+    diagnosed        diagnoses that are done; undiagnosed: that failed and are not tried again
     outdated         rotors whose newest version is of an algorithm before this release's
     """
 
@@ -40,6 +42,10 @@ class Gauges:
     deliveries_dropped: int
     alarms: int
     outdated: int
+    adoptions: int
+    back_outs: int
+    diagnosed: int
+    undiagnosed: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
 """What a database says of its service at one moment, in one reading transaction.
 
 Counters are kept in the tables, for the workers that count are other processes, perhaps on other
-machines: `cursor.takeovers` and `cursor.seals` rise in the transactions that they count.
+machines: `cursor.takeovers` and `cursor.seals` rise in the transactions that they count. Neither
+entries of a log nor jobs are ever deleted, so that what they tell can be counted where they lie.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection, and_, func, select, true
 
+from service.adopted import ADOPTION, BACK_OUT
+from service.handlers.diagnoses import KIND as DIAGNOSE
 from service.ports import Gauges
 from service.store import tables as t
 from service.store.engine import now_s
@@ -68,4 +71,24 @@ def read_gauges(connection: Connection, superseded: Sequence[str]) -> Gauges:
         deliveries_dropped=int(connection.execute(dropped).scalar_one()),
         alarms=int(connection.execute(alarms).scalar_one()),
         outdated=int(connection.execute(older).scalar_one()),
+        **_of_the_loop(connection),
     )
+
+
+def _of_the_loop(connection: Connection) -> dict[str, int]:
+    """Diagnoses that ended, and what went into rotors' models or out of them."""
+    r, e, j = t.rotor.c, t.entry.c, t.job.c
+    # rotor by rotor, by the index of kinds: the logs themselves are not gone through
+    changed = and_(e.rotor_id == r.id, e.kind.in_((ADOPTION, BACK_OUT)))
+    of_models = select(e.kind, func.count()).select_from(t.rotor).join(t.entry, changed)
+    ended = select(j.status, func.count()).where(
+        j.kind == DIAGNOSE, j.status.in_(("done", "failed"))
+    )
+    found = {
+        row[0]: row[1]
+        for query in (of_models.group_by(e.kind), ended.group_by(j.status))
+        for row in connection.execute(query)
+    }
+    names = {ADOPTION: "adoptions", BACK_OUT: "back_outs", "done": "diagnosed"}
+    names |= {"failed": "undiagnosed"}
+    return {name: found.get(key, 0) for key, name in names.items()}

@@ -18,6 +18,8 @@ from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.errors import StoreAwayError
 from service.fake import FakeScience, FakeState
+from service.handlers.adoptions import adopt, back_out
+from service.handlers.diagnoses import request_diagnosis
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord
 from service.prometheus import Counter, Histogram, sample
@@ -27,6 +29,7 @@ from service.store.unit_of_work import SqlStore
 from service.worker import claiming
 from service.worker import lease as leases
 from service.worker.loop import Worker
+from tests.service.adopting import Offsets
 
 Make = Callable[..., Inspection]
 Post = Callable[..., int]
@@ -170,6 +173,51 @@ def test_a_claim_that_counts_every_lease_is_noticed(
 ) -> None:
     monkeypatch.setattr(claiming, "ran_out", lambda lease_s: true())
     assert taken_over(store, api) != [0, 1, 1], "mutant"
+
+
+LOOP = ("diagnoses_done", "diagnoses_failed", "adoptions", "back_outs")
+
+
+def test_what_the_loop_did_is_counted(
+    api: httpx.Client,
+    store: SqlStore,
+    settings: Settings,
+    worker: Worker,
+    post: Post,
+    reading: Make,
+) -> None:
+    """A diagnosis of nothing fails; what nobody finished is counted nowhere."""
+    science = Offsets()
+    diagnoser = make_worker(store, science, settings, "d", "diagnose")
+
+    def ask(rotor: str) -> str:
+        job, _ = request_diagnosis(store, science, rotor, (), compare=True, horizon_h=None)
+        diagnoser.drain()
+        return job.id
+
+    def counted() -> list[float]:
+        found = read(api)
+        return [gauge(found, f"{name}_total") for name in LOOP]
+
+    for name in ("r1", "r2"):
+        create_rotor(store, name, "rotor-blade", [BladeRecord(b) for b in ("B1", "B2")], 64, 7)
+    ask("r1")
+    assert counted() == [0, 1, 0, 0]
+    hours = {"c1": 1e4, "c2": 2e4, "c3": 3e4}
+    for name in ("r1", "r2"):
+        post(name, *(
+            reading(f"{b}-{c}", blade=b, time_h=h, campaign=c, value=h / 1e5 + 0.3 * (c == "c2"))
+            for b in ("B1", "B2") for c, h in hours.items()
+        ))  # fmt: skip
+    found = {name: ask(name) for name in ("r1", "r2")}
+    for name in found:
+        adopt(store, science, name, found[name])
+    assert counted() == [2, 1, 2, 0]
+    back_out(store, science, "r2", found["r2"])
+    back_out(store, science, "r2", found["r2"])  # already: nothing happens
+    assert counted() == [2, 1, 2, 1]
+    adopt(store, science, "r2", found["r2"])
+    assert counted() == [2, 1, 3, 1], "counters only rise"
 
 
 def count(found: Series, route: str, status: str, method: str = "GET") -> float:

@@ -114,7 +114,8 @@ GAUGES = {
     **dict.fromkeys(("rotors", "backlog", "applied", "versions", "seals", "takeovers"), WHOLE),
     **dict.fromkeys(("dirty", "blocked", "provisional", "jobs"), WHOLE),
     **dict.fromkeys(("deliveries_pending", "deliveries_dead", "deliveries_dropped"), WHOLE),
-    **dict.fromkeys(("alarms", "outdated"), WHOLE),
+    **dict.fromkeys(("alarms", "outdated", "adoptions", "back_outs"), WHOLE),
+    **dict.fromkeys(("diagnosed", "undiagnosed"), WHOLE),
     "least_ess_ratio": maybe(NUMBER),
     "oldest_s": NUMBER,
 }
