@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from service.client import Client
 
 NOT_FOUND = 404
+SHOWN = 5  # readings named
 
 
 def adopt(
@@ -96,6 +97,21 @@ def by_whom(effect: dict[str, Any]) -> str:
 def chose(chosen: dict[str, Any]) -> str:
     """Which alternative somebody chose, and why."""
     return f"alternative {chosen['alternative']}, because: {chosen['because']}"
+
+
+def no_longer(effect: dict[str, Any]) -> str | None:
+    """Which readings that an effect was found with count no longer; None: all do.
+
+    >>> no_longer({"no_longer": list("abcdefg")})
+    '7 of the readings it was found with count no longer (a, b, c, d, e …)'
+    >>> no_longer({"no_longer": []}), no_longer({})  # of a service of an older release
+    (None, None)
+    """
+    if not (lost := effect.get("no_longer")):
+        return None
+    shown = ", ".join(lost[:SHOWN]) + (" …" if len(lost) > SHOWN else "")
+    verb = "counts" if len(lost) == 1 else "count"
+    return f"{len(lost)} of the readings it was found with {verb} no longer ({shown})"
 
 
 def lines_of(rotor: str, one: dict[str, Any], found: dict[str, Any]) -> Iterator[str]:

@@ -45,6 +45,7 @@ class Sheet:
     joined   (part, blade) of each blade that has joined an effect since
     at       when it was adopted, s since 1970; unasked: by the rotor itself
     chosen   the `alternative` that somebody chose, and `because`; None: the diagnosis' own claim
+    through  the last entry that its diagnosis knew
     """
 
     diagnosis: str
@@ -56,6 +57,7 @@ class Sheet:
     at: float = 0.0
     unasked: bool = False
     chosen: Json | None = None
+    through: int = 0
 
     def joins(self, blade: BladeRecord) -> list[Json]:
         """Its effects that a blade has which joins now: those of its lot, by its own hours."""
@@ -109,7 +111,8 @@ class Adopted:
         parts = frozenset(_parts(body["after"]) - _parts(self.network))
         of_whom, effects = bool(body.get("unasked", False)), tuple(body["effects"])
         own = Sheet(body["diagnosis"], effects, seq, self.network, parts, unasked=of_whom)
-        return replace(own, chosen=body.get("chosen"))
+        knew = int(body.get("through_seq", seq))
+        return replace(own, chosen=body.get("chosen"), through=knew)
 
     def after(self, event: Event) -> Adopted:
         """With one more entry. ValueError: the entry does not go on from here."""

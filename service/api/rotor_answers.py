@@ -70,7 +70,9 @@ def view_out(view: RotorView) -> dict[str, Any]:
         "health": state and health(state),
         "network": view.adopted.network,
         "effects": [
-            effect | {"at": moment(effect["at"]), "untold": untold(effect, running)}
+            effect
+            | {"at": moment(effect["at"]), "untold": untold(effect, running)}
+            | {"no_longer": list(view.lost.get(effect["diagnosis"], ()))}
             for effect in view.adopted.effects
         ],
     }

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from core.errors import InputError
-from service.adopt_command import by_whom
+from service.adopt_command import by_whom, no_longer
 from service.commands import Json
 from service.commands.blade_table import around, blade_lines, columns
 from service.commands.reach import reached
@@ -206,6 +206,8 @@ def lines_of(told: Told) -> Iterator[str]:
     yield from _residuals(told["residuals"])
     for effect in rotor["effects"]:
         yield f"  effect   {effect['name']}, {by_whom(effect)}"
+        if lost := no_longer(effect):
+            yield f"           {lost}"
     for name, one in posterior["parameters"].items():
         unit = told["units"].get(name, "")
         yield f"  {name} = {around(one['mean'], one['sd'])} {unit}".rstrip()

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from core.errors import InputError
 from service.adopted import Adopted, adopted_at
 from service.digests import digest_of_rotor
 from service.errors import ConflictError, FaultsError, NotFoundError
 from service.handlers.blades import blades_at
+from service.handlers.no_longer import no_longer
 from service.ports import (
     Adopt,
     BladeRecord,
@@ -35,12 +36,14 @@ class RotorView:
     """A rotor as it stands: place in the log, blades, the newest posterior's record.
 
     adopted   the effects that are in the model of this posterior
+    lost      of each diagnosis behind them the readings that it used and that count no longer
     """
 
     rotor: RotorRecord
     blades: tuple[BladeRecord, ...]
     state: StateRecord | None
     adopted: Adopted
+    lost: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def has_applied(self, seq: int) -> bool:
         """Every entry up to `seq` counts in the newest posterior."""
@@ -171,8 +174,9 @@ def view_rotor(store: Store, rotor_id: str, which: Which = NEWEST) -> RotorView:
         seen.check()
         state = state_of(tx, rotor_id, which)
         adopted = adopted_at(tx, seen.rotor, state.through_seq, seen.changes)
+        lost = _lost(tx, rotor_id, adopted, state.through_seq)
     blades = tuple(blades_at(seen.blades, state.through_seq))
-    return RotorView(seen.rotor, blades, state, adopted)
+    return RotorView(seen.rotor, blades, state, adopted, lost)
 
 
 def view_in(tx: Transaction, rotor_id: str, *, checked: bool = False) -> RotorView:
@@ -182,10 +186,19 @@ def view_in(tx: Transaction, rotor_id: str, *, checked: bool = False) -> RotorVi
     rotor = seen.rotor
     state = seen.state() if rotor.version else None
     through = 0 if state is None else state.through_seq
-    view = RotorView(rotor, seen.blades, state, adopted_at(tx, rotor, through, seen.changes))
+    adopted = adopted_at(tx, rotor, through, seen.changes)
+    lost = _lost(tx, rotor_id, adopted, through)
+    view = RotorView(rotor, seen.blades, state, adopted, lost)
     if checked and not rotor.blocked:
         seen.check()
     return view
+
+
+def _lost(tx: Transaction, rotor_id: str, adopted: Adopted, head: int) -> dict[str, list[str]]:
+    """Of each diagnosis in force the readings that count no longer as of an entry."""
+    return {
+        sheet.diagnosis: no_longer(tx, rotor_id, sheet.through, head) for sheet in adopted.sheets
+    }
 
 
 def reading(store: Store, rotor_id: str, which: Which) -> AbstractContextManager[Transaction]:

@@ -105,6 +105,10 @@ class Log(Protocol):
         """What retracts or corrects these readings, and what retracts that; without bodies."""
         ...
 
+    def named_since(self, rotor_id: str, after: int, through: int) -> list[str]:
+        """What entries with after < seq <= through retract or correct."""
+        ...
+
     def replaced(self, rotor_id: str, ids: Sequence[str]) -> dict[str, str | None]:
         """What each of these entries replaces; those that are not there are left out."""
         ...

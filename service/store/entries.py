@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, select, union_all
 
+from service.adopted import KINDS
 from service.ports import Event
 from service.store import tables as t
 from service.store.parts import without_long
@@ -24,6 +25,22 @@ _BETWEEN = (
     .order_by(t.entry.c.seq)
 )
 _SOME_BETWEEN = _BETWEEN.limit(bindparam("most"))
+# Of each kind by itself: asked for several kinds in the order of their numbers, SQLite goes through
+# the rotor's whole log.
+CHANGES = (
+    union_all(
+        *(
+            select(*COLUMNS).where(
+                t.entry.c.rotor_id == bindparam("rotor"),
+                t.entry.c.kind == kind,
+                t.entry.c.seq > bindparam("after"),
+            )
+            for kind in KINDS
+        )
+    )
+    .order_by("seq")
+    .limit(bindparam("most"))
+)
 
 
 @lru_cache(maxsize=64)

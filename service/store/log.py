@@ -24,18 +24,16 @@ from sqlalchemy import (
     or_,
     select,
     true,
-    union_all,
     update,
 )
 
 from service import tracing
-from service.adopted import KINDS
 from service.errors import ConflictError, NotFoundError
 from service.ports import Appended, Event, ModelCard, NewEvent
 from service.store import tables as t
 from service.store.commits import lock_rotor, notified, notify
 from service.store.engine import now_s
-from service.store.entries import COLUMNS, NAMES, events_of, page_query, read_entries
+from service.store.entries import CHANGES, COLUMNS, NAMES, events_of, page_query, read_entries
 from service.store.parts import among
 from service.store.single import append_one
 
@@ -61,26 +59,18 @@ _FLIP = (
     .values(dirty=True, dirty_since=now_s())
     .returning(notified("bladetwin_work", ""))
 )
-# Of each kind by itself: asked for several kinds in the order of their numbers, SQLite goes through
-# the rotor's whole log.
-_CHANGES = (
-    union_all(
-        *(
-            select(*COLUMNS).where(
-                t.entry.c.rotor_id == bindparam("rotor"),
-                t.entry.c.kind == kind,
-                t.entry.c.seq > bindparam("after"),
-            )
-            for kind in KINDS
-        )
-    )
-    .order_by("seq")
-    .limit(bindparam("most"))
-)
 # Of what overrules a reading nobody asks what it says.
 _OVERRULING = select(
     *(literal("").label("body") if column.name == "body" else column for column in COLUMNS)
 ).where(t.entry.c.rotor_id == bindparam("rotor"))
+# By the index of what is named: of most entries there is none; `seq + 0` keeps SQLite from going
+# through all that came since.
+_NAMED_SINCE = select(t.entry.c.replaces).where(
+    t.entry.c.rotor_id == bindparam("rotor"),
+    t.entry.c.replaces.is_not(None),
+    t.entry.c.seq + 0 > bindparam("after"),
+    t.entry.c.seq + 0 <= bindparam("through"),
+)
 _OVERRULES_EACH = _OVERRULING.where(t.entry.c.replaces.in_(bindparam("ids", expanding=True)))
 _OVERRULES = _OVERRULING.where(among(t.entry.c.replaces, bindparam("ids", type_=Text())))
 _APPEND = insert(t.entry).values(received_at=now_s())
@@ -219,7 +209,11 @@ class SqlLog:
 
     def changes(self, rotor_id: str, after: int, limit: int) -> list[Event]:
         asked = {"rotor": rotor_id, "after": after, "most": limit}
-        return events_of(self._connection.execute(_CHANGES, asked).all())
+        return events_of(self._connection.execute(CHANGES, asked).all())
+
+    def named_since(self, rotor_id: str, after: int, through: int) -> list[str]:
+        asked = {"rotor": rotor_id, "after": after, "through": through}
+        return sorted(set(self._connection.execute(_NAMED_SINCE, asked).scalars()))
 
     def overruled(self, rotor_id: str, ids: Sequence[str]) -> list[Event]:
         """Retractions and corrections of these inspections, and retractions of those; no bodies."""

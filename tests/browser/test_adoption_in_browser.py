@@ -326,6 +326,28 @@ def test_pages_name_a_blade_that_joined_after_an_effect_of_its_lot(
         expect(page.locator("main")).to_contain_text("diagnose and adopt anew")
 
 
+def test_pages_name_readings_behind_an_adopted_effect_that_count_no_longer(
+    seen: Watched, twin: Twin
+) -> None:
+    """On the page of the rotor, and on that of the diagnosis; on neither before."""
+    asked = twin.client.post("/v1/rotors/r1/diagnoses").json()["diagnosis"]["id"]
+    twin.diagnoser.drain()
+    twin.client.post(f"/v1/rotors/r1/diagnoses/{asked}/adoption").raise_for_status()
+    twin.worker.drain()
+    paths = ("/rotors/r1", f"/rotors/r1/diagnoses/{asked}")
+    for path in paths:
+        page = seen.open(path)
+        expect(page.locator("main")).to_contain_text("Back out" if asked in path else "B3")
+        expect(page.locator("body")).not_to_contain_text("no longer")
+    twin.client.post("/v1/rotors/r1/inspections/B1-c1/retraction").raise_for_status()
+    twin.worker.drain()
+    for path in paths:
+        page = seen.open(path)
+        expect(page.locator("#notice")).to_contain_text("1 reading with which “")
+        expect(page.locator("#notice")).to_contain_text("counts no longer: B1-c1.")
+    assert (seen.errors, seen.outside) == ([], [])
+
+
 def test_the_page_of_an_adopted_diagnosis_tells_which_blade_joined(
     seen_lots: Watched, lots: Twin
 ) -> None:

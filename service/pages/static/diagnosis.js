@@ -6,7 +6,7 @@ import { axis, fixed, hours, inUnit, moment, number, plain, withSd, words } from
 import { drawn, follow, keep } from "./live.js";
 import { pictures } from "./pictures.js";
 import { progress } from "./progress.js";
-import { badge, notices } from "./states.js";
+import { badge, notices, shaken } from "./states.js";
 import { askedBy, stateOf, verdictOf } from "./verdict.js";
 
 const rotor = path`/v1/rotors/${names.r}`;
@@ -226,7 +226,8 @@ async function draw() {
   const going = d.status === "queued" || d.status === "running";
   show($("states"), badge(...stateOf(d)));
   notices([d.status === "failed" && ["bad", `It failed after ${number(d.attempts, "attempt")}.`, d.error],
-    d.status === "cancelled" && ["warn", "It was cancelled: there is no result."]]);
+    d.status === "cancelled" && ["warn", "It was cancelled: there is no result."],
+    ...shaken(now.effects.filter((one) => one.diagnosis === names.d))]);
   const button = (text, how, quiet) => h("button", { type: "button", class: quiet ? null : "main", onclick: how }, text);
   const done = d.status === "done";
   const wider = done && isWider(d.result);

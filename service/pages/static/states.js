@@ -51,8 +51,20 @@ export function warningsOf(rotor) {
     if (untold.length) out.push(["warn", `${untold.join(", ")} joined after “${name}” was adopted, which concerns ${untold.length === 1 ? "it" : "them"}.`,
       "The model does not know that: bands of such a blade leave the effect out, or take the blade for one that began with the rotor.", "To mend it: diagnose and adopt anew."]);
   }
+  out.push(...shaken(rotor.effects ?? []));
   if (rotor.version === 0) out.push(["wait", "No data yet: a worker has still to compute the first posterior of this rotor. The page fills when it is there."]);
   return out;
+}
+
+/** Adopted effects that were found with readings which count no longer, one notice for each diagnosis. */
+export function shaken(effects) {
+  const found = new Map();
+  for (const { name, diagnosis, no_longer: lost = [] } of effects) {
+    if (lost.length) found.set(diagnosis, { names: [...(found.get(diagnosis)?.names ?? []), name], lost });
+  }
+  return [...found.values()].map(({ names, lost }) => ["warn",
+    `${number(lost.length, "reading")} with which “${names.join("”, “")}” was found ${lost.length === 1 ? "counts" : "count"} no longer: ${lost.slice(0, 5).join(", ")}${lost.length > 5 ? " …" : ""}.`,
+    "The effect is in the model still, with an amplitude by the readings that count.", "To mend it: back it out on the page of its diagnosis, diagnose and adopt anew."]);
 }
 
 /** What a page shows where its data could not be had. */
