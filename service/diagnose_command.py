@@ -76,10 +76,15 @@ def shown(*, quiet: bool) -> Iterator[Callable[[Told], None]]:
 
 def awaited(twin: Client, told: Told, show: Callable[[Told], None], look_s: float) -> Told:
     """The diagnosis once it has ended."""
-    while told["status"] in ("queued", "running"):
-        show(told)
-        time.sleep(look_s)
-        told = {**twin.diagnosis(told["rotor"], told["id"])}
+    try:
+        while told["status"] in ("queued", "running"):
+            show(told)
+            time.sleep(look_s)
+            told = {**twin.diagnosis(told["rotor"], told["id"])}
+    except KeyboardInterrupt:
+        on = f"bladetwin: diagnosis {told['id']} of {told['rotor']} goes on; the same command finds"
+        typer.echo(f"{on} it again.", err=True)
+        raise
     return told
 
 
@@ -102,6 +107,9 @@ def lines_of(told: Told) -> Iterator[str]:
     yield from (f"  {reason}" for reason in found["reasons"])
     if why := found.get("not_adopted"):
         yield f"  the rotor did not adopt it by itself: {why}"
+    entry = told.get("adoption") or {}
+    if entry.get("what") == "adoption" and entry.get("unasked"):
+        yield f"  the rotor adopted it by itself, with entry {entry['seq']}"
     if found["verdict"] == "not separable":
         yield "  one of: " + ", ".join(found["names"])
     yield from what_to_read(found.get("separating"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import httpx
@@ -20,7 +21,7 @@ class ProblemError(BladetwinError):
             told = response.json()
         except ValueError:
             told = None
-        self.problem: Json = told if isinstance(told, dict) else {"detail": response.text[:500]}
+        self.problem: Json = told if isinstance(told, dict) else {"detail": _foreign(response)}
         if response.is_redirect:
             there = response.headers.get("location", "elsewhere")
             self.problem = {"detail": f"sent on to {there}. To mend it: give that address."}
@@ -28,6 +29,18 @@ class ProblemError(BladetwinError):
         detail = self.problem.get("detail", "")
         request = response.request
         super().__init__(f"{request.method} {request.url.path}: {self.status}: {detail}")
+
+
+def _foreign(response: httpx.Response) -> str:
+    """What a proxy, or another program, answers in the service's place, as one line."""
+    said = response.text
+    if "html" in response.headers.get("content-type", ""):
+        said = re.sub(r"<(style|script)\b.*?</\1>|<[^>]*>", " ", said, flags=re.DOTALL | re.I)
+    said = " ".join(said.split())[:200] or "nothing"
+    return (
+        f"no answer of bladetwin's: {said}. To mend it: see that the service runs and is what "
+        "answers at this address."
+    )
 
 
 class BlockedError(BladetwinError):

@@ -879,6 +879,25 @@ def test_the_commands_adopt_and_back_out_and_say_so(
     assert twin.adopt("r1", name)["head_seq"] == 15
 
 
+@pytest.mark.parametrize("option", ["effect", "never"])
+def test_the_command_says_that_the_rotor_adopted_by_itself_what_was_found(
+    api: httpx.Client,
+    store: SqlStore,
+    settings: Settings,
+    post: Post,
+    reading: Make,
+    worker: Worker,
+    diagnoser: Worker,
+    option: str,
+) -> None:
+    """Whoever asked for it looks at a rotor whose model is another one since."""
+    automatic(store, settings, post, reading, option)
+    done = command(worker, diagnoser, "diagnose", "r1", "--url", str(api.base_url))
+    assert done.exit_code == 3, done.output
+    line = "  the rotor adopted it by itself, with entry 13"
+    assert (line in done.stdout.splitlines()) is (option == "effect")
+
+
 def test_the_command_backs_out_what_came_with_an_imported_rotor(
     api: httpx.Client,
     store: SqlStore,

@@ -50,6 +50,15 @@ def test_a_refusal_that_is_no_problem_is_told_as_it_came(body: str) -> None:
     assert body in str(error)
 
 
+def test_a_page_in_the_service_s_place_is_told_as_one_line_without_its_tags() -> None:
+    """A gateway whose service is down, in front of an ops script."""
+    page = "<html>\n<head><style>h1\n{color: red}</style></head>\n<h1>502 Bad\nGateway</h1></html>"
+    said = str(refusal(httpx.Response(502, html=page)))
+    assert said.startswith("GET /v1/rotors/r1/inspections: 502: no answer of bladetwin's: 502 Bad ")
+    assert "Gateway. To mend it: see that the service runs" in said
+    assert not set("<>{}\n") & set(said)
+
+
 def test_a_stream_that_is_sent_elsewhere_is_refused_too() -> None:
     moved = httpx.Response(301, headers={"Location": "/there"}, text="moved")
     with pytest.raises(ProblemError, match="/there"):

@@ -597,6 +597,23 @@ def test_the_command_ends_with_3_where_something_is_missing_and_prints_it_as_jso
     assert json.loads(done.stdout)["result"]["verdict"] == "unattributed"
 
 
+def test_an_interrupted_command_says_that_its_diagnosis_goes_on(
+    api: httpx.Client, straight: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ended without a word, and looked as if it had ended the diagnosis as well."""
+
+    def interrupted(seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("service.diagnose_command.time.sleep", interrupted)
+    done = CliRunner().invoke(commands, ["diagnose", "r1", "--url", str(api.base_url)])
+    assert done.exit_code == 130
+    (left,) = Client(http=api).diagnoses("r1")
+    assert left["status"] == "queued"
+    said = f"bladetwin: diagnosis {left['id']} of r1 goes on; the same command finds it again.\n"
+    assert said in done.stderr
+
+
 def test_the_command_says_why_a_diagnosis_failed(
     api: httpx.Client, rotor: str, diagnoser: Worker
 ) -> None:
