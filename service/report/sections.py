@@ -17,6 +17,7 @@ Json = Mapping[str, Any]
 ALARM, LEFT, CONFIRMED, NAMED = 0.05, 0.01, 5.0, 0.90  # of core.diagnosis.verdict
 ALLOWED = 0.05  # of core.diagnosis.placebos
 SHOWN = 12
+BY_ALL = "calibrated with all readings"
 OLDER = "This diagnosis was made by a release that did not keep {}. Ask for a new one to have them."
 
 
@@ -175,7 +176,7 @@ def life(found: Json, limit: float | None) -> Markup | None:
         head[2:] = ["hours left from then, before", "after", "its median hour moves by [h]"]
     parts.append(table(head, rows, (1, 4)))
     first = f"The {SHOWN} of {len(every)} blades that pass first. " * (len(every) > SHOWN)
-    parts.append(note(f"{first}Median and, in brackets, 95 % of the hours left."))
+    parts.append(note(f"{first}Median and, in brackets, 95 % of the hours left, {BY_ALL}."))
     return section(title, *parts)
 
 
@@ -199,7 +200,8 @@ def forecast(found: Json) -> Markup:
     until = (found["before_after"] or {}).get("forecast", {}).get("time_h")
     courses, read = pictures["courses"], pictures["readings"]
     drawn = fleet(courses, read, changed=changes(found), until=until)
-    count = len(pictures["courses"]["blades"])
-    return section(
-        title, figure(drawn, f"Mean over {count} blades and the band of a single one, ± 1 sd.")
-    )
+    count = counted(len(pictures["courses"]["blades"]), "blade")
+    said = f"Mean over {count} and the band of a single one, ± 1 sd, {BY_ALL}."
+    if changes(found) and found["before_after"] is not None:
+        said += " The table's forecast, by models without the held-out readings, may lie elsewhere."
+    return section(title, figure(drawn, said))

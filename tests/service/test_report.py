@@ -103,6 +103,17 @@ def test_a_forecast_is_drawn_to_its_hour_and_no_further() -> None:
     assert ticks(found)[-1] == "17,500", "twice 8,000 h, and up to the next hour that is known"
 
 
+def test_a_forecast_says_which_readings_it_rests_on() -> None:
+    """The table's is of models without the held-out readings, and lies elsewhere: a report of 24
+    blades read 0.70 mm there before, and 0.66 mm in the picture."""
+    rests, other = "calibrated with all readings", "The table's forecast, by models without the"
+    for verdict in ("effect", "adequate"):
+        said = Read(page_of(told(verdict), limit=0.3)).said
+        assert said.count(rests) == 2, "of the picture, and of the life that is left"
+        assert (other in said) is (verdict == "effect")
+    assert other not in Read(page_of(told("effect", before_after=None))).said
+
+
 def test_calibrated_hypotheses_of_one_name_are_told_apart_by_their_courses() -> None:
     wear = {"name": "coating wear (coating lot C2)", "shape": "late", "step_h": None}
     step = {"name": "firing temperature step", "shape": "step", "step_h": 9000.0}
