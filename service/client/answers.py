@@ -967,6 +967,7 @@ class DiagnosisListed(TypedDict):
     finished_at: str | None
     verdict: str | None
     names: list[str] | None
+    not_adopted: str | None
 
 
 class Adopted(TypedDict):

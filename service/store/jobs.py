@@ -17,7 +17,7 @@ from service.store.engine import now_s
 from service.store.parts import json_parts
 
 UNFINISHED = ("queued", "running")
-LISTED = ("verdict", "names")
+LISTED = ("verdict", "names", "not_adopted")
 
 
 class SqlJobs:

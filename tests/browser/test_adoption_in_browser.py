@@ -389,7 +389,15 @@ def test_a_diagnosis_that_the_residuals_asked_for_says_what_alarmed(
     (one,) = twin.client.get("/v1/rotors/r1/diagnoses").json()["items"]
     row = page.get_by_role("table").get_by_role("row", name=NAME)
     expect(row).to_contain_text("residuals")
+    expect(row).not_to_contain_text("adopted")
     assert not serious(page)
+    where = f"/v1/rotors/r1/diagnoses/{one['id']}/adoption"
+    twin.client.post(where).raise_for_status()
+    twin.worker.drain()
+    expect(row).to_contain_text("adopted")
+    twin.client.delete(where).raise_for_status()
+    twin.worker.drain()
+    expect(row).not_to_contain_text("adopted")
     page = seen.open(f"/rotors/r1/diagnoses/{one['id']}")
     expect(page.locator("main")).to_contain_text("tests alarm in version 1")
     expect(page.locator("main")).to_contain_text("campaign c2 (mean)")

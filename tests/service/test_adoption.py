@@ -558,7 +558,7 @@ def test_a_rotor_says_when_an_effect_was_adopted_and_that_nobody_asked_for_it(
 
 
 def test_what_forbids_an_adoption_by_itself_stands_in_the_result(
-    store: SqlStore, settings: Settings, post: Post, reading: Make
+    api: httpx.Client, store: SqlStore, settings: Settings, post: Post, reading: Make
 ) -> None:
     automatic(store, settings, post, reading, "effect")
 
@@ -575,6 +575,8 @@ def test_what_forbids_an_adoption_by_itself_stands_in_the_result(
     assert "(B1-c1)" in why
     ((kind, told),) = told_of(store, ("diagnosed", "adopted"))
     assert (kind, told["not_adopted"]) == ("diagnosed", why[:500]), "who listens hears why"
+    (listed,) = api.get("/v1/rotors/r1/diagnoses").json()["items"]
+    assert (listed["verdict"], listed["not_adopted"]) == ("effect", why)
     assert view_rotor(store, "r1").rotor.head_seq == 13, "the retraction"
 
 

@@ -101,7 +101,12 @@ ANSWERS: dict[str, Json] = {
     ),
     f"POST {ROTOR}/diagnoses": having(diagnosis=DIAGNOSIS),
     f"GET {ROTOR}/diagnoses": paged(
-        having(**DIAGNOSIS_LISTED, verdict={"type": ["string", "null"]}, names=maybe(each(TEXT)))
+        having(
+            **DIAGNOSIS_LISTED,
+            verdict={"type": ["string", "null"]},
+            names=maybe(each(TEXT)),
+            not_adopted=maybe(TEXT),
+        )
     ),
     f"GET {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,
     f"DELETE {ROTOR}/diagnoses/{{d}}": DIAGNOSIS,

@@ -125,10 +125,11 @@ def get_diagnoses(
 
 
 def listed(job: JobRecord) -> dict[str, Any]:
-    """A diagnosis as a list shows it: of its result the verdict and the names alone."""
+    """A diagnosis as a list shows it: of its result the verdict and the names alone, and why the
+    rotor did not adopt it by itself."""
     told = diagnosis_out(job)
-    result = told.pop("result") or {"verdict": None, "names": None}
-    return told | {"verdict": result["verdict"], "names": result["names"]}
+    result = told.pop("result") or {}
+    return told | {name: result.get(name) for name in ("verdict", "names", "not_adopted")}
 
 
 @router.get("/{d}", summary="A diagnosis: how far it is, and what was found")

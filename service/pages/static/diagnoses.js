@@ -66,12 +66,21 @@ async function policy(now) {
   itself.querySelectorAll("select").forEach((one) => { one.disabled = !there; });
 }
 
+let inForce = new Set();
+
+/** Whether what a diagnosis found is in the model, or the rotor was to adopt it and did not: why stands on its page. */
+function inModel(d) {
+  if (inForce.has(d.id)) return badge("ok", "adopted");
+  return d.not_adopted ? badge("warn", "not adopted by itself", d.not_adopted) : "–";
+}
+
 const columns = [
   { name: "Asked", value: (d) => h("a", { href: path`/rotors/${rotor}/diagnoses/${d.id}` }, since(d.created_at)), sort: (d) => d.created_at },
   { name: "By", value: (d) => (d.request.because ? (d.request.because.alarms ? "residuals" : "readings") : "somebody"), sort: (d) => (d.request.because ? 1 : 0) },
   { name: "State", value: (d) => badge(...stateOf(d)), sort: (d) => d.status },
   { name: "Verdict", value: (d) => (d.verdict ? verdictOf(d.verdict) : d.status === "running" ? progress(d.progress) : "–"), sort: (d) => d.verdict },
   { name: "Effects", value: (d) => d.names?.join(", ") || "–" },
+  { name: "In the model", value: inModel, sort: (d) => (inForce.has(d.id) ? 2 : d.not_adopted ? 1 : 0) },
   { name: "Rests on entries to", value: (d) => fixed(d.request.through_seq, 0), sort: (d) => d.request.through_seq, number: true },
 ];
 
@@ -89,7 +98,8 @@ async function draw() {
     cursor = found.next;
     redraw();
   };
-  if (!news(found)) return;
+  inForce = new Set(now.effects.map((one) => one.diagnosis));
+  if (!news([found, ...inForce])) return;
   show(list, found.items.length
     ? scroll("Diagnoses", table(columns, found.items, { caption: "The newest first" }))
     : h("p", { class: "soft" }, "None was asked for yet."));
