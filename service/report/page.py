@@ -124,6 +124,7 @@ def rests_on(found: Json) -> Markup:
     used = f"{readings['used']} used of {readings['delivered']} delivered"
     told = [
         ("readings", used if even else f"{used}: NOT THE SAME"),
+        ("rotor", rests["rotor"]),
         ("rotor's log", f"through entry {rests['through_seq']}"),
         ("digest of the readings", el("code", rests["events_digest"])),
         ("model", f"{rests['model']}, version {rests['model_version']}"),
@@ -133,7 +134,8 @@ def rests_on(found: Json) -> Markup:
         ("seed", str(rests["seed"])),
     ]
     said = (
-        "A function of these alone: the same readings, model, particles and seed give the same "
+        "A function of these, of the rotor's name (by which random numbers are drawn), of its "
+        "blades with their lots, and of what was asked: the same of them all give the same "
         "diagnosis. What of it was adopted, by somebody or by the rotor itself, stands in the "
         "rotor's log, not here."
     )

@@ -114,6 +114,16 @@ def test_a_forecast_says_which_readings_it_rests_on() -> None:
     assert other not in Read(page_of(told("effect", before_after=None))).said
 
 
+def test_a_report_names_all_that_its_numbers_are_a_function_of() -> None:
+    """Two rotors of the same readings, model, particles and seed were told p = 0.38 and 0.43, and
+    that these alone make a diagnosis: the name draws random numbers, and lots differed."""
+    found = told("effect")
+    found["rests_on"]["rotor"] = "r77"
+    said = Read(page_of(found)).said
+    assert "rotor r77" in " ".join(said.split())
+    assert "of the rotor's name (by which random numbers are drawn), of its blades with" in said
+
+
 def test_calibrated_hypotheses_of_one_name_are_told_apart_by_their_courses() -> None:
     wear = {"name": "coating wear (coating lot C2)", "shape": "late", "step_h": None}
     step = {"name": "firing temperature step", "shape": "step", "step_h": 9000.0}
