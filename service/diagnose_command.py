@@ -19,6 +19,7 @@ import typer
 
 from core.errors import BladetwinError, InputError
 from service.commands.blade_table import around
+from service.commands.diagnosis_files import read_families, write
 from service.commands.reach import reached
 from service.report import noticed
 from service.report.alternatives import hypothesis, names
@@ -175,31 +176,6 @@ def adopted_line(told: Told) -> str:
             return f"no effect to adopt; a discrepancy without a cause is borne out: {yours} has it"
         return f"nothing to adopt: the verdict is {found['verdict']}"
     return f"adopted, with entry {told['adoption']['seq']}; the new version follows"
-
-
-def read_families(file: Path) -> list[Told]:
-    """A list of families, or ``{"families": […]}``. InputError: it is neither."""
-    try:
-        told = json.loads(file.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(
-            "--families", str(file), f"cannot be read: {error}", "give a JSON file"
-        ) from None
-    told = told.get("families") if isinstance(told, dict) else told
-    if not isinstance(told, list) or not all(isinstance(one, dict) for one in told):
-        remedy = "see `Asking for a diagnosis` in service/README.md"
-        raise InputError("--families", str(file), "holds no list of families", remedy)
-    return told
-
-
-def write(file: Path, page: str) -> None:
-    """A report to its file. InputError: it cannot be written."""
-    try:
-        file.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            "--html", str(file), f"cannot be written: {error}", "name another"
-        ) from None
 
 
 def diagnose(

@@ -113,7 +113,7 @@ def ready(
     unasked: bool = False,
     choice: Choice | None = None,
 ) -> Ready:
-    """What would enter, and nothing is written; AdoptionError: something forbids it.
+    """What would enter; nothing is written. AdoptionError: something forbids it.
 
     ahead     the first of the log's entries, read before the transaction (`read_ahead`)
     unasked   by the rotor's own option `adopt`, with the result that is being written
@@ -160,10 +160,10 @@ def enter(tx: Transaction, made: Ready) -> Change:
 
 
 def back_out(store: Store, science: Science, rotor_id: str, diagnosis: str) -> Change:
-    """The former network comes back; one that is backed out already gives its entry again.
+    """The former network comes back, and a rotor that the adoption had blocked is freed; what is
+    backed out already gives its entry again. The diagnosis itself need not be here.
 
-    The diagnosis itself need not be here any more. Raises NotFoundError where it was never
-    adopted, AdoptionError where a later one rests on it.
+    Raises NotFoundError where it was never adopted, AdoptionError where a later one rests on it.
     """
     with store.read() as tx:
         rotor = tx.records.rotor(rotor_id)
@@ -192,6 +192,7 @@ def back_out(store: Store, science: Science, rotor_id: str, diagnosis: str) -> C
             "after": sheet.before,
             "models": models,
         }
+        tx.log.free(rotor_id)
         return _append(tx, rotor_id, BACK_OUT, body)
 
 

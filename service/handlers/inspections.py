@@ -46,7 +46,16 @@ def post_inspections(store: Store, rotor_id: str, items: Sequence[Item]) -> list
             tx.log.lock(rotor_id)
             if found := circles(tx, rotor_id, items):
                 raise FaultsError(found)
-        return tx.log.append(rotor_id, events)
+        answers = tx.log.append(rotor_id, events)
+        if corrects and tx.records.rotor(rotor_id).last_error_event in _corrected(answers, items):
+            tx.log.free(rotor_id)
+        return answers
+
+
+def _corrected(answers: Sequence[Appended], items: Sequence[Item]) -> set[str]:
+    """The readings that new corrections name."""
+    both = zip(answers, items, strict=True)
+    return {name for one, item in both if one.new and (name := item.reading.replaces) is not None}
 
 
 def _post_known(store: Store, rotor_id: str, items: Sequence[Item]) -> list[Appended] | None:

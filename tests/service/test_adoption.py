@@ -881,6 +881,34 @@ def test_the_commands_adopt_and_back_out_and_say_so(
     assert twin.adopt("r1", name)["head_seq"] == 15
 
 
+class Unfit(Offsets):
+    """Its posterior with an offset in the model cannot be computed."""
+
+    def update(self, card: Any, *given: Any, **named: Any) -> Any:
+        if card.network.biases:
+            raise ValueError("no particle is left")
+        return super().update(card, *given, **named)
+
+
+def test_backing_out_frees_a_rotor_that_the_adoption_blocked(
+    api: httpx.Client, store: SqlStore, settings: Settings, named: str
+) -> None:
+    """It stayed blocked by an entry that was undone, until somebody tried it again as well."""
+    before = called(store)
+    once = settings.model_copy(update={"max_attempts": 1})
+    worker = make_worker(store, Unfit(), once, "unfit")
+    where = f"/v1/rotors/r1/diagnoses/{named}/adoption"
+    api.post(where).raise_for_status()
+    worker.drain()
+    told = api.get("/v1/rotors/r1").json()
+    assert (told["status"], told["last_error"]["event"]) == ("blocked", "adoption/1")
+    api.delete(where).raise_for_status()
+    worker.drain()
+    told = api.get("/v1/rotors/r1").json()
+    assert (told["status"], told["applied_seq"]) == ("current", 14)
+    assert called(store) == before
+
+
 @pytest.mark.parametrize("option", ["effect", "never"])
 def test_the_command_says_that_the_rotor_adopted_by_itself_what_was_found(
     api: httpx.Client,

@@ -228,6 +228,24 @@ def test_after_its_attempts_a_rotor_is_blocked_with_the_reading_named_and_others
     assert (freed.rotor.blocked, freed.rotor.last_error) == (False, None)
 
 
+def test_a_correction_of_what_blocks_a_rotor_frees_it_and_no_other_does(
+    store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post
+) -> None:
+    """As the pages say: it stayed blocked until somebody tried it again as well."""
+    worker = make_worker(store, Choosy(), settings)
+    post(rotor, reading("good"), reading("culprit", campaign="bad"))
+    worker.drain()
+    assert view_rotor(store, rotor).rotor.last_error_event == "culprit"
+    post(rotor, reading("other", replaces="good"))
+    worker.drain()
+    assert view_rotor(store, rotor).rotor.blocked
+    post(rotor, reading("right", replaces="culprit"), reading("later"))
+    worker.drain()
+    freed = view_rotor(store, rotor)
+    assert (freed.rotor.blocked, freed.has_applied(5)) == (False, True)
+    assert freed.rotor.last_error is None
+
+
 @pytest.mark.parametrize("free", ["retract", "retry"])
 def test_a_rotor_that_is_freed_during_its_last_attempt_is_tried_again(
     store: SqlStore, settings: Settings, rotor: str, reading: Make, post: Post, free: str

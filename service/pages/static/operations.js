@@ -36,7 +36,7 @@ function blockedPanel(blocked, canRetry, canRetract) {
             if (confirm(`Retract ${r.last_error.event}, as if it had never come?`)) act(`Retract ${r.last_error.event}`, path`/v1/rotors/${r.id}/inspections/${r.last_error.event}/retraction`);
           } }, `Retract ${r.last_error.event}`) : null) },
   ];
-  return panel("Blocked", h("p", {}, "Nothing new is applied to these until the entry is retracted or corrected, or they are tried again."), scroll("Blocked rotors", table(columns, blocked)));
+  return panel("Blocked", h("p", {}, "Nothing new is applied to these until the entry is retracted, corrected or (adoptions) backed out, or they are tried again."), scroll("Blocked rotors", table(columns, blocked)));
 }
 
 const news = changes();

@@ -35,13 +35,20 @@ export function notices(given) {
     h("div", { class: `notice ${kind}` }, lines.filter(Boolean).map((line) => h("p", {}, line)))));
 }
 
+/** What takes away the entry that stops a rotor; none: it is not known. */
+function undoing(event) {
+  if (!event) return "retract or correct the entry";
+  if (event.startsWith("adoption/")) return "back out what was adopted last, on the page of its diagnosis (Diagnoses)";
+  return `retract or correct the entry ${event}`;
+}
+
 /** What of a rotor's state has to be told in words. */
 export function warningsOf(rotor) {
   const out = [];
   if (rotor.status === "blocked") {
     const error = rotor.last_error ?? {};
     out.push(["bad", `Blocked after ${number(rotor.attempts, "attempt")}${error.event ? ` by entry ${error.event}` : ""}: nothing new is applied.`,
-      error.error, `To mend it: retract or correct the entry${error.event ? ` ${error.event}` : ""}, or try again (Operations). What is shown is the last version.`]);
+      error.error, `To mend it: ${undoing(error.event)}, or try again (Operations). What is shown is the last version.`]);
   }
   const health = rotor.health;
   if (health && !health.trusted) {
