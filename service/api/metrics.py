@@ -100,8 +100,8 @@ def of_database(found: Gauges | None) -> list[str]:
         ("takeovers_total", "counter", "Leases taken after they ran out.", found.takeovers),
         ("diagnoses_done_total", "counter", "Diagnoses that are done.", found.diagnosed),
         ("diagnoses_failed_total", "counter", "Diagnoses that failed.", found.undiagnosed),
-        ("adoptions_total", "counter", "Effects put into rotors' models.", found.adoptions),
-        ("back_outs_total", "counter", "Effects taken out again.", found.back_outs),
+        ("adoptions_total", "counter", "Adoptions of effects.", found.adoptions),
+        ("back_outs_total", "counter", "Adoptions taken back.", found.back_outs),
     ]  # fmt: skip
     for name, kind, meaning, value in told:
         if value is not None:

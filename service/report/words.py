@@ -47,6 +47,8 @@ def with_sd(value: float | None, sd: float | None) -> str:
 
     >>> with_sd(0.0193412, 0.00372), with_sd(123.4, 20.0), with_sd(None, 1.0)
     ('0.0193 ± 0.0037', '123 ± 20', '–')
+    >>> with_sd(-0.04, 1.1)  # no −0.0
+    '0.0 ± 1.1'
     >>> with_sd(2.25e26, 6.2e25)
     '2.25e26 ± 6.2e25'
     """
@@ -57,7 +59,7 @@ def with_sd(value: float | None, sd: float | None) -> str:
     if max(abs(value), sd) >= LARGE:
         return f"{number(value)} ± {number(sd, 2)}"
     places = max(0, 1 - math.floor(math.log10(sd)))
-    return f"{value:,.{places}f} ± {sd:,.{places}f}".replace("-", "−")
+    return f"{value:z,.{places}f} ± {sd:,.{places}f}".replace("-", "−")
 
 
 def percent(share: float) -> str:

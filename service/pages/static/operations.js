@@ -62,7 +62,7 @@ async function draw() {
     ["Entries applied", fixed(g.applied, 0)],
     ["Versions written", `${fixed(g.versions, 0)}, ${fixed(g.seals, 0)} of them sealed`],
     ["Diagnoses", `${fixed(g.diagnosed, 0)} done${g.undiagnosed ? `, ${fixed(g.undiagnosed, 0)} failed` : ""}`],
-    ["Effects adopted", `${fixed(g.adoptions, 0)}${g.back_outs ? `, ${fixed(g.back_outs, 0)} backed out` : ""}`],
+    ["Adoptions", `${fixed(g.adoptions, 0)}${g.back_outs ? `, ${fixed(g.back_outs, 0)} backed out` : ""}`],
     ["Leases taken over", fixed(g.takeovers, 0)],
     ["Least effective share", g.least_ess_ratio === null ? "–" : plain(g.least_ess_ratio)],
   ]));

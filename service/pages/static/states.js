@@ -71,7 +71,7 @@ export function shaken(effects) {
   }
   return [...found.values()].map(({ names, lost }) => ["warn",
     `${number(lost.length, "reading")} with which “${names.join("”, “")}” was found ${lost.length === 1 ? "counts" : "count"} no longer: ${lost.slice(0, 5).join(", ")}${lost.length > 5 ? " …" : ""}.`,
-    "The effect is in the model still, with an amplitude by the readings that count.", "To mend it: back it out on the page of its diagnosis, diagnose and adopt anew."]);
+    "The effect is in the model still, with an amplitude by the readings that count.", "To mend it: back it out (on the page of its diagnosis, or bladetwin adopt --back-out), diagnose and adopt anew."]);
 }
 
 /** What a page shows where its data could not be had. */
