@@ -11,7 +11,7 @@ from service.report.life import Life, lives
 from service.report.markup import Child, Markup, el
 from service.report.tables import cell, figure, note, section, table
 from service.report.verdict import claims
-from service.report.words import capital, counted, number, sentence, unit_of, with_sd
+from service.report.words import capital, counted, joined, number, sentence, unit_of, with_sd
 
 Json = Mapping[str, Any]
 ALARM, LEFT, CONFIRMED, NAMED = 0.05, 0.01, 5.0, 0.90  # of core.diagnosis.verdict
@@ -51,7 +51,17 @@ def effects(found: Json) -> Markup:
     if not told:
         parts.append(note(OLDER.format("the amplitudes' densities")))
     parts.append(el("p", f"Log evidence gained by all of it: {number(found['gained_nat'])} nat."))
+    if tried := on_trial(found):
+        parts.append(el("p", tried))
     return section(title, *parts)
+
+
+def on_trial(found: Json) -> str:
+    """That `after` is the model with effects that nobody claims; nothing where they are claimed."""
+    if found["claimed"] or not changes(found):
+        return ""
+    names = joined([one["name"] for one in found["effects"]])
+    return f"Where this report says after, {names} would be in the model: that is not claimed."
 
 
 def before_after(found: Json) -> Markup:
@@ -166,6 +176,8 @@ def life(found: Json, limit: float | None) -> Markup | None:
                 f"most by {number(max(moved, key=abs))} h.",
             )
         )
+    if tried := on_trial(found):
+        parts.append(el("p", tried))
     rows = [
         [one.blade, number(one.now_h) if one.now_h else "not read", _hours(one.before, one.now_h)]
         + both * [_hours(one.after, one.now_h), number(one.moved_h)]
@@ -204,4 +216,4 @@ def forecast(found: Json) -> Markup:
     said = f"Mean over {count} and the band of a single one, ± 1 sd, {BY_ALL}."
     if changes(found) and found["before_after"] is not None:
         said += " The table's forecast, by models without the held-out readings, may lie elsewhere."
-    return section(title, figure(drawn, said))
+    return section(title, figure(drawn, f"{said} {on_trial(found)}".strip()))

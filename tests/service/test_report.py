@@ -114,6 +114,15 @@ def test_a_forecast_says_which_readings_it_rests_on() -> None:
     assert other not in Read(page_of(told("effect", before_after=None))).said
 
 
+@pytest.mark.parametrize(("verdict", "times"), [("effect", 0), ("not separable", 3)])
+def test_what_is_not_claimed_is_no_after_without_a_word(verdict: str, times: int) -> None:
+    """At the effects, the life that is left and the forecast: a life "after" an effect that nobody
+    claims was read for the better one."""
+    name = "campaign offset (campaign spring)"
+    words = f"Where this report says after, {name} would be in the model: that is not claimed."
+    assert Read(page_of(told(verdict), limit=0.3)).said.count(words) == times
+
+
 def test_a_report_names_all_that_its_numbers_are_a_function_of() -> None:
     """Two rotors of the same readings, model, particles and seed were told p = 0.38 and 0.43, and
     that these alone make a diagnosis: the name draws random numbers, and lots differed."""
