@@ -43,7 +43,7 @@ from core.diagnosis.grammar import Cell
 from core.diagnosis.held import leaving_runs, while_read
 from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.left_out import left_out
-from core.diagnosis.misread import copied, set_apart, slips
+from core.diagnosis.misread import copied, set_apart, slips, understated
 from core.diagnosis.placebos import Placebo, withstood
 from core.diagnosis.scan import Scan
 from core.diagnosis.search import MOST, Progress, Search, prices
@@ -212,11 +212,12 @@ def _leading(taken: Rival, turns: Sequence[Turn], verdict: Verdict) -> Rival:
 
 
 def _with_slips(verdict: Verdict, case: Case, taken: Rival, before: Model) -> Verdict:
-    """With what leans on an end of its prior in its reasons, readings that may be misread or
-    copied, campaigns of no single day, and blades that were left out."""
+    """With what leans on an end of its prior in its reasons, readings that may be misread, copied
+    or of a sigma too small, campaigns of no single day, and blades that were left out."""
     own = [amplitude(cell, before.network)[0] for cell in taken.effects]
     told = (*leaning(taken.model, taken.state, own),)
-    told += slips(left_out(case.seen(taken.model, taken.state, whole=True)))
+    read = left_out(case.seen(taken.model, taken.state, whole=True))
+    told += understated(read) + slips(read)
     told += set_apart(taken.state) + of_no_day(case.readings) + copied(case.readings)
     once, every = len(case.once(taken.model)), len(case.read_h)
     told += (ONCE.format(once, every),) if 0 < once < every else ()

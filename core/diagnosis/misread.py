@@ -25,7 +25,9 @@ together stays in: an effect of its own may be what they have in common. So do t
 readings look exchanged: an instrument three noises off makes some look so, and without
 them what was left behind its offset was called more than chance.
 
-One value of half of the blades at a visit was hardly read of them (`copied`).
+One value of half of the blades at a visit was hardly read of them (`copied`). A sigma that is stated
+too small (how well a gauge repeats, say, and not how well it is set up) is no free parameter, so
+that everything contradicts (`understated`).
 """
 
 from __future__ import annotations
@@ -49,6 +51,8 @@ from core.observation import Inspection
 Array = NDArray[np.float64]
 RARE = 0.01  # of rotors with normal noise have a reading so far off
 TOLD = 5
+NORMAL = 1.4826  # sd of a normal variable over the median of its size
+FARTHER, SURELY = 1.5, 4.0  # times as far as stated, and in sds of that, before it is told
 LONE = 3.0  # blades that have an effect's information, below which one value may be all of it
 
 
@@ -170,6 +174,33 @@ def slips(read: LeftOut) -> tuple[str, ...]:
         f"farther than {limit:.1f} sd from what all others say, and maybe misread: "
         f"{', '.join(told)}; no effect of a blade is claimed from a single reading",
     )
+
+
+def understated(read: LeftOut) -> tuple[str, ...]:
+    """That readings lie farther from what all others say than their stated sigma has it, in words,
+    by quantity and instrument.
+
+    Their z has the scale 1.48 median |z|, to which single readings that are misread matter little;
+    of n sound readings it is known to 1.17 / √(2n).
+    """
+    groups: dict[tuple[str, str | None], list[int]] = {}
+    for i, one in enumerate(read.readings):
+        if one.sigma is not None:
+            groups.setdefault((one.quantity, one.instrument), []).append(i)
+    told = []
+    for (quantity, instrument), own in sorted(
+        groups.items(), key=lambda g: (g[0][0], str(g[0][1]))
+    ):
+        scale = NORMAL * float(np.median(np.abs(read.z[own])))
+        if scale > max(FARTHER, 1.0 + SURELY * 1.17 / np.sqrt(2 * len(own))):
+            stated = float(np.median([read.readings[i].sigma or 0.0 for i in own]))
+            by = f" by {instrument}" if instrument else ""
+            told.append(
+                f"{len(own)} readings of {quantity}{by} lie {scale:.1f} times as far from what all "
+                f"others say as their stated sigma has it ({stated:.3g}): state that of the whole "
+                "reading, its set-up included, or none, so that it is calibrated"
+            )
+    return tuple(told[:TOLD])
 
 
 def _told(reading: Inspection, z: float) -> str:

@@ -11,7 +11,7 @@ import pytest
 from core.diagnosis.bayes import one_by_one
 from core.diagnosis.grammar import Cell, Facts
 from core.diagnosis.left_out import left_out
-from core.diagnosis.misread import Spared, copied, slips, spared
+from core.diagnosis.misread import Spared, copied, slips, spared, understated
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import signatures
@@ -246,3 +246,35 @@ def test_one_value_of_half_of_the_blades_at_a_visit_is_told(
     assert told is None or found[0].startswith(told)
     again = copied([replace(one, campaign=None, time_h=9e3) for one in data if one.id[0] == "c"])
     assert [one.replace("at 9,000 h", "in campaign c") for one in again] == list(found)
+
+
+def test_a_sigma_that_is_stated_too_small_is_told_with_how_much() -> None:
+    """Three stated sigmas more in every reading: √10 of what is stated, by a robust scale."""
+    rng = np.random.default_rng(9)
+    seen, _ = rotor(0, lambda b, k: 3 * SIGMA * float(rng.normal()))
+    (told,) = understated(left_out(seen))
+    assert told.startswith("72 readings of y lie ")
+    assert float(told.split(" lie ")[1].split()[0]) == pytest.approx(np.sqrt(10), rel=0.25)
+    assert f"as their stated sigma has it ({SIGMA:.3g})" in told
+
+
+def test_sound_readings_and_a_wild_one_are_as_far_as_they_say_and_what_states_none_is_not_asked() -> (
+    None
+):
+    for seed in range(40):
+        wild = lambda b, k: 50 * SIGMA * (b == k == 1)  # noqa: E731
+        assert understated(left_out(rotor(seed, wild)[0])) == ()
+    rng = np.random.default_rng(9)
+    read = left_out(rotor(0, lambda b, k: 3 * SIGMA * float(rng.normal()))[0])
+    assert understated(read)
+    silent = tuple(replace(one, sigma=None) for one in read.readings)
+    assert understated(replace(read, readings=silent)) == ()
+
+
+def test_the_gauge_whose_sigma_is_too_small_is_named() -> None:
+    rng = np.random.default_rng(9)
+    seen, _ = rotor(0, lambda b, k: 6 * SIGMA * float(rng.normal()) * (b % 2))
+    read = left_out(seen)
+    own = tuple(replace(r, instrument=f"gauge {int(r.blade[1:]) % 2}") for r in read.readings)
+    (told,) = understated(replace(read, readings=own))
+    assert told.startswith("36 readings of y by gauge 1 lie ")
