@@ -25,9 +25,9 @@ together stays in: an effect of its own may be what they have in common. So do t
 readings look exchanged: an instrument three noises off makes some look so, and without
 them what was left behind its offset was called more than chance.
 
-One value of half of the blades at a visit was hardly read of them (`copied`). A sigma that is stated
-too small (how well a gauge repeats, say, and not how well it is set up) is no free parameter, so
-that everything contradicts (`understated`).
+One value of half of the blades at a visit was hardly read of them (`copied`). A sigma that is
+stated too small (how well a gauge repeats, say, and not how well it is set up) is no free
+parameter, so that everything contradicts (`understated`).
 """
 
 from __future__ import annotations

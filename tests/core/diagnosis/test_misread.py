@@ -258,9 +258,7 @@ def test_a_sigma_that_is_stated_too_small_is_told_with_how_much() -> None:
     assert f"as their stated sigma has it ({SIGMA:.3g})" in told
 
 
-def test_sound_readings_and_a_wild_one_are_as_far_as_they_say_and_what_states_none_is_not_asked() -> (
-    None
-):
+def test_sound_readings_are_as_far_as_they_say_and_who_states_nothing_is_not_asked() -> None:
     for seed in range(40):
         wild = lambda b, k: 50 * SIGMA * (b == k == 1)  # noqa: E731
         assert understated(left_out(rotor(seed, wild)[0])) == ()
