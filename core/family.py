@@ -18,6 +18,9 @@ Clock = Literal["blade", "rotor", "event"]
 How = Literal["plus", "times"]
 SHAPES = ("constant", "early", "linear", "late", "step")
 WHOM = ("all", "lot", "coating_lot", "blade", "instrument", "campaign")
+MOST_TIMES = 10.0  # of an input or a reading
+LEAST = 1e-4  # of an input's range, or in proportion
+LEAST_NOISES = 1e-2  # of the least noise that a reading may have
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,3 +114,36 @@ class Family:
             return Family(**{**told, "shapes": tuple(told["shapes"]), "whom": tuple(told["whom"])})
         except (TypeError, KeyError) as error:
             raise InputError("effect", str(error), "is no effect", "see Family") from error
+
+
+def odd_size(family: Family, whole: float, noise: float | None = None) -> tuple[str, str] | None:
+    """Why a family's size cannot be meant, and what would do; None: it can.
+
+    whole  high − low of the input or of the quantity
+    noise  the least that a reading of the quantity may have
+
+    An effect of more than there can be of a thing is none, and one that no reading shows is never
+    found: both are slips of a unit.
+
+    >>> thin = Family("wear", "it wears", "input", "wall", "plus", 0.5, -1, ("constant",), ("all",),
+    ...               "blade", "physics")
+    >>> odd_size(thin, 4.0), odd_size(thin, 4e-3)
+    (None, ('is larger than all there can be of wall', 'give 0.004 at most'))
+    >>> problem, remedy = odd_size(thin, 4e6)
+    >>> print(f"{problem}; {remedy}")
+    is too small for any reading to show: less than 0.0001 of the range of wall; give 400 or more
+    """
+    if family.size is None:
+        return None
+    most = MOST_TIMES if family.how == "times" else whole
+    if family.size > most:
+        return f"is larger than all there can be of {family.of}", f"give {most:g} at most"
+    least, said = LEAST * whole, f"less than {LEAST:g} of the range of {family.of}"
+    if family.how == "times":
+        least, said = LEAST, f"in proportion, less than {LEAST:g}"
+    elif noise is not None:
+        least = LEAST_NOISES * noise
+        said = f"less than a hundredth of the least noise of {family.of}, {noise:g}"
+    if family.size < least:
+        return f"is too small for any reading to show: {said}", f"give {least:g} or more"
+    return None

@@ -8,7 +8,8 @@ Factors stand side by side or with ``*`` or ``·``; what follows ``/`` (one name
 divided by; a power is ``^2``, ``**2``, ``²`` or the digit alone. Each becomes its seven exponents
 and a factor, value[SI] = factor · value + offset; offsets have degC and degF, by themselves.
 Angles, strains and shares have no dimension. Prefixes go with the units that take them, so that
-``Pa`` is no peta-ampere and ``min`` no milli-inch.
+``Pa`` is no peta-ampere and ``min`` no milli-inch. A year has 365.25 days, as in UCUM
+(mm/yr); of instants it is refused (`hours`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ PREFIXES = {
 }  # fmt: skip
 _M, _KG, _S, _K = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
 _PA, _J, _W = (-1, 1, -2, 0), (2, 1, -2, 0), (2, 1, -3, 0)
+YEARS = ("yr", "year", "years", "a")  # of 365.25 days, as in UCUM: 8,766 h
 # name: (factor, exponents of m, kg, s, K), with prefixes
 PREFIXED = {
     "m": (1.0, _M), "g": (1e-3, _KG), "s": (1.0, _S), "K": (1.0, _K), "Pa": (1.0, _PA),
@@ -37,8 +39,13 @@ PREFIXED = {
 PLAIN = {
     "1": (1.0, (0, 0, 0, 0)), "%": (1e-2, (0, 0, 0, 0)), "ppm": (1e-6, (0, 0, 0, 0)),
     "deg": (math.pi / 180, (0, 0, 0, 0)), "°": (math.pi / 180, (0, 0, 0, 0)),
-    "min": (60.0, _S), "h": (3600.0, _S), "hr": (3600.0, _S), "d": (86_400.0, _S),
-    "day": (86_400.0, _S), "in": (0.0254, _M), "ft": (0.3048, _M), "psi": (6894.757293168, _PA),
+    **dict.fromkeys(("sec", "second", "seconds"), (1.0, _S)),
+    **dict.fromkeys(("min", "minute", "minutes"), (60.0, _S)),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), (3600.0, _S)), "kh": (3.6e6, _S),
+    **dict.fromkeys(("d", "day", "days"), (86_400.0, _S)),
+    **dict.fromkeys(("wk", "week", "weeks"), (7 * 86_400.0, _S)),
+    **dict.fromkeys(YEARS, (365.25 * 86_400.0, _S)),
+    "in": (0.0254, _M), "ft": (0.3048, _M), "psi": (6894.757293168, _PA),
     "ksi": (6894757.293168, _PA), "atm": (101_325.0, _PA), "lb": (0.45359237, _KG),
     "rpm": (1.0 / 60.0, (0, 0, -1, 0)),
 }  # fmt: skip
@@ -110,6 +117,26 @@ def counts(text: str) -> bool | None:
     if any(word == "rpm" or word.endswith("Hz") for word in words):
         return True
     return False if any(word.endswith("rad") or word in ("deg", "°") for word in words) else None
+
+
+def hours(text: str) -> float:
+    """How many hours a unit of time has, of instants; UnitError where it is none, or not told.
+
+    A year of operation is what a plant makes it: instants in years are not taken for calendar ones.
+
+    >>> hours("d"), hours("kh")
+    (24.0, 1000.0)
+    >>> try:
+    ...     hours("yr")
+    ... except UnitError as error:
+    ...     print(error.problem)
+    does not say how many hours: 8,760 or 8,766 of the calendar, fewer of a plant
+    """
+    factor = ratio(text, "h")[0]
+    if any(word in YEARS for word in re.findall(r"[^\W\d_]+", text)):
+        problem = "does not say how many hours: 8,760 or 8,766 of the calendar, fewer of a plant"
+        raise UnitError("unit", text, problem, "give operating hours")
+    return factor
 
 
 def _shown(found: Unit) -> str:

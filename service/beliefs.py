@@ -170,13 +170,17 @@ class Beliefs:
     def mesh(self, card: ModelCard) -> Mesh | None:
         from service.fields import mesh_of
 
-        return mesh_of(self._points(card), card.summary.get("mesh"))
+        return mesh_of(self._points(card), card.summary.get("mesh"), self._of_runs(card, "cells"))
 
     def _points(self, card: ModelCard) -> Array | None:
-        """The nodes of the training runs, also of a surrogate that effects drive."""
-        surrogate = self.models.of(card).surrogate
-        points: Array | None = getattr(getattr(surrogate, "base", surrogate), "points", None)
+        """The nodes of the training runs."""
+        points: Array | None = self._of_runs(card, "points")
         return points
+
+    def _of_runs(self, card: ModelCard, what: str) -> Any:
+        """What the training runs had, also of a surrogate that effects drive; None: nothing."""
+        surrogate = self.models.of(card).surrogate
+        return getattr(getattr(surrogate, "base", surrogate), what, None)
 
     def surface(self, card: ModelCard) -> Surface | None:
         from service.fields import surface_of

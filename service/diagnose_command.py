@@ -127,7 +127,8 @@ def lines_of(told: Told) -> Iterator[str]:
                 yield f"  {key:<10} {before:>9.4g} → {after:.4g}"
     if others := found.get("alternatives"):
         yield (
-            f"{others['quantity']} of {len(others['blades'])} blades at {others['time_h']:g} h, by "
+            f"{others['quantity']} of {len(others['blades'])} blades at "
+            f"{others['time_h']:,.10g} h, by "
             "what else the readings allow (share of the evidence, mean ± sd of a blade)"
         )
         for k, (name, one) in enumerate(zip(names(others), others["each"], strict=True), 1):
@@ -141,11 +142,11 @@ def lines_of(told: Told) -> Iterator[str]:
     if found["calibrated"]:
         yield "calibrated: log evidence gained [nat]"
     for one in found["calibrated"]:
-        yield f"  {one['gained_nat']:>8.1f}  {hypothesis(one)}"
+        yield f"  {one['gained_nat']:>z8.1f}  {hypothesis(one)}"
     if found["tried"]:
         yield f"tried: {len(found['tried'])}, by log Bayes factor; the first {SHOWN} at most"
     for one in found["tried"][:SHOWN]:
-        gain = "-" if one["log_bf"] is None else f"{one['log_bf']:.1f}"
+        gain = "-" if one["log_bf"] is None else f"{one['log_bf']:z.1f}"
         yield f"  {gain:>8}  {one['what']}"
     yield (
         f"rests on {readings['used']} of {readings['delivered']} readings through entry "

@@ -18,6 +18,8 @@ from collections.abc import MutableMapping, Sequence
 from itertools import count
 from typing import Any
 
+from core.blade.inputs import DORMANT, IN_TIME
+from core.builtin.plans import STANDARD, WIDE
 from core.calibration.online import Workspace, update
 from core.calibration.state import RotorSpec
 from core.diagnosis import (
@@ -45,6 +47,7 @@ from core.diagnosis.tell import discrepancy_json
 from core.diagnosis.transfer import conditions, transferred
 from core.diagnosis.widen import Widened, widen
 from core.errors import InputError
+from core.family import odd_size
 from core.model import Model
 from core.observation import Inspection
 from core.surrogate.driven import Driven
@@ -52,7 +55,7 @@ from service.choices import with_adoptions
 from service.ports import BladeRecord, Json, Progress
 from service.variant import effects_between
 
-MOST_TIMES = 10.0  # of an input or a reading
+CONSTANT = frozenset({*DORMANT} - {*IN_TIME})  # the blade's finite elements run none of these
 RANKED = 10  # steps at most, of inspections that would split what is not separable
 
 
@@ -88,15 +91,17 @@ def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
     """Families that a model may be asked for; see `read_families`.
 
     Raises InputError as well for readings at many nodes, which no bias can be of
-    (`core.network`), and for one that is expected to be larger than all there is of its input or
-    quantity: `MOST_TIMES` of it where it is in proportion, else the range; and for courses in time
-    of an input alone, where nothing can be followed in time.
+    (`core.network`), for a size that cannot be meant (`core.family.odd_size`), for courses in time
+    of an input alone where nothing can be followed in time, and for any of an input that the
+    blade's finite elements cannot run in time.
     """
     surrogate = model.surrogate
     base = surrogate.base if isinstance(surrogate, Driven) else surrogate
     inputs = {i.name: i.high - i.low for i in getattr(base, "inputs", ())}
-    quantities = {q.name: q.high - q.low for q in model.network.quantities}
-    found = read_families(told, [*inputs], [*quantities], families_for(model.network))
+    quantities = [q.name for q in model.network.quantities]
+    found = read_families(told, [*inputs], quantities, families_for(model.network))
+    blade = model.network.name in (STANDARD.name, WIDE.name)
+    still = {p.name for p in model.network.of_level("dormant")} & CONSTANT if blade else set()
     scalar = [q.name for q in model.network.quantities if q.kind != "vector"]
     for i, one in enumerate(found):
         if one.target == "reading" and one.of not in scalar:
@@ -106,11 +111,17 @@ def families_of(model: Model, told: Sequence[Json]) -> tuple[Family, ...]:
             what = "run in time, and no simulation run of this model has the creep strain (a field "
             what += "ceeq) by which an input that runs is followed: it would never be found"
             raise InputError(f"families[{i}].shapes", [*one.shapes], what, "use constant")
-        whole = (inputs if one.target == "input" else quantities)[one.of]
-        most = MOST_TIMES if one.how == "times" else whole
-        if one.size is not None and one.size > most:
-            what = f"is larger than all there can be of {one.of}"
-            raise InputError(f"families[{i}].size", one.size, what, f"give {most:g} at most")
+        if one.target == "input" and one.of in still and one.shapes != ("constant",):
+            what = f"run in time, and {one.of} does not: no finite elements of the blade say what "
+            what += "such a course would do"
+            raise InputError(f"families[{i}].shapes", [*one.shapes], what, "use constant alone")
+        if one.target == "input":
+            odd = odd_size(one, inputs[one.of])
+        else:
+            read = model.network.quantity(one.of)
+            odd = odd_size(one, read.high - read.low, read.sigma_obs.low)
+        if odd is not None:
+            raise InputError(f"families[{i}].size", one.size, *odd)
     return found
 
 

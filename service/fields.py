@@ -33,6 +33,7 @@ from service.ports import Field, Mesh, Surface
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Cells = tuple[str, Index]
 ENOUGH = 512
 BLOCK = 64
 
@@ -65,18 +66,24 @@ def skin(points: Array, cells: Index) -> Surface:
     return Surface(points, outer[:, CUT].reshape(-1, 3))
 
 
-def mesh_of(points: Array | None, mesh: str | None) -> Mesh | None:
-    """The mesh of a model that was made on one of the blade's meshes; None: on no such mesh."""
-    if points is None or mesh not in MESHES:
+def mesh_of(points: Array | None, mesh: str | None, cells: Cells | None = None) -> Mesh | None:
+    """The mesh of a model: one of the blade's, or a user's own; None: nodes without places.
+
+    cells  kind and node numbers of a user's mesh; None: its nodes alone are drawn
+    """
+    if points is None or not len(points) or not np.all(np.isfinite(points)):
         return None
+    if mesh not in MESHES:
+        kind, corners = cells or ("vertex", np.arange(len(points))[:, None])
+        return Mesh(points, corners, kind, own=True)
     built = build_mesh(mesh)
     same = built.points.shape == points.shape and np.allclose(built.points, points, atol=1e-6)
     return Mesh(built.points, built.cells, "hexahedron20") if same else None
 
 
 def surface_of(points: Array | None, mesh: str | None) -> Surface | None:
-    """The surface of that mesh; None: there is none."""
-    found = mesh_of(points, mesh)
+    """The surface of a mesh of the blade; None: it is on no such mesh."""
+    found = mesh_of(points, mesh) if mesh in MESHES else None
     return None if found is None else skin(found.points, found.cells)
 
 

@@ -26,7 +26,7 @@ from core.archive.source import Column, Given
 from core.archive.table import KEPT
 from core.archive.write import write_runs
 from core.errors import ModelError, UnitError
-from core.units import ratio, unit
+from core.units import hours, ratio, unit
 
 KINDS: dict[int, Kind] = {2: "scalar", 3: "field", 4: "vector field"}
 TEXTS = ("units", "bounds", "named_nodes")
@@ -95,7 +95,7 @@ def convert_arrays(path: str | Path, out: str | Path) -> dict[str, object]:
         points = np.asarray(arrays["points"], float) * scale
         mesh = Mesh("own", points, cells, np.zeros((nodes, 3)), told["named_nodes"])
     try:
-        hours = time * ratio(str(units["time"]), "h")[0]
+        time_h = time * hours(str(units["time"]))
     except UnitError as error:
         found.add(UnitError("units of time", error.value, error.problem, "say h, d, min or s"))
         found.end()
@@ -105,7 +105,7 @@ def convert_arrays(path: str | Path, out: str | Path) -> dict[str, object]:
         labels=[str(one) for one in labels],
         inputs=inputs,
         quantities=quantities,
-        time_h=hours,
+        time_h=time_h,
         rows=({name: values[name][k] for name in quantities} for k in range(count)),
         mesh=mesh,
         source=path.name,

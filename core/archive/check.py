@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.archive.declaration import Input, Kind
+from core.archive.effects import families, runs_alone
 from core.archive.faults import Findings
 from core.archive.source import UNKNOWN, Column, Given, Source
 from core.archive.unfit import too_large, too_small
@@ -78,6 +79,7 @@ def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wa
         given = source.quantities["ceeq"]
         turned.setdefault("ceeq", (given.kind, given.unit, 1.0, 0.0))
     asked = {DISPLACEMENT if q.kind == "vector" else q.name for q in network.quantities}
+    families(network, {i.name: i.high - i.low for i in inputs}, found)
     for name in sorted(source.quantities.keys() - turned.keys() - asked):
         remedy = "declare it, if it is to be read or predicted"
         found.warn(f"quantity {name}", None, "is not in the network: left out", remedy)
@@ -92,11 +94,8 @@ def _in_time(network: Network, creeps: bool, found: Findings) -> None:
     moved = [("effect", d.name) for d in network.drifts]
     moved += [("dormant parameter", p.name) for p in network.of_level("dormant")]
     clock = creeps and bool({q.name for q in network.quantities} & {*BY_CEEQ})
-    for f in network.families if not clock else ():
-        if f.target == "input" and "constant" not in f.shapes:
-            problem = "run in time, and there is no creep strain by which an input is followed: it "
-            problem += f"needs a field ceeq, and {' or '.join(BY_CEEQ)} in the network"
-            found.fault(f"shapes of the effect {f.name!r}", [*f.shapes], problem, "use constant")
+    if not clock:
+        runs_alone(network, BY_CEEQ, found)
     if not moved:
         return
     remedy = "take it out, or declare it known with a nominal value"

@@ -55,13 +55,17 @@ BLADE_QUANTITIES = (
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """points (N, 3) [mm], cells (E, n) node numbers, parametric (N, 3), and nodes with a name."""
+    """points (N, 3) [mm], cells (E, n) node numbers, parametric (N, 3), and nodes with a name.
+
+    kind  of a user's cells (`core.archive.cells`); "": none that is known
+    """
 
     name: str
     points: Floats
     cells: NDArray[np.integer[Any]]
     parametric: Floats
     named: Mapping[str, int]
+    kind: str = ""
 
     @staticmethod
     def none() -> Mesh:

@@ -19,13 +19,17 @@ def mesh_of(data: h5netcdf.File, declared: Declaration) -> Mesh:
     if not declared.nodes:
         return Mesh.none()
     points, cells, parametric = (data[name][...] for name in ("points", "cells", "parametric"))
-    return Mesh(declared.mesh, points, cells, parametric, declared.named)
+    kind = str(data["cells"].attrs.get("kind", ""))
+    return Mesh(declared.mesh, points, cells, parametric, declared.named, kind)
 
 
 def write_mesh(out: h5netcdf.File, mesh: Mesh) -> None:
     out.dimensions.update({"cell": mesh.cells.shape[0], "corner": mesh.cells.shape[1]})
     out.create_variable("points", ("node", "xyz"), data=np.asarray(mesh.points, dtype=float))
-    out.create_variable("cells", ("cell", "corner"), data=np.asarray(mesh.cells, dtype=np.int64))
+    cells = np.asarray(mesh.cells, dtype=np.int64)
+    made = out.create_variable("cells", ("cell", "corner"), data=cells)
+    if mesh.kind:
+        made.attrs["kind"] = mesh.kind
     parametric = np.asarray(mesh.parametric, dtype=float)
     out.create_variable("parametric", ("node", "xyz"), data=parametric)
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.archive.cells import CORNERS, FROM_MESHIO
 from core.archive.declaration import Kind, Mesh
 from core.archive.faults import Findings
 from core.archive.source import Given
@@ -86,7 +87,9 @@ def convert_meshes(
     found.end()
     blocks = sorted(first.cells, key=lambda block: -len(block.data))
     cells = np.asarray(blocks[0].data, np.int64) if blocks else np.zeros((0, 0), np.int64)
-    mesh = Mesh("own", scale * points, cells, np.zeros(points.shape), dict(named or {}))
+    known = str(blocks[0].type) if blocks and blocks[0].type in CORNERS else ""
+    cells = cells[:, FROM_MESHIO[known]] if known in FROM_MESHIO else cells
+    mesh = Mesh("own", scale * points, cells, np.zeros(points.shape), dict(named or {}), known)
     wide = {name: by_run(table, table.columns[name]) for name in names}
 
     def rows() -> Iterator[Mapping[str, Array]]:

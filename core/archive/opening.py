@@ -125,7 +125,8 @@ def _packed(path: Path, data: Any) -> Source:
     mesh = Mesh.none()
     if declared.nodes:
         points, cells, parametric = (data[n].values for n in ("points", "cells", "parametric"))
-        mesh = Mesh(declared.mesh, points, cells, parametric, declared.named)
+        kind = str(data["cells"].attrs.get("kind", ""))
+        mesh = Mesh(declared.mesh, points, cells, parametric, declared.named, kind)
     return Source(
         path.name,
         tuple(str(int(k)) for k in data["index"].values),

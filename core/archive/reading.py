@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from core.archive.cells import CORNERS, kind_of
 from core.archive.declaration import DIMENSIONS, Kind, Mesh
 from core.archive.faults import Findings
 from core.archive.source import UNKNOWN, Array, Column, Given, Source
 from core.errors import InputError, UnitError
-from core.units import ratio, unit
+from core.units import hours, ratio, unit
 
 KINDS: dict[frozenset[str], Kind] = {
     frozenset(("run", *dimensions)): kind  # type: ignore[misc]
@@ -142,7 +143,7 @@ def _time(found: Findings, data: Any) -> Array:
         return np.zeros(0)
     text = str(variable.attrs.get("units", ""))
     try:
-        factor, _ = ratio(text, "h")
+        factor = hours(text)
     except UnitError as error:
         problem = error.problem if text else "says no unit of time"
         found.add(UnitError(f"units of {name}", text, problem, "say h, d, min or s"))
@@ -168,14 +169,20 @@ def _mesh(
                 points = points * ratio(str(variable.attrs.get("units", "")), "mm")[0]
             except UnitError as error:
                 found.add(UnitError("units of points", error.value, error.problem, "say mm or m"))
-    cells = np.zeros((0, 0), dtype=np.int64)
+    cells, kind = np.zeros((0, 0), dtype=np.int64), ""
     if "cells" in data.variables:
         cells = np.asarray(data["cells"].values, dtype=np.int64)
         if cells.ndim != 2 or (cells.size and not (0 <= cells.min() <= cells.max() < count)):
             problem = f"does not name nodes 0 … {count - 1} by cell and corner"
             found.fault("cells", list(cells.shape), problem, "count nodes from 0")
+            cells = np.zeros((0, 0), dtype=np.int64)
+        told = data["cells"].attrs.get("kind")
+        if told is not None and CORNERS.get(str(told)) != cells.shape[1]:
+            remedy = f"use one of {', '.join(CORNERS)}, with as many corners as it has nodes"
+            found.fault("kind of cells", str(told), "is no kind of such cells", remedy)
+        kind = str(told) if told is not None else kind_of(cells, points)
     named = _named(found, data.attrs.get("named_nodes", "{}"), count)
-    return Mesh("own", points, cells, np.zeros((count, 3)), named)
+    return Mesh("own", points, cells, np.zeros((count, 3)), named, kind)
 
 
 def _named(found: Findings, text: object, count: int) -> dict[str, int]:

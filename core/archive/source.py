@@ -14,7 +14,8 @@ dimensions             is                          attributes
 (run, time, node)      a field                     units
 (run, time, node, xyz) a field of vectors          units
 (node, xyz)            ``points`` of the mesh      units; optional
-(cell, corner)         ``cells``: node numbers     optional
+(cell, corner)         ``cells``: node numbers     optional; kind: ``tetra``, ``hexahedron20`` …
+                                                   (`core.archive.cells`), in VTK's order of nodes
 (run)                  ``run``: labels             optional: 0 … n − 1
 (run, time)            ``time_of_run``             units; in place of ``time`` where runs have
                                                    instants of their own, NaN after the last

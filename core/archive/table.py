@@ -27,7 +27,7 @@ from core.archive.faults import Findings
 from core.archive.source import Column, Given
 from core.archive.write import write_runs
 from core.errors import ModelError, UnitError
-from core.units import ratio, unit
+from core.units import hours, unit
 
 Array = NDArray[np.float64]
 HEADER = re.compile(r"\s*([A-Za-z_][\w.\-]*)\s*(?:\[([^\]]*)\])?\s*")
@@ -143,7 +143,7 @@ def _header(row: Sequence[str], found: Findings) -> dict[str, str]:
 
 def _hours(units: dict[str, str], found: Findings) -> float:
     try:
-        return ratio(units.get("time", "h"), "h")[0]
+        return hours(units.get("time", "h"))
     except UnitError as error:
         if not any(one.what == "column time" for one in found.faults):
             found.add(UnitError("column time", units["time"], error.problem, "write time [h]"))

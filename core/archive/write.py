@@ -87,5 +87,7 @@ def _write_mesh(out: h5netcdf.File, mesh: Mesh) -> None:
     if mesh.cells.size:
         out.dimensions.update({"cell": mesh.cells.shape[0], "corner": mesh.cells.shape[1]})
         cells = np.asarray(mesh.cells, dtype=np.int64)
-        out.create_variable("cells", ("cell", "corner"), data=cells)
+        made = out.create_variable("cells", ("cell", "corner"), data=cells)
+        if mesh.kind:
+            made.attrs["kind"] = mesh.kind
     out.attrs["named_nodes"] = json.dumps(dict(mesh.named))

@@ -95,7 +95,7 @@ class Concerned:
         more = f" and {len(self.those) - SHOWN} others" if len(self.those) > SHOWN else ""
         return (
             f"{self.effect} is not in all {self.blades} blades: that some have it has "
-            f"{self.nat:.1f} nat more, about {self.share:.0%} of them, "
+            f"{self.nat:z.1f} nat more, about {self.share:.0%} of them, "
             f"{', '.join(self.those[:SHOWN])}{more} rather than the rest"
         )
 

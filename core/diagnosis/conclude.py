@@ -181,7 +181,7 @@ def conclude(
     sure = sorted({c for c in claims.values() if c is not None})
     if all(c is not None for c in claims.values()):
         verbs = ("gain", "leave") if len(sure) > 1 else ("gains", "leaves")
-        whys = [f"{' and '.join(sure)} {verbs[0]} {gained:.1f} nat and {verbs[1]} nothing behind"]
+        whys = [f"{' and '.join(sure)} {verbs[0]} {gained:z.1f} nat and {verbs[1]} nothing behind"]
         whys += [
             f"how {claim} runs is open: {name} has {evidence.get(name, 0.0):.0%} of the evidence"
             for name, claim in claims.items()
@@ -223,8 +223,8 @@ def _apart(held: Held) -> str:
     if held.gained is not None and min(held.gained) < CONFIRMED:
         first, second = held.gained
         return (
-            f"{held.effect} is not found {held.by} in each by itself: they gain {first:.1f} and "
-            f"{second:.1f} nat, {CONFIRMED:g} are asked for"
+            f"{held.effect} is not found {held.by} in each by itself: they gain {first:z.1f} and "
+            f"{second:z.1f} nat, {CONFIRMED:g} are asked for"
         )
     return f"the amplitude of {held.effect} does not hold: it is {_sizes(held)}"
 

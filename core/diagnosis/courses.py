@@ -80,5 +80,5 @@ def with_both(
         return None
     return made, (
         f"{own.name} and {more.name} are both in the model, as shares of one course: they gain "
-        f"{made.gained:.1f} nat, {own.name} alone {taken.gained:.1f}"
+        f"{made.gained:z.1f} nat, {own.name} alone {taken.gained:z.1f}"
     )

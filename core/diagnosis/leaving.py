@@ -78,7 +78,7 @@ def _why(taken: Rival, rest: Rival, held: Sequence[Held]) -> str:
     for one in held:
         if one.effect == out and one.gained is not None and not one.stands:
             first, second = one.gained
-            return f", but not in each half by itself ({first:.1f} and {second:.1f} {one.by})"
+            return f", but not in each half by itself ({first:z.1f} and {second:z.1f} {one.by})"
     return ", and amplitudes would not hold between halves beside it"
 
 
@@ -86,7 +86,7 @@ def _fewer(taken: Rival, rest: Rival, p: float, why: str = "") -> Fewer:
     gone = [c.name for c in taken.effects if c not in rest.effects]
     gain = taken.gained - rest.gained
     told = (
-        f"{' and '.join(gone)} would gain {gain:.1f} nat more{why}; what is left without has "
+        f"{' and '.join(gone)} would gain {gain:z.1f} nat more{why}; what is left without has "
         f"p = {p:.2g} and no name of its own"
     )
     return Fewer(rest, p, told)

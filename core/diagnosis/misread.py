@@ -204,7 +204,7 @@ def understated(read: LeftOut) -> tuple[str, ...]:
 
 
 def _told(reading: Inspection, z: float) -> str:
-    return f"{reading.id} (blade {reading.blade}, {reading.time_h:,.0f} h, {z:+.1f} sd)"
+    return f"{reading.id} (blade {reading.blade}, {reading.time_h:,.0f} h, {z:+z.1f} sd)"
 
 
 def copied(readings: Sequence[Inspection]) -> tuple[str, ...]:

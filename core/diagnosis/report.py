@@ -11,7 +11,7 @@ density of a normal with the prediction's mean and sd [nat per reading].
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,17 +78,23 @@ class BeforeAfter:
     forecast: tuple[tuple[float, float], tuple[float, float]]
 
 
-def held_out(readings: Sequence[Inspection], quantity: str) -> tuple[Inspection, ...]:
+def held_out(
+    readings: Sequence[Inspection], quantity: str, concerned: Collection[str] = ()
+) -> tuple[Inspection, ...]:
     """Single values of the latest third of its hours of every second blade with two or more.
 
     What a reading of several nodes says of each is not scored.
+
+    concerned  blades of which both models say different things; where none of them is among the
+               second, fourth … (lots that alternate over the slots), it is the first, third …
     """
     of = [r for r in readings if r.quantity == quantity and r.values.size == 1]
     at: dict[str, set[float]] = {}
     for r in of:
         at.setdefault(r.blade, set()).add(r.time_h)
     hours = {b: sorted(at[b]) for b in sorted(at) if len(at[b]) > 1}
-    first = {b: hours[b][-max(1, len(hours[b]) // 3)] for b in list(hours)[1::2]}
+    begin = 0 if concerned and not set(concerned) & {*list(hours)[1::2]} else 1
+    first = {b: hours[b][-max(1, len(hours[b]) // 3)] for b in list(hours)[begin::2]}
     held = [r for r in of if r.blade in first and r.time_h >= first[r.blade]]
     return tuple(sorted(held, key=lambda r: (r.blade, r.time_h, r.id)))
 
@@ -109,7 +115,7 @@ def before_after(
     states  of both models with all readings: where to look first
     blades  whose forecast is told; none: all
     """
-    held, kept = parted(readings, quantity)
+    held, kept = parted(readings, quantity, concerned(models, spec.blades))
     work = workspace or Workspace()
     found = []
     for i, (model, which) in enumerate(zip(models, ("before", "after"), strict=True)):
@@ -122,15 +128,22 @@ def before_after(
     return BeforeAfter(quantity, tuple(r.id for r in held), before, after, horizon_h, (then, now))
 
 
+def concerned(models: tuple[Model, Model], blades: Sequence[str]) -> set[str]:
+    """Blades that the second model moves otherwise than the first."""
+    own = [[m.network.for_blade(b) for b in blades] for m in models]
+    pairs = zip(blades, *own, strict=True)
+    return {b for b, p, q in pairs if (p.drifts, p.biases) != (q.drifts, q.biases)}
+
+
 def parted(
-    readings: Sequence[Inspection], quantity: str
+    readings: Sequence[Inspection], quantity: str, concerned: Collection[str] = ()
 ) -> tuple[tuple[Inspection, ...], list[Inspection]]:
     """What is held out (`held_out`), and what a calibration without it may use.
 
     Of a blade whose readings are held out nothing of those hours is used, of no other quantity
     either: what comes after them is not known when they are foretold.
     """
-    held = held_out(readings, quantity)
+    held = held_out(readings, quantity, concerned)
     first: dict[str, float] = {}  # hour of a blade's first reading that is held out
     for r in held:
         first[r.blade] = min(r.time_h, first.get(r.blade, r.time_h))

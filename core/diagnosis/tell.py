@@ -111,12 +111,11 @@ def in_words(wide: Widened) -> str:
     what = f"a discrepancy of {wide.quantity} over operating hours, the same in all blades,"
     if not wide.settled:
         return f"{what} could not be calibrated: too few nodes carry its posterior"
+    gains = f"{what} gains {wide.gained:z.1f} nat"
     if not wide.borne_out:
-        return f"{what} gains {wide.gained:.1f} nat, where {EARNED:g} are asked for: it is left out"
-    return (
-        f"{what} gains {wide.gained:.1f} nat and is {wide.share:.0%} of the variance at "
-        f"{wide.hour_h:,.0f} h; it names no cause"
-    )
+        return f"{gains}, where {EARNED:g} are asked for: it is left out"
+    share = f"{wide.share:.0%} of the variance at {wide.hour_h:,.0f} h"
+    return f"{gains} and is {share}; it names no cause"
 
 
 def _calibrated(cells: Sequence[Cell], gained: float) -> Json:

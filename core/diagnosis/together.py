@@ -62,7 +62,7 @@ def shared(verdict: Verdict, turns: Sequence[Turn], prices: Mapping[Cell, float]
         return verdict
     first, *rest = verdict.reasons
     told = ", ".join(names[:SHOWN]) + ", …" * (len(names) > SHOWN)
-    why = f"{first} by itself; {len(names)} do together, by {gained:.1f} nat: {told}"
+    why = f"{first} by itself; {len(names)} do together, by {gained:z.1f} nat: {told}"
     return replace(verdict, several=names, reasons=(why, *rest))
 
 

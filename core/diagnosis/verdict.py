@@ -133,7 +133,7 @@ def judge(scan: Scan, seed: int, alarm: float = ALARM, dealt: int = DEALT) -> Ve
         return Verdict("adequate", p, None, (), None, (), {}, tried, (), (why,))
     hypotheses = weighed(scan)
     if not hypotheses:
-        why = f"a misfit without a name gains {top:.1f} nat, and no family is left to look for"
+        why = f"a misfit without a name gains {top:z.1f} nat, and no family is left to look for"
         return Verdict("unattributed", p, None, (), None, (), {}, tried, (), (why,))
     evidence = evidence_of(hypotheses)
     named = tuple(sorted(n for n, w in evidence.items() if w >= NAMED))

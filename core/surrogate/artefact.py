@@ -62,7 +62,7 @@ def _unpack(model: Surrogate) -> tuple[dict[str, Any], Arrays]:
         parts[name] = {"form": part.form, "columns": columns, "inflation": part.inflation}
         if factors.early_h != EARLY_H:
             parts[name]["early_h"] = factors.early_h
-    structure = {
+    structure: dict[str, Any] = {
         "inputs": [asdict(item) for item in model.inputs],
         "quantities": [asdict(quantity) for quantity in model.quantities.values()],
         "named": dict(model.named),
@@ -70,6 +70,8 @@ def _unpack(model: Surrogate) -> tuple[dict[str, Any], Arrays]:
         "parts": parts,
         "v_typical": model.v_typical,
     }
+    if model.cells is not None:
+        structure["cells"], arrays["cells"] = model.cells
     return json.loads(json.dumps(structure)), arrays
 
 
@@ -177,6 +179,7 @@ def _pack(manifest: dict[str, Any], arrays: Arrays) -> Surrogate:
             one["inflation"],
         )
     process = SharedGP(hyper=hyper, **{name: arrays[f"process/{name}"] for name in _PROCESS})
+    cells = (structure["cells"], arrays["cells"]) if "cells" in structure else None
     return Surrogate(
         inputs=tuple(Input(**item) for item in structure["inputs"]),
         time_h=arrays["time_h"],
@@ -186,6 +189,7 @@ def _pack(manifest: dict[str, Any], arrays: Arrays) -> Surrogate:
         process=process,
         parts=parts,
         v_typical=structure["v_typical"],
+        cells=cells,
         manifest=manifest,
         digest=manifest["digest"],
     )

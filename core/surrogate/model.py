@@ -41,6 +41,7 @@ class Surrogate:
 
     inputs, time_h, quantities  what it covers; outside of it a RangeError
     points, named               the mesh's nodes (N, 3) [mm] and those with a name
+    cells                       of a user's mesh: kind (`core.archive.cells`), node numbers (E, n)
     manifest                    where it comes from and how well it did (JSON-able)
     digest                      SHA-256 of its content
     """
@@ -53,6 +54,7 @@ class Surrogate:
     process: SharedGP
     parts: Mapping[str, Part]
     v_typical: float
+    cells: tuple[str, NDArray[np.int64]] | None = None
     manifest: Mapping[str, Any] = field(default_factory=dict)
     digest: str = ""
     _compilers: dict[int, Compiler] = field(default_factory=dict, repr=False, compare=False)
@@ -82,9 +84,8 @@ class Surrogate:
         x = np.atleast_2d(np.asarray(x, dtype=float))
         low, high = self.low, self.high
         if x.shape[1] != len(low):
-            raise InputError(
-                "x", x.shape, "is the wrong shape", f"give (n, {len(low)}): {self._names()}"
-            )
+            names = ", ".join(item.name for item in self.inputs)
+            raise InputError("x", x.shape, "is the wrong shape", f"give (n, {len(low)}): {names}")
         inside = (x >= low - 1e-9 * (high - low)) & (x <= high + 1e-9 * (high - low))
         if not np.all(inside):
             i, j = (int(k) for k in np.argwhere(~inside)[0])
@@ -95,9 +96,6 @@ class Surrogate:
                 "stay inside the runs or train on a wider box",
             )
         return np.asarray(2.0 * (x - low) / (high - low) - 1.0)
-
-    def _names(self) -> str:
-        return ", ".join(item.name for item in self.inputs)
 
     def check_times(self, times: Sequence[float] | Array | float) -> Array:
         """Times (T,) inside 0 … horizon, or a RangeError."""

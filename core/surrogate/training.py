@@ -85,6 +85,7 @@ def train(
         quantities=quantities,
         points=np.asarray(mesh.points, dtype=float),
         named=dict(mesh.named),
+        cells=(mesh.kind, np.asarray(mesh.cells, dtype=np.int64)) if mesh.kind else None,
         process=process,
         parts=parts,
         v_typical=typical_variance(process),

@@ -25,13 +25,13 @@ def around(mean: float | None, sd: float | None) -> str:
     """Mean ± sd, to two digits of the sd as on the pages, with a minus that programs read.
 
     >>> around(-0.80973, 0.2712), around(0.36, 0.0584), around(1234.5, 20.0)
-    ('-0.81 ± 0.27', '0.360 ± 0.058', '1234 ± 20')
+    ('-0.81 ± 0.27', '0.360 ± 0.058', '1,234 ± 20')
     >>> around(2 / 3, 1e-14)
     '0.667'
     """
     if mean is not None and sd is not None and sd < ROUNDING * abs(mean):
         sd = 0.0
-    return with_sd(mean, sd).replace("−", "-").replace(",", "")
+    return with_sd(mean, sd).replace("−", "-")
 
 
 def blade_lines(told: Told, width: int | None) -> Iterator[str]:
@@ -54,12 +54,12 @@ def heading(asked: Told) -> str:
 
     >>> asked = {"quantity": "deformation", "unit": "mm", "time_h": 16000.0}
     >>> heading(asked | {"node": 5440, "place": "tip", "vector": True})
-    'deformation x, y, z [mm] at node 5440 (tip), 16000 h'
+    'deformation x, y, z [mm] at node 5440 (tip), 16,000 h'
     """
     of = f"{asked['quantity']}{' x, y, z' if asked.get('vector') else ''} [{asked['unit']}]"
     name = f" ({asked['place']})" if asked.get("place") else ""
     where = "" if asked["node"] is None else f"node {asked['node']}{name}, "
-    return f"{of} at {where}{asked['time_h']:.10g} h"
+    return f"{of} at {where}{asked['time_h']:,.10g} h"
 
 
 def _lines(told: Told, *, short: bool) -> Iterator[str]:
@@ -70,7 +70,8 @@ def _lines(told: Told, *, short: bool) -> Iterator[str]:
     what = heading(asked | {"vector": vector})
     if short:
         yield f"predicted: {what}"
-    head = ["blade", "slot", "lot", "readings", "last entry [h]", "mean ± sd" if short else what]
+    head = ["blade", "slot", "lot", "readings", "posted last, at [h]"]
+    head.append("mean ± sd" if short else what)
     units = told["units"]
     named = [f"{name} [{units[name]}]" if name in units else name for name in local]
     of_limit = ["" if short else f"margin{' of z' if vector else ''} [sd]", "age [h]", "passed"]
@@ -80,11 +81,11 @@ def _lines(told: Told, *, short: bool) -> Iterator[str]:
         readings, last = blade["readings"], blade["readings"]["last"]
         place = ["", ""] if short else [blade["slot"] or "", blade["lot"] or ""]
         row = [blade["id"], *place, str(readings["counting"])]
-        row += ["" if last is None else f"{last['time_h']:.10g}", predicted(blade["prediction"])]
+        row += ["" if last is None else f"{last['time_h']:,.10g}", predicted(blade["prediction"])]
         left = blade.get("margin_sd")
         passed, age = blade.get("passed"), blade.get("age_h")
-        row += ["" if left is None or short else f"{left:.1f}"] if margin else []
-        row += ["" if age is None else f"{age:.10g}"] if margin else []
+        row += ["" if left is None or short else f"{left:z.1f}"] if margin else []
+        row += ["" if age is None else f"{age:,.10g}"] if margin else []
         row += ["" if passed is None else percent(passed)] if margin else []
         row += [around(one["mean"], one["sd"]) for one in map(blade["parameters"].get, local)]
         rows.append([*row, noted(blade, left)])

@@ -222,15 +222,15 @@ def _passing(asked: Told, life: Told) -> str:
 
     >>> life = {"time_h": 32000.0, "ahead": False, "expected": 1.28, "any": 0.634}
     >>> _passing({"limit": 0.4, "unit": "mm"}, life)
-    '0.4 mm by 32000 h of each blade: 1.3 expected past it, at least one with 63 %'
+    '0.4 mm by 32,000 h of each blade: 1.3 expected past it, at least one with 63 %'
     >>> _passing({"limit": 0.4, "unit": "1"}, life | {"time_h": 8000.0, "ahead": True})
-    '0.4 within 8000 h from now on: 1.3 expected past it, at least one with 63 %'
+    '0.4 within 8,000 h from now on: 1.3 expected past it, at least one with 63 %'
     """
     unit = "" if asked["unit"] == "1" else f" {asked['unit']}"
     past = f"{life['expected']:.1f} expected past it, at least one with {percent(life['any'])}"
-    hour = f"{life['time_h']:.10g} h"
+    hour = f"{life['time_h']:,.10g} h"
     when = f"within {hour} from now on" if life["ahead"] else f"by {hour} of each blade"
-    return f"{asked['limit']:.10g}{unit} {when}: {past}"
+    return f"{asked['limit']:,.10g}{unit} {when}: {past}"
 
 
 def _residuals(tested: Told | None) -> Iterator[str]:

@@ -20,7 +20,11 @@ from numpy.typing import NDArray
 
 from service.ports import Mesh
 
-CELL_TYPES = {"triangle": 5, "hexahedron20": 25}  # vtkCellType.h
+# vtkCellType.h; of linear wedges VTK's order is not that of most codes
+CELL_TYPES = {
+    "vertex": 1, "line": 3, "triangle": 5, "quad": 9, "tetra": 10, "hexahedron": 12, "wedge": 13,
+    "pyramid": 14, "triangle6": 22, "quad8": 23, "tetra10": 24, "hexahedron20": 25,
+}  # fmt: skip
 NAMES = {"f8": "Float64", "i8": "Int64", "u1": "UInt8"}
 Numbers = NDArray[Any]
 

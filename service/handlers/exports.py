@@ -177,7 +177,7 @@ def field_vtu(store: Store, science: Science, found: Basis, told: Mapping[str, A
     """The answer of ``GET …/field`` on the model's mesh. NotFoundError: the model has none."""
     mesh = science.mesh(found.card)
     if mesh is None:
-        remedy = "its field is not on a mesh that is known here: use format=json"
+        remedy = "its runs gave the nodes no places (points): use format=json"
         raise NotFoundError("mesh of model", found.card.id, remedy)
     name, unit = told["quantity"], told["unit"]
     data = {f"{name} {what} [{unit}]": np.array(told[what]) for what in ("mean", "sd")}

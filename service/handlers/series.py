@@ -114,7 +114,7 @@ def mesh_of(science: Science, found: Basis) -> Mesh:
     """The model's mesh. NotFoundError: it has none that is known."""
     mesh = science.mesh(found.card)
     if mesh is None:
-        remedy = "its fields are not on a mesh that is known here: use format=npz"
+        remedy = "its runs gave the nodes no places (points): use format=npz"
         raise NotFoundError("mesh of model", found.card.id, remedy)
     return mesh
 
@@ -124,10 +124,12 @@ def pvd(
 ) -> Iterator[bytes]:
     """A zip of a PVD and its VTU files.
 
-    ring   the blades stand around the rotor's axis, else where the model has its one blade
+    ring   the blades stand around the rotor's axis, else where the model has its one blade; so
+           they do on a user's mesh, of which nothing tells where such an axis is
     """
     names = [blade.id for blade in wanted.blades]
-    places = files.angles(wanted.blades, wanted.everyone) if ring else [None] * len(names)
+    turned = ring and not mesh.own
+    places = files.angles(wanted.blades, wanted.everyone) if turned else [None] * len(names)
 
     def written() -> Iterable[tuple[str, bytes]]:
         yield "field.pvd", files.pvd(names, wanted.hours)

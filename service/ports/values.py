@@ -206,11 +206,15 @@ class Surface:
 class Mesh:
     """A model's mesh: points (N, 3) [mm], cells (E, n) of node numbers, all of one kind, in VTK's
     order of nodes.
+
+    kind  as meshio calls it (`service.export.vtu.CELL_TYPES`)
+    own   a user's, of which nothing tells where its rotor's axis is
     """
 
     points: NDArray[np.float64]
     cells: NDArray[np.int64]
-    kind: Literal["hexahedron20", "triangle"]
+    kind: str
+    own: bool = False
 
 
 class Forward(Protocol):

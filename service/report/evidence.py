@@ -71,7 +71,7 @@ def held(found: Json) -> Markup:
             word, kind = "does not agree", "mark"
         if one.get("gained_nat"):
             first, second = one["gained_nat"]
-            word += f"; the halves by themselves gain {first:.1f} and {second:.1f} nat"
+            word += f"; the halves by themselves gain {first:z.1f} and {second:z.1f} nat"
             kind = "mark" if not (one["agrees"] and one["stands"]) else "better"
         what = [one.get("effect", ""), one["by"]]
         rows.append([*what, number(a), number(b), number(one["sd"]), cell(word, kind=kind)])

@@ -157,7 +157,7 @@ def bars(title: str, axis: str, values: Sequence[tuple[str, float]], *, share: b
         parts.append(words(left - 8, level + 15, short(name, 52), "tick", "end"))
         a, b = sorted((x(0.0), x(max(low, min(high, value)))))
         parts.append(block(a, level + 4, b - a, tall - 8, "after bar", name))
-        said = f"{value:.0f} %" if share else f"{value:+.1f}".replace("-", "−")
+        said = f"{value:.0f} %" if share else f"{value:+z.1f}".replace("-", "−")
         parts.append(words(WIDE - 58, level + 15, said, "tick"))
     if low < 0:
         parts.append(line(x(0.0), top, x(0.0), end, "zero"))

@@ -107,7 +107,7 @@ def _map(
                 x = place[blade]
                 parts.append(block(x + 0.5, y + 0.5, wide - 1, tall - 1, f"cell {klass(z)}", where))
                 if abs(z) >= EDGES[3] and wide >= 22:
-                    said = f"{z:+.1f}".replace("-", "−")
+                    said = f"{z:+z.1f}".replace("-", "−")
                     kind = f"in-cell on-{klass(z)}"
                     parts.append(words(x + wide / 2, y + 14, said, kind, "middle"))
             y += tall

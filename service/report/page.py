@@ -111,7 +111,7 @@ def _key_figures(found: Json) -> Markup:
     if (compared := found["before_after"]) is not None:
         a, b = compared["before"]["rmse"], compared["after"]["rmse"]
         if a and b is not None:
-            change = f"{100 * (b / a - 1):+.0f} %".replace("-", "−")
+            change = f"{100 * (b / a - 1):+z.0f} %".replace("-", "−")
             whose = "" if found["claimed"] else ", by the discrepancy"
             told.append((change, f"RMSE on readings not used{whose}"))
     return facts(told)

@@ -127,14 +127,14 @@ def test_a_page_fits_a_telephone(watched: Watched, path: str, diagnosis: str) ->
 
 def test_a_field_on_the_page_of_the_rotor_is_told_at_its_node(watched: Watched) -> None:
     for quantity, where in (
-        ("deformation", "deformation, z (radius), at node 5440 (tip) at 50 000 h"),
-        ("ceeq", "ceeq at node 2840 (critical) at 50 000 h"),
-        ("elongation", "elongation at 50 000 h"),
+        ("deformation", "deformation, z (radius), at node 5440 (tip) at 50,000 h"),
+        ("ceeq", "ceeq at node 2840 (critical) at 50,000 h"),
+        ("elongation", "elongation at 50,000 h"),
     ):
         page = watched.open(f"/rotors/r1?quantity={quantity}")
         table = page.get_by_role("region", name="Blades").locator("caption")
         expect(table).to_contain_text(f"Predicted {where} of each blade's own operation;")
-        expect(page.get_by_role("button", name="Last entry")).to_be_visible()
+        expect(page.get_by_role("button", name="Posted last, at")).to_be_visible()
 
 
 def test_parameters_that_are_one_value_are_told_as_such(watched: Watched) -> None:

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 from core.archive.arrays import convert_arrays
+from core.archive.cells import CORNERS
 from core.archive.faults import RunsError
 from core.archive.meshes import convert_meshes
 from core.archive.opening import opened
@@ -18,6 +19,8 @@ from core.archive.table import convert_table, read_table
 from core.archive.take import take
 from core.errors import ModelError, UnitError
 from core.units import ratio, unit
+from service.export.vtu import vtu
+from service.ports import Mesh
 from tests.exchanger import TIME_H, drop, network, points, write_table
 
 
@@ -70,6 +73,7 @@ def test_runs_of_a_table_may_have_instants_of_their_own(tmp_path: Path) -> None:
         ("run,time [h],a [1],y\n1,0,2,3\n", "column y", "has no unit"),
         ("run,time [h],a [1],y [smoot]\n1,0,2,3\n", "column y", "is no unit"),
         ("run,time [mm],a [1],y [K]\n1,0,2,3\n", "column time", "not of s"),
+        ("run,time [a],a [1],y [K]\n1,0,2,3\n", "column time", "does not say how many hours"),
         ("time [h],a [1],y [K]\n0,2,3\n", "header", "missing among the columns"),
         ("run,time [h],a [1],a [1]\n1,0,2,3\n", "header", "a column twice"),
         ("run,time [h],a [1],y [K]\n1,0,2,3\n1,5,2,4;5\n", "line 3: y", "is no number"),
@@ -182,6 +186,24 @@ def test_a_series_of_mesh_files_becomes_fields_on_one_mesh(tmp_path: Path) -> No
         assert source.inputs["load"].values.tolist() == [1.0, 2.0, 3.0]
 
 
+@pytest.mark.parametrize("kind", ["quad", "tetra", "wedge", "hexahedron"])
+def test_the_cells_of_mesh_files_stay_what_they_are_in_vtks_order(
+    kind: str, tmp_path: Path
+) -> None:
+    lines, told = ["run,time [h],file,load [kN]"], np.arange(CORNERS[kind])[None]
+    points = np.random.default_rng(0).random((CORNERS[kind], 3))
+    mesh = Mesh(points, told, kind)  # `vtu` writes it in VTK's order
+    for k, t in np.ndindex(3, 4):
+        name = f"run{k}-{t}.vtu"
+        (tmp_path / name).write_bytes(vtu(mesh, {"warm": k * t * points[:, 0]}, float(t), {}))
+        lines.append(f"{k},{t},{name},{k + 1}")
+    (tmp_path / "runs.csv").write_text("\n".join(lines))
+    convert_meshes(tmp_path / "runs.csv", tmp_path / "runs.nc", {"warm": "K"})
+    with opened(tmp_path / "runs.nc") as source:
+        assert source.mesh.kind == kind
+        assert source.mesh.cells.tolist() == told.tolist()
+
+
 def test_a_plane_mesh_without_z_lies_at_0(tmp_path: Path) -> None:
     """Of xdmf files, whose points have as many coordinates as were written."""
     lines, plane = ["run,time [h],file,load [kN]"], np.random.default_rng(0).random((6, 2))
@@ -217,7 +239,9 @@ def test_a_mesh_file_that_is_missing_moved_or_lacks_the_field_is_named(tmp_path:
     [
         ("m", "mm", 1e3), ("MPa", "Pa", 1e6), ("ksi", "MPa", 6.894757293168), ("%", "1", 0.01),
         ("um/h", "mm/d", 0.024), ("W/(m2 K)", "kW m^-2 K^-1", 1e-3), ("m²·K/W", "m2 K/W", 1.0),
-        ("min", "h", 1 / 60), ("l/min", "m3/h", 0.06), ("N mm", "J", 1e-3),
+        ("min", "h", 1 / 60), ("mm/yr", "um/h", 1e3 / 8766), ("1/kh", "1/h", 1e-3),
+        ("hours", "days", 1 / 24), ("seconds", "hr", 1 / 3600), ("weeks", "h", 168.0),
+        ("l/min", "m3/h", 0.06), ("N mm", "J", 1e-3),
     ],
 )  # fmt: skip
 def test_units_of_the_same_differ_by_their_factor(given: str, wanted: str, factor: float) -> None:

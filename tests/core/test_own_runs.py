@@ -17,6 +17,7 @@ from core.archive.take import take
 from core.errors import InputError, ModelError
 from core.model import Model
 from core.network import Network
+from core.surrogate.artefact import load
 from core.surrogate.own import make
 from tests import exchanger
 from tests.exchanger import BOTH, NETWORK, TIME_H, dataset, drop, network, points, stored
@@ -168,6 +169,27 @@ def test_fields_and_vectors_of_no_creeping_body_are_learnt_and_read(tmp_path: Pa
     assert sd.shape == (1, 2, 1)
 
 
+def test_a_users_cells_stay_with_the_model(tmp_path: Path) -> None:
+    """They were read and thrown away, and fields of such a model were refused as VTU."""
+    lines = np.array([[k, k + 1] for k in range(9)])
+    drawn = plate().assign(cells=(("cell", "corner"), lines))
+    made = {}
+    for name, data in {"bare": plate(), "drawn": drawn}.items():
+        with opened(stored(data, tmp_path / f"{name}.nc")) as source:
+            made[name], _ = make(source, network(FIELD), tmp_path / name)
+    read = load(tmp_path / "drawn")
+    assert read.cells is not None
+    assert read.cells[0] == "line"
+    assert read.cells[1].tolist() == lines.tolist()
+    assert read.digest == made["drawn"].digest != made["bare"].digest
+    assert load(tmp_path / "bare").cells is None, "and a model without is what it was"
+    told = drawn.assign(cells=(("cell", "corner"), lines, {"kind": "triangle"}))
+    (fault,) = refused(told, tmp_path, network(FIELD))
+    assert fault.what == "kind of cells"
+    said = drawn.assign(cells=(("cell", "corner"), lines, {"kind": "line"}))
+    taken(said, tmp_path, network(FIELD))
+
+
 @pytest.mark.parametrize(
     ("variable", "units", "field", "words"),
     [
@@ -176,6 +198,7 @@ def test_fields_and_vectors_of_no_creeping_body_are_learnt_and_read(tmp_path: Pa
         ("drop", "mm", "units of quantity drop", "unit of m, not of m^-1 kg s^-2"),
         ("roughness", "degC", "units of input roughness", "unit of K, not of m"),
         ("time", "kPa", "units of time", "not of s"),
+        ("time", "yr", "units of time", "does not say how many hours"),
     ],
 )
 def test_a_unit_that_is_none_or_measures_something_else_is_refused(
@@ -420,6 +443,33 @@ def test_a_family_that_runs_in_time_is_refused_where_nothing_is_followed(tmp_pat
     (tmp_path / "b").mkdir()
     _, found, _ = taken(dataset(), tmp_path / "b", network(NETWORK + family % "constant, linear"))
     assert [one.what for one in found.warnings] == ["quantity transfer"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "what", "words"),
+    [
+        ("of: fouling_rate, size: 1.0e-16", "size", "too small for any reading to show"),
+        ("of: fouling_rate, size: 1.0e-3", "size", "larger than all there can be of fouling_rate"),
+        ("of: drop, target: reading, size: 1.0e-7", "size", "of the least noise of drop, 0.05"),
+    ],
+)
+def test_a_family_of_a_size_that_cannot_be_meant_is_refused(
+    changes: str, what: str, words: str, tmp_path: Path
+) -> None:
+    """1e-12 of an input's range was looked for in every diagnosis, and never found."""
+    family = """families:
+  - {name: silt, sentence: silt settles, target: input, how: plus, sign: 1, shapes: [constant],
+     whom: [all], clock: blade, kind: physics, %s}
+"""
+    told = changes.split(", ")
+    text = family % changes
+    if "target: reading" in told:
+        text = text.replace("target: input, ", "")
+    (fault,) = refused(dataset(), tmp_path, network(NETWORK + text))
+    assert fault.what == f"{what} of the effect 'silt'"
+    assert words in fault.problem
+    (tmp_path / "b").mkdir()
+    taken(dataset(), tmp_path / "b", network(NETWORK + family % "of: fouling_rate, size: 1.0e-5"))
 
 
 def test_an_elongation_that_does_not_grow_with_creep_cannot_follow_an_input_that_sleeps(

@@ -21,7 +21,7 @@ from core.diagnosis.adopt import with_effects
 from core.diagnosis.grammar import Cell
 from core.diagnosis.verdict import judge
 from core.errors import InputError
-from core.model import Model, rotor_blade
+from core.model import Model, rotor_blade, rotor_blade_wide
 from core.observation import Inspection
 from core.prior import Prior
 from core.surrogate.formula import FormulaInput, FormulaModel
@@ -411,17 +411,35 @@ def test_a_family_of_an_input_that_the_model_has_not_is_refused_before_anything_
         {"size": 1e300},
         {"how": "times", "size": 11.0},
         CONSTANT | {"of": "t1t_rate", "size": 0.21},
+        {"size": 1e-9},
+        {"how": "times", "size": 1e-6},
+        CONSTANT | {"of": "t1t_rate", "size": 2e-13},
     ],
 )
-def test_a_family_that_is_larger_than_all_there_is_is_refused(
+def test_a_family_of_more_than_there_is_or_than_any_reading_shows_is_refused(
     fleet: SqlStore, changes: Json
 ) -> None:
-    """Of 1e300 mm nothing can be computed: the test of chance had p = 0 in a sound rotor."""
+    """Of 1e300 mm nothing can be computed: the test of chance had p = 0 in a sound rotor. One of
+    1e-12 of the range was looked for, and never found."""
     science = formula_science()
     with pytest.raises(InputError, match=r"families\[0\].size"):
         request_diagnosis(fleet, science, "r1", [FAMILY | changes], compare=True, horizon_h=None)
     fits = FAMILY | CONSTANT | {"of": "t1t_rate", "size": 0.19}
     assert request_diagnosis(fleet, science, "r1", [fits], compare=True, horizon_h=None)[1]
+
+
+@pytest.mark.parametrize("shapes", [["linear"], ["constant", "step"]])
+@pytest.mark.parametrize("of", ["wall_loss", "tertiary"])
+def test_a_course_of_what_no_finite_elements_run_in_time_is_refused(
+    of: str, shapes: list[str]
+) -> None:
+    lost = FAMILY | CONSTANT | {"of": of, "name": "lost", "size": 0.05}
+    with pytest.raises(InputError, match=r"families\[0\].shapes") as caught:
+        effects.families_of(rotor_blade_wide(), [lost | {"shapes": shapes}])
+    assert f"{of} does not" in caught.value.problem
+    assert effects.families_of(rotor_blade_wide(), [lost])[0].of == of
+    cool = lost | {"of": "cooling_flow", "shapes": shapes}
+    assert effects.families_of(rotor_blade_wide(), [cool]), "the negative control"
 
 
 def test_a_family_of_readings_at_many_nodes_is_refused() -> None:

@@ -14,13 +14,14 @@ import numpy as np
 import pandas
 import pytest
 
+from core.archive.cells import CORNERS, FROM_MESHIO
 from core.blade.geometry import build_mesh
 from core.calibration.state import Posterior
 from core.model import rotor_blade
 from core.observation import Inspection
 from core.smc.particles import Particles
-from service.export.vtu import vtu
-from service.fields import field_of, mesh_of
+from service.export.vtu import CELL_TYPES, vtu
+from service.fields import field_of, mesh_of, surface_of
 from service.ports import Mesh
 from service.science import CoreScience
 from service.worker.loop import Worker
@@ -103,6 +104,32 @@ def test_a_model_that_effects_drive_keeps_its_mesh() -> None:
     fine = science.builtin("rotor-blade").summary["errors"]
     assert card.summary["anchor"]["errors"] == fine
     assert card.summary["errors"] != fine
+
+
+@pytest.mark.parametrize("kind", [*CELL_TYPES])
+def test_meshio_reads_a_users_mesh_of_every_kind_of_cells(kind: str, tmp_path: Path) -> None:
+    assert CELL_TYPES.keys() == CORNERS.keys()
+    points = np.random.default_rng(1).random((CORNERS[kind] + 3, 3))
+    cells = np.array([np.arange(CORNERS[kind]), 3 + np.arange(CORNERS[kind])])
+    mesh = mesh_of(points, None, (kind, cells))
+    assert mesh is not None
+    assert mesh.own
+    field = points[:, 0]
+    found = read(vtu(mesh, {"warmth mean [K]": field}, 8.0, {}), tmp_path)
+    assert found.points.tolist() == points.tolist()
+    order = FROM_MESHIO.get(kind, [*range(CORNERS[kind])])
+    assert found.cells_dict[kind][:, order].tolist() == cells.tolist()
+    assert found.point_data["warmth mean [K]"].tolist() == field.tolist()
+
+
+def test_without_cells_the_nodes_are_drawn_and_without_places_nothing_is() -> None:
+    points = np.random.default_rng(1).random((4, 3))
+    mesh = mesh_of(points, None)
+    assert mesh is not None
+    assert (mesh.kind, mesh.cells.tolist()) == ("vertex", [[0], [1], [2], [3]])
+    points[2] = np.nan
+    assert mesh_of(points, None) is None
+    assert surface_of(points[:2], None) is None
 
 
 def test_names_and_numbers_of_a_vtu_are_those_given(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_hours_ahead_are_of_each_blade_from_its_own_age(api: httpx.Client, url: 
         assert "margin_sd" not in blade, "it would be of another hour"
     assert [one["age_h"] for one in told["blades"]] == [8000.0, 16_000.0, None]
     text = run(*words)
-    assert "  limit    0.5 mm within 8000 h from now on: " in text
+    assert "  limit    0.5 mm within 8,000 h from now on: " in text
     head = next(line for line in text.splitlines() if line.startswith("blade "))
     assert re.search(r"age \[h\]  passed ", head)
     assert "margin" not in head
@@ -109,7 +109,8 @@ def test_people_get_a_table_with_what_to_look_at(api: httpx.Client, url: str) ->
     )
     assert "  health   ok" in lines
     head = next(line for line in lines if line.startswith("blade "))
-    assert "elongation [mm] at 50000 h" in head
+    assert "elongation [mm] at 50,000 h" in head
+    assert "posted last, at [h]" in head, "its hour: a late reading has an early one"
     assert "offset [mm]" in head
     rate = api.get("/v1/rotors/r1/posterior").json()["parameters"]["rate"]
     assert f"  rate = {around(rate['mean'], rate['sd'])} mm" in lines
@@ -126,7 +127,7 @@ def test_people_get_a_table_with_what_to_look_at(api: httpx.Client, url: str) ->
     assert not rows["B1"].endswith("%")
     expected, at_all = told["life"]["expected"], percent(told["life"]["any"])
     assert (
-        f"  limit    1 mm by 50000 h of each blade: {expected:.1f} expected past it, "
+        f"  limit    1 mm by 50,000 h of each blade: {expected:.1f} expected past it, "
         f"at least one with {at_all}"
     ) in lines
     beyond = run("r1", "--url", url, "--limit", "0.1")
@@ -150,19 +151,21 @@ def test_residuals_that_alarm_are_told(url: str, monkeypatch: pytest.MonkeyPatch
 def test_a_vector_is_told_in_three_directions(api: httpx.Client, url: str) -> None:
     asked = ("--quantity", "deformation", "--time-h", "16000", "--node", "17")
     text = run("r1", "--url", url, *asked)
-    assert "deformation x, y, z [mm] at node 17, 16000 h" in text
+    assert "deformation x, y, z [mm] at node 17, 16,000 h" in text
     path = "/v1/rotors/r1/blades?quantity=deformation&time_h=16000&node=17"
     told = api.get(path).json()["items"][1]["prediction"]
     assert f"0, 0, {around(told['mean'][2], told['sd']['blade'][2])}  " in text
     limited = run("r1", "--url", url, *asked, "--limit", "1")
     assert "margin of z [sd]" in limited
-    assert "  limit    1 mm by 16000 h of each blade: 0.0 expected past it" in limited
+    assert "  limit    1 mm by 16,000 h of each blade: 0.0 expected past it" in limited
 
 
 def test_a_field_is_told_at_its_node_and_what_nobody_chose_as_on_the_pages(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert "ceeq [1] at node 3 (critical), 50000 h" in run("r1", "--url", url, "--quantity", "ceeq")
+    assert "ceeq [1] at node 3 (critical), 50,000 h" in run(
+        "r1", "--url", url, "--quantity", "ceeq"
+    )
     monkeypatch.setattr("service.commands.inspect.USUAL_H", 30_000.0)  # of a model that goes on
     told = json.loads(run("r1", "--url", url, "--quantity", "ceeq", "--json"))
     assert told["question"]["time_h"] == 30_000.0
@@ -179,7 +182,7 @@ def test_a_narrow_terminal_gets_whole_lines(url: str) -> None:
     assert [*blade_lines(told, most)] == wide
     first, head, *rows, left, out = blade_lines(told, 100)
     assert max(map(len, [first, head, *rows, left, out])) <= 100 < most
-    assert first == "predicted: elongation [mm] at 50000 h"
+    assert first == "predicted: elongation [mm] at 50,000 h"
     assert "offset" not in head
     assert [row.split()[0] for row in rows] == ["B1", "B2", "B3"]
     assert left.startswith("slots, lots, margins and parameters are left out")

@@ -3,13 +3,14 @@
 const NBSP = "\u00a0"; // a number is not broken at the end of a line
 const MINUS = "−";
 
+/** With commas for thousands, as the reasons, reports and the terminal have them. */
 const grouped = (text) => {
   const [whole, part] = text.split(".");
-  const spaced = whole.length > 4 ? whole.replace(/\B(?=(\d{3})+$)/g, NBSP) : whole;
-  return part === undefined ? spaced : `${spaced}.${part}`;
+  const told = whole.replace(/\B(?=(\d{3})+$)/g, ",");
+  return part === undefined ? told : `${told}.${part}`;
 };
 
-/** A number with so many decimals: 12 345.6, with a true minus sign. */
+/** A number with so many decimals: 12,345.6, with a true minus sign. */
 export function fixed(value, decimals) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   const text = grouped(Math.abs(value).toFixed(decimals));
@@ -53,7 +54,7 @@ export const axis = (what, name) => `${what} [${unit(name) || "1"}]`;
 export const hoursAlone = (value) => (Math.abs(value) >= 100 || Number.isInteger(value) ? fixed(value, 0) : plain(value, 3));
 export const hours = (value) => (value === null || value === undefined ? "–" : `${hoursAlone(value)}${NBSP}h`);
 
-/** Hours, to a thousandth of the last one or finer: of 50 000 h to 10 h, of 12 h to 0.01 h. */
+/** Hours, to a thousandth of the last one or finer: of 50,000 h to 10 h, of 12 h to 0.01 h. */
 export function hoursOf(value, last) {
   const power = last > 0 ? Math.max(-6, Math.floor(Math.log10(last)) - 3) : 0;
   const shown = power < 0 ? fixed(value, -power) : fixed(Math.round(value / 10 ** power) * 10 ** power, 0);

@@ -148,7 +148,7 @@ function drawBlades(found, blades, life) {
     life && !life.ahead ? { name: "Margin [sd]", value: (b) => plain(b.margin, 2), sort: (b) => b.margin, number: true } : null,
     life ? { name: "Chance past the limit", value: (b) => percent(b.passed), sort: (b) => b.passed, number: true } : null,
     { name: "Readings", value: (b) => `${b.readings.counting}${b.readings.overruled ? ` (+${b.readings.overruled} void)` : ""}`, sort: (b) => b.readings.counting, number: true },
-    { name: "Last entry", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
+    { name: "Posted last, at", value: (b) => hours(b.readings.last?.time_h), sort: (b) => b.readings.last?.time_h, number: true },
     { name: "Received", value: (b) => (b.readings.last ? since(b.readings.last.received_at) : "never"), sort: (b) => b.readings.last?.received_at },
     blades.some((b) => b.lot) ? { name: "Lot", value: (b) => b.lot ?? "–", sort: (b) => b.lot, called: true } : null,
   ].filter(Boolean);

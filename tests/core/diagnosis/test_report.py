@@ -11,10 +11,13 @@ from scipy.stats import norm
 
 from core.calibration.online import update
 from core.calibration.state import RotorSpec, blade_posterior
+from core.course import Course
 from core.diagnosis import report
 from core.diagnosis.densities import density, leans, quantiles
-from core.diagnosis.report import before_after, fleet, held_out, parted, score
-from core.network import Discrepancy
+from core.diagnosis.report import before_after, concerned, fleet, held_out, parted, score
+from core.drift import Bias
+from core.model import Model
+from core.network import Discrepancy, Parameter
 from core.observation import Inspection
 from core.prediction import predict
 from core.prior import Prior
@@ -117,6 +120,21 @@ def test_held_out_is_all_that_was_read_at_a_blades_latest_hours() -> None:
     late = replace(scan, id="late", time_h=9.0)
     held, kept = parted([*data, scan, late], "y")
     assert not {"scan", "late"} & {r.id for r in (*held, *kept)}, "nor is it known"
+
+
+def test_lots_that_alternate_leave_readings_of_the_blades_concerned() -> None:
+    """The lot with the effect was every other blade, and both models were held against blades that
+    it does not concern: the report warned of the better one."""
+    data = readings(4, [0.0, 0.6, 1.2], seed=9, sigma=0.2)
+    assert {r.blade for r in held_out(data, "y", {"b0", "b2"})} == {"b0", "b2"}
+    for blades in ({"b1", "b3"}, {"b0", "b1"}, set()):
+        assert {r.blade for r in held_out(data, "y", blades)} == {"b1", "b3"}
+    gone = Bias("slip", "y", Course.of(1.0), blades=("b0", "b2"))
+    slip = Parameter("slip", "shared", Prior("normal", -1.0, 1.0, 0.0, 0.1))
+    own = replace(MODEL.network, parameters=(*MODEL.network.parameters, slip), biases=(gone,))
+    both = (MODEL, Model.of(own, MODEL.surrogate))
+    assert concerned(both, ("b0", "b1", "b2", "b3")) == {"b0", "b2"}
+    assert concerned((MODEL, MODEL), ("b0", "b1")) == set()
 
 
 def test_nothing_that_a_held_out_blade_was_read_later_is_known(

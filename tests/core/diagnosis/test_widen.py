@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from core.calibration.state import blade_posterior
 from core.diagnosis import Case, Facts
 from core.diagnosis import widen as module
 from core.diagnosis.report import before_after
+from core.diagnosis.tell import in_words
 from core.diagnosis.widen import EARNED, Widened, widen
 from core.model import Model
 from core.prediction import predict
@@ -160,3 +163,12 @@ def test_a_quantity_that_declares_a_discrepancy_is_left_as_it_is() -> None:
     case = case_of(lambda b, v: 0.0)
     state = update(model, SPEC, case.readings)
     assert widen(model, state, case, "y", TIMES[-1]) is None
+
+
+def test_a_gain_of_nothing_has_no_minus(bent: tuple[Case, RotorState, Widened]) -> None:
+    none = replace(bent[-1], gained=-0.03)
+    assert " gains 0.0 nat, where 2 are asked for" in in_words(none)
+    assert " gains -1.2 nat, " in in_words(replace(none, gained=-1.2)), "a loss has one"
+    here = Path(module.__file__).parent
+    told = re.compile(r":[^{}z]*\.1f\} nat")
+    assert [p.name for p in sorted(here.glob("*.py")) if told.search(p.read_text())] == []
