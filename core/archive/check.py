@@ -79,7 +79,7 @@ def wanted(source: Source, network: Network, skip: Flags, found: Findings) -> Wa
         given = source.quantities["ceeq"]
         turned.setdefault("ceeq", (given.kind, given.unit, 1.0, 0.0))
     asked = {DISPLACEMENT if q.kind == "vector" else q.name for q in network.quantities}
-    families(network, {i.name: i.high - i.low for i in inputs}, found)
+    families(network, {i.name: i for i in inputs}, found)
     for name in sorted(source.quantities.keys() - turned.keys() - asked):
         remedy = "declare it, if it is to be read or predicted"
         found.warn(f"quantity {name}", None, "is not in the network: left out", remedy)

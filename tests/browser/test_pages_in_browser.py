@@ -298,7 +298,7 @@ def test_the_band_on_the_page_is_the_service_s(watched: Watched, service: Runnin
     last = page.get_by_role("region", name="Prediction as a table").locator("tbody tr").last
     mean, sd = told["mean"][-1], told["sd"]["total"][-1]
     shown = [
-        float("".join(cell.replace("−", "-").split()))
+        float(cell.replace("−", "-").replace(",", ""))
         for cell in last.locator("td").all_inner_texts()
     ]
     assert shown[0] == told["time_h"][-1]
@@ -567,7 +567,7 @@ def test_a_blade_whose_input_is_held_at_the_runs_end_is_shown_as_such(watched: W
     page.route("**/v1/rotors/r1/blades/B1/prediction*", held)
     page = watched.open("/rotors/r1/blades/B1")
     notice = page.locator("#notice .warn")
-    expect(notice).to_contain_text(re.compile(r"From 41\s000\sh on an adopted effect"))
+    expect(notice).to_contain_text(re.compile(r"From 41,000\sh on an adopted effect"))
     expect(notice).to_contain_text("Later hours have too little of the effect.")
 
 
@@ -581,7 +581,7 @@ def test_blades_held_by_the_hour_of_a_rotor_s_table_are_marked_there(watched: Wa
 
     watched.page.route("**/v1/rotors/r1/blades?*", held)
     page = watched.open("/rotors/r1?time_h=50000")
-    marked = page.get_by_text(re.compile(r"^▲? ?too little of an effect from 41\s000\sh on$"))
+    marked = page.get_by_text(re.compile(r"^▲? ?too little of an effect from 41,000\sh on$"))
     expect(marked).to_have_count(1)
     expect(page.locator(".ring .mark")).to_have_text("▲")
 
@@ -719,9 +719,10 @@ def test_digits_are_counted_once_a_number_is_rounded(watched: Watched) -> None:
     told = page.evaluate("""async () => {
       const { plain, withSd } = await import("/assets/format.js");
       const alone = [0.996, 1, 0.994, 0, null].map((value) => plain(value, 2));
-      return [...alone, withSd(2, 0.0996)];
+      return [...alone, withSd(2, 0.0996), withSd(-12345.6, 1200), plain(1234, 4)];
     }""")
-    assert told == ["1.0", "1.0", "0.99", "0", "–", "2.00 ± 0.10"]
+    assert told[:6] == ["1.0", "1.0", "0.99", "0", "–", "2.00 ± 0.10"]
+    assert told[6:] == ["−12,346 ± 1,200", "1,234"], "as the terminal and reports have them"
 
 
 def test_slots_are_counted_from_nought_or_from_one_and_have_to_be_numbers(watched: Watched) -> None:
@@ -938,7 +939,7 @@ def test_a_limit_is_told_with_every_digit_of_it(watched: Watched) -> None:
     page = watched.open("/rotors/r1/blades/B1?limit=0.123456")
     expect(page.get_by_text("median time to 0.123456 mm")).to_be_visible()
     chance = page.get_by_text("Chance to have passed it by")
-    expect(chance).to_contain_text(re.compile(r"by 50\s000\sh: >\s99.9\s%"))
+    expect(chance).to_contain_text(re.compile(r"by 50,000\sh: >\s99.9\s%"))
     expect(chance).not_to_contain_text("100.0")
     watched.open("/rotors/r1?limit=0.123456")
     expect(page.get_by_text("blades expected past 0.123456 mm")).to_be_visible()

@@ -442,7 +442,26 @@ def test_a_family_that_runs_in_time_is_refused_where_nothing_is_followed(tmp_pat
     assert "needs a field ceeq" in fault.problem
     (tmp_path / "b").mkdir()
     _, found, _ = taken(dataset(), tmp_path / "b", network(NETWORK + family % "constant, linear"))
-    assert [one.what for one in found.warnings] == ["quantity transfer"]
+    assert [one.what for one in found.warnings] == ["the effect 'silt'", "quantity transfer"]
+    assert "reaches to the end of the runs, 2e-05 … 0.0002" in found.warnings[0].problem
+
+
+@pytest.mark.parametrize(
+    ("sign", "bounds", "warned_of"),
+    [(1, (2e-5, 3e-4), 0), (-1, (2e-5, 3e-4), 1), (-1, (1e-5, 2e-4), 0), (0, (1e-5, 2e-4), 0)],
+)
+def test_a_family_that_the_runs_have_no_room_for_is_told_when_they_are_checked(
+    sign: int, bounds: tuple[float, float], warned_of: int, tmp_path: Path
+) -> None:
+    """It was told by the first diagnosis, of an effect of 112 nat, that it could not be adopted."""
+    family = """families:
+  - {name: grit, sentence: it wears, target: input, of: fouling_rate, how: times, size: 0.3,
+     sign: %d, shapes: [constant], whom: [lot], clock: blade, kind: physics}
+"""
+    data = dataset()
+    data["fouling_rate"].attrs |= {"low": bounds[0], "high": bounds[1]}
+    _, found, _ = taken(data, tmp_path, network(NETWORK + family % sign))
+    assert [one.what for one in found.warnings].count("the effect 'grit'") == warned_of
 
 
 @pytest.mark.parametrize(
