@@ -190,7 +190,7 @@ def test_what_else_the_readings_allow_is_itsbeside_the_forecast() -> None:
     assert " mm " not in "\n".join(adoption_lines("r1", entry, {})), "of a result without it"
     for one in (
         sized,
-        "elongation of 2 blades at 50000 h",
+        "elongation of 2 blades at 50,000 h",
         "70% 0.36 ± 0.02  coating wear, linear",
         "together 0.378 ± 0.034",
     ):
