@@ -155,8 +155,10 @@ def score(
     state: RotorState,
     held: Sequence[Inspection],
     known: Mapping[str, Mapping[str, float]] | None = None,
+    *,
+    median: bool = False,
 ) -> Scored:
-    """Readings that the state does not know, predicted."""
+    """Readings that the state does not know, predicted; median: by their medians, not means."""
     mean, sd, bands = [], [], []
     for r in held:
         posterior = blade_posterior(state.meta, state.arrays.__getitem__, r.blade)
@@ -170,7 +172,7 @@ def score(
             reader=(r.instrument, r.campaign),
             sigma=r.sigma,
         )
-        mean.append(got.mean[0])
+        mean.append(got.quantiles[0.5][0] if median else got.mean[0])
         sd.append(got.sd["total"][0])
         bands.append([got.quantiles[p][0] for p in (0.025, 0.16, 0.84, 0.975)])
     y = np.array([float(r.values[0]) for r in held])

@@ -4,6 +4,10 @@ Where blades differ in a known input (the stress of a creep specimen), what was 
 its values is asked for the others: both models are calibrated without any reading of the blades
 that have one value of it, and predict these readings. An effect that fits well and forecasts badly
 shows here, and nowhere else.
+
+Errors are those of medians. Far from what was read a forecast has tails (accelerating creep is the
+exponential of an uncertain rate), and its mean hangs on the few particles that creep most: of
+readings of 0.1 to 8 % it was 0.5 % off by one set of draws and 690 % by another.
 """
 
 from __future__ import annotations
@@ -117,6 +121,6 @@ def transferred(
             say(f"without {name} = {value:g}")
             start = with_fewer(model, states[i]) if states else None
             state = update(model, spec, kept, workspace=work, start=start)
-            scored.append(score(model, state, held, spec.known))
+            scored.append(score(model, state, held, spec.known, median=True))
         found.append(Condition(name, value, blades, scored[0], scored[1]))
     return tuple(found)

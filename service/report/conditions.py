@@ -37,7 +37,7 @@ def conditions(found: Json) -> Markup | None:
     head += ["inside 95 % before", "after", ""]
     said = (
         "Both models were calibrated without any reading of the blades in one condition, and then "
-        "predicted these readings (RMSE, in the readings' unit)."
+        "predicted these readings (RMSE of the predictions' medians, in the readings' unit)."
     )
     parts: list[Child] = [el("p", said), table(head, rows, (1, 2, 3, 4, 5, 6))]
     if not all(one["holds"] for one in told):

@@ -6,11 +6,13 @@ y = s · load + bend · load² + l, `load` known of each blade, `bend` dormant a
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from core.calibration.online import RotorSpec
+from core.diagnosis import report, transfer
 from core.diagnosis.transfer import Condition, conditions, transferred
 from core.model import Model
 from core.network import Network, Parameter, Quantity
@@ -100,6 +102,20 @@ def test_bands_that_shrink_more_than_the_error_do_not_hold() -> None:
     assert replace(one, after=sure).fault == "100 % of the readings in 95 % bands become 69 %"
     assert replace(one, after=sure).to_json()["holds"] is False
     assert replace(one, before=replace(one.before, within_95=0.6), after=sure).holds
+
+
+def test_errors_are_of_medians_for_means_hang_on_tails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A forecast whose mean a few particles carry off, and whose middle is right."""
+    real = report.predict
+
+    def tailed(*given: Any, **more: Any) -> Any:
+        got = real(*given, **more)
+        return replace(got, mean=got.mean + 690.0)
+
+    monkeypatch.setattr(report, "predict", tailed)
+    assert held(0.4)[3.0].after.rmse < 1.0
+    monkeypatch.setattr(transfer, "score", lambda *a, median, **m: report.score(*a, **m))
+    assert held(0.4)[3.0].after.rmse > 600, "the control"
 
 
 def test_two_values_or_too_many_are_no_conditions() -> None:
