@@ -19,7 +19,9 @@ none: with I the information matrix of both, those of
     rho = I_0k / sqrt(I_00 I_kk) > `ALIKE`
 
 are left out. It wins where it gains as much as the effect. Of `COUNT` that are drawn no more than
-`ALLOWED` may win, or nothing is claimed; where `LEAST` are not left, nothing can be asked.
+`ALLOWED` may win, or nothing is claimed; where `LEAST` are not left, nothing can be asked. Nor can
+it where the scan does not see the effect by itself (`SEEN`) and the filter's evidence is all there
+is: an effect beside which another one has grown, say. What gains nothing would win there.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ Drawn = Callable[[np.random.Generator], tuple[Array, Array]]
 COUNT = 199
 ALLOWED = 0.05
 ALIKE = 0.7  # half of the effect's own fit
+SEEN = 2.0  # nats, below which the scan's gain says nothing of an effect
 LEAST = 19  # of which none wins in 95 of 100 cases by chance
 BLADES, READINGS = "other blades", "other readings"
 
@@ -70,8 +73,10 @@ class Placebo:
         True
         >>> Placebo("wear", BLADES, 100, 6, 9.0, 9.5).stands
         False
+        >>> Placebo("wear", BLADES, 100, 60, -0.5, 1.5).stands
+        True
         """
-        return self.won <= ALLOWED * self.count
+        return self.won <= ALLOWED * self.count or self.gained < SEEN
 
     @property
     def told(self) -> str:

@@ -89,6 +89,8 @@ def placebos(found: Json) -> list[Child]:
     rows: list[list[Child]] = []
     for one in found.get("placebos", ()):
         word, kind = ("few", "better") if one["stands"] else ("too many", "mark")
+        if one["stands"] and one["won"] > ALLOWED * one["count"]:
+            word = "not told: the scan hardly sees the effect"
         share = f"{one['won']} of {one['count']}"
         gains = [f"{one[name]:.1f}" for name in ("gained_nat", "best_nat")]
         rows.append([one["effect"], one["by"], share, *gains, cell(word, kind=kind)])

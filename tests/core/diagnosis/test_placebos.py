@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from core.diagnosis.grammar import Cell
-from core.diagnosis.placebos import BLADES, COUNT, LEAST, READINGS, Placebo, placebos, withstood
+from core.diagnosis.placebos import (
+    ALLOWED,
+    BLADES,
+    COUNT,
+    LEAST,
+    READINGS,
+    SEEN,
+    Placebo,
+    placebos,
+    withstood,
+)
 from core.diagnosis.signature import exchanged
 from core.diagnosis.verdict import Verdict
 from core.family import Shape, Whom
@@ -47,8 +57,9 @@ def test_a_campaign_that_is_off_is_off_at_its_own_readings_alone() -> None:
 def test_a_lot_that_grows_is_told_by_its_own_blades(lot: str) -> None:
     """The verdict follows the label: of the lots that do not grow placebos win."""
     own = lambda b, k: 3 * SIGMA * TIMES[k] ** 2 * (b % 3 == 1)  # noqa: E731
-    found = asked(grown("late", "lot", lot), 2, own)
-    assert found[BLADES].stands is (lot == "L1")
+    one = asked(grown("late", "lot", lot), 2, own)[BLADES]
+    assert (one.won <= ALLOWED * one.count) is (lot == "L1")
+    assert (one.gained > 5) is (lot == "L1")
 
 
 def test_one_odd_blade_is_no_lot() -> None:
@@ -66,17 +77,19 @@ def test_what_all_blades_have_is_no_chance_of_signs_and_runs_as_it_is_said_to_ru
     assert found[BLADES].stands
     assert found[READINGS].stands
     jagged = lambda b, k: 4 * SIGMA * TIMES[(k + b) % 3] ** 2  # noqa: E731
-    assert not asked(grown("late", "all"), 4, jagged)[READINGS].stands, "each at times of its own"
+    torn = asked(grown("late", "all"), 4, jagged)[READINGS]
+    assert torn.won > ALLOWED * torn.count, "each at times of its own"
 
 
 def test_in_sound_rotors_an_effect_beats_its_placebos_as_often_as_chance_has_it() -> None:
     """Exactly 5 % where all places are alike; sixty rotors, of a lot and of a campaign."""
     for cell, by in ((grown("late", "lot", "L1"), BLADES), (CAMPAIGN, READINGS)):
-        stood = [asked(cell, seed, None)[by].stands for seed in range(100, 160)]
+        sound = [asked(cell, seed, None)[by] for seed in range(100, 160)]
+        stood = [one.won <= ALLOWED * one.count for one in sound]
         assert sum(stood) <= 9, "3 of 60 are expected"
-        ranks = [asked(cell, seed, None)[by] for seed in range(100, 130)]
-        middle = np.mean([one.won / one.count for one in ranks])
-        assert abs(middle - 0.5) < 4 / np.sqrt(12 * 30)
+        middle = np.mean([one.won / one.count for one in sound])
+        assert abs(middle - 0.5) < 4 / np.sqrt(12 * 60)
+        assert all(one.stands for one in sound if one.gained < SEEN), "the scan says nothing of it"
 
 
 def test_where_places_are_few_nothing_is_asked() -> None:
