@@ -197,8 +197,9 @@ def understated(read: LeftOut) -> tuple[str, ...]:
             by = f" by {instrument}" if instrument else ""
             told.append(
                 f"{len(own)} readings of {quantity}{by} lie {scale:.1f} times as far from what all "
-                f"others say as their stated sigma has it ({stated:.3g}): state that of the whole "
-                "reading, its set-up included, or none, so that it is calibrated"
+                f"others say as their stated sigma has it ({stated:.3g}): where the model lacks "
+                "nothing, state that of the whole reading, its set-up included, or none, so that "
+                "it is calibrated"
             )
     return tuple(told[:TOLD])
 
