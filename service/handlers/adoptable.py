@@ -56,9 +56,11 @@ def claimed(job: JobRecord, result: Json | None) -> Json:
         remedy = {
             "adequate": "leave the model as it is",
             "not separable": "take the readings that would separate "
-            f"{' and '.join(result['names']) or 'the effects'}, then ask anew: {where}; if you "
-            "know which it is from elsewhere, choose it: its `alternative`, and `because`",
+            f"{' and '.join(result['names']) or 'the effects'}, then ask anew: {where}",
         }.get(verdict, f"add readings, or families of effects of your own, then ask anew: {where}")
+        if result.get("alternatives"):
+            remedy += "; if you know which it is from elsewhere, choose it: "
+            remedy += "its `alternative`, and `because`"
         raise AdoptionError(job.id, "adopted", problem, remedy)
     adds: Json | None = result.get("adds")
     if not adds:

@@ -103,6 +103,23 @@ def test_without_a_choice_a_set_is_no_claim_and_the_refusal_says_how_to_choose(
     assert view_rotor(store, "r1").rotor.head_seq == 12
 
 
+@pytest.mark.parametrize("several", [[C2, C3], []])
+def test_too_many_names_to_be_an_answer_are_chosen_from_as_well(
+    api: httpx.Client, store: SqlStore, doubtful: str, several: list[str]
+) -> None:
+    """The refusal did not say so where the verdict has no name."""
+    result = find_diagnosis(store, "r1", own(store, doubtful)).result or {}
+    changed = {"verdict": "unattributed", "names": [], "several": several}
+    changed |= {} if several else {"alternatives": None}
+    with transaction(store.engine, write=True) as connection:
+        which = t.job.c.id == own(store, doubtful)
+        given = json.dumps(result | changed)
+        connection.execute(update(t.job).where(which).values(result=given))
+    assert ("`alternative`" in refused(api.post(doubtful))["detail"]) is bool(several)
+    sent = api.post(doubtful, json={"alternative": 1, "because": WHY})
+    assert sent.status_code == (202 if several else 409), sent.text
+
+
 @pytest.mark.parametrize(
     ("body", "field", "words"),
     [
