@@ -12,11 +12,12 @@ import pytest
 from sqlalchemy import event, text
 
 from core.errors import BladetwinError
+from core.log import effective
 from core.observation import Inspection
 from service.adopted import adopted_at
 from service.concerned import untold
 from service.digests import digest_of_blade, digest_of_json
-from service.entries import BLADES
+from service.entries import BLADES, entries_of
 from service.errors import NotFoundError, NotYetError
 from service.fake import FakeScience
 from service.handlers.blades import add_blade, retire_blade
@@ -86,7 +87,7 @@ def test_a_read_asks_one_question_and_one_more_where_effects_were_adopted(
     worker.drain()
     count(rotor)
     count(f"{prediction}1000")  # the arrays of the new version
-    assert (count(f"{rotor}?wait_for=1"), count(rotor)) == (2, 1)
+    assert (count(f"{rotor}?wait_for=1"), count(rotor)) == (3, 1), "and what counts no longer"
     assert (count(f"{prediction}4000"), count(f"{prediction}4000")) == (2, 1)
 
 
@@ -171,8 +172,15 @@ def apart(tx: Transaction, rotor_id: str) -> tuple[RotorView, Callable[[], None]
     rotor = tx.records.rotor(rotor_id)
     blades = tuple(tx.records.blades(rotor_id))
     state = tx.states.get(rotor_id, rotor.version) if rotor.version else None
-    found = adopted_at(tx, rotor, 0 if state is None else state.through_seq)
-    return RotorView(rotor, blades, state, found), lambda: tx.check_rotor(rotor, blades)
+    through = 0 if state is None else state.through_seq
+    found = adopted_at(tx, rotor, through)
+
+    def counting(last: int) -> set[str]:
+        log = entries_of(tx.log.entries(rotor_id, 0, 1000, 1000)) if last else []
+        return {one.id for one in effective(entry for entry in log if entry.seq <= last)}
+
+    lost = {s.diagnosis: sorted(counting(s.through) - counting(through)) for s in found.sheets}
+    return RotorView(rotor, blades, state, found, lost), lambda: tx.check_rotor(rotor, blades)
 
 
 def view_apart(store: SqlStore) -> RotorView:
