@@ -98,7 +98,7 @@ def test_the_readings_of_one_blade_are_found_by_an_index(store: SqlStore, rotor:
 
 def test_changes_of_the_model_are_found_by_an_index(store: SqlStore, rotor: str) -> None:
     _filled(store, rotor, 3000)
-    plan = _plan(store, log._CHANGES, {"rotor": rotor, "after": 0, "most": 200})
+    plan = _plan(store, log.CHANGES, {"rotor": rotor, "after": 0, "most": 200})
     assert plan.count("ix_event_rotor_id_kind_seq") == len(KINDS)
     assert "pk_event" not in plan
     assert "autoindex" not in plan
@@ -205,7 +205,7 @@ def test_a_question_that_goes_through_the_log_is_noticed(
 ) -> None:
     """The control. (An update asks only where it found by their number that there are some.)"""
     _is_lite(store)
-    monkeypatch.setattr(log, "_CHANGES", _in_one_question())
+    monkeypatch.setattr(log, "CHANGES", _in_one_question())
     grown = {kind for kind, (few, many) in _steps(store, worker, api).items() if many > 2 * few}
     assert "adoptions" in grown
     assert not {"update", "rotor", "prediction"} & grown, "which do not ask where there are none"
