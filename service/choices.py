@@ -17,7 +17,7 @@ def with_adoptions(told: Json, found: Diagnosis) -> Json:
 
     found  whose rivals they are, in the same order
     """
-    before = found.before[0].network
+    before = found.before[0]
     each = [
         one
         | {
@@ -25,7 +25,7 @@ def with_adoptions(told: Json, found: Diagnosis) -> Json:
             "adoption": {
                 "model": rival.model.digest,
                 "effects": [effect_json(e, before) for e in found.effects_of(rival)],
-                "adds": effects_between(before, rival.model.network),
+                "adds": effects_between(before.network, rival.model.network),
             },
         }
         for number, (one, (rival, _)) in enumerate(

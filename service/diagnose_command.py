@@ -90,11 +90,14 @@ def awaited(twin: Client, told: Told, show: Callable[[Told], None], look_s: floa
 
 
 def amplitude(effect: Told, found: Told) -> str:
-    """How large an effect is, in its unit where the diagnosis tells it, and of what."""
-    units = {
-        one["name"]: one["unit"] for one in (found.get("pictures") or {}).get("amplitudes", ())
-    }
-    unit, size = units.get(effect["name"]), effect["amplitude"]
+    """How large an effect is, in its unit, and of what.
+
+    found  the diagnosis, where an effect of an older release has its unit
+    """
+    drawn = (found.get("pictures") or {}).get("amplitudes", ())
+    units = {one["name"]: one["unit"] for one in drawn}
+    size = effect["amplitude"]
+    unit = size.get("unit", units.get(effect["name"]))
     told = around(size["mean"], size["sd"])
     return f"{told} {'' if unit in (None, '', '1') else f'{unit} '}{size['of']}"
 

@@ -73,8 +73,9 @@ def room(
     if most - max(least, 0.0) < LEAST_ROOM * size:
         raise InputError(
             f"effect {drift.name}",
-            (round(least, 4) + 0.0, round(most, 4) + 0.0),  # no "-0.0"
-            f"finds no room in the runs of {drift.input}, {own.low:g} … {own.high:g}",
+            drift.input,
+            f"finds no room: its runs, {own.low:g} … {own.high:g}, hold amplitudes of "
+            f"{least:z.3g} … {max(least, most):z.3g}, where {size:.3g} is expected",
             wider(model.network, drift.input),
         )
     if parameter.level != "local" or read_h is None:

@@ -13,13 +13,14 @@ from core.diagnosis import noticed
 from core.diagnosis.adopt import amplitude_of, frees
 from core.diagnosis.alternatives import Alternatives
 from core.diagnosis.case import Case
+from core.diagnosis.densities import amplitude_unit
 from core.diagnosis.diagnose import Diagnosis, Effect
 from core.diagnosis.grammar import Cell
 from core.diagnosis.noticed import Noticed
 from core.diagnosis.report import BeforeAfter, Scored
 from core.diagnosis.verdict import Verdict, describe
 from core.diagnosis.widen import EARNED, Widened
-from core.network import Network
+from core.model import Model
 from core.quantity import Discrepancy
 
 Json = dict[str, Any]
@@ -60,7 +61,7 @@ def to_json(
         ],
         "p": verdict.p,
         "p_after": verdict.after,
-        "effects": [effect_json(e, found.before[0].network) for e in found.effects],
+        "effects": [effect_json(e, found.before[0]) for e in found.effects],
         "claimed": verdict.word == "effect",
         "gained_nat": found.gained,
         "evidence": verdict.evidence,
@@ -127,12 +128,13 @@ def _calibrated(cells: Sequence[Cell], gained: float) -> Json:
     }
 
 
-def effect_json(effect: Effect, before: Network) -> Json:
-    """An effect that was calibrated, with its amplitude in the network that it went into."""
-    of = amplitude_of(effect.cell, woken=frees(effect.cell, before))
+def effect_json(effect: Effect, before: Model) -> Json:
+    """An effect that was calibrated, with its amplitude in the model that it went into."""
+    of = amplitude_of(effect.cell, woken=frees(effect.cell, before.network))
+    unit = amplitude_unit(effect.cell, before)
     return {
         **cell_json(effect.cell),
-        "amplitude": {"mean": effect.mean, "sd": effect.sd, "of": of},
+        "amplitude": {"mean": effect.mean, "sd": effect.sd, "of": of, "unit": unit},
     }
 
 

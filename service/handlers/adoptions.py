@@ -243,8 +243,9 @@ def _append(tx: Transaction, rotor_id: str, kind: str, body: Json) -> Change:
     text, digest = digest_of_json(body)
     event = NewEvent(f"{kind}/{body['number']}", kind, text, digest)
     seq = tx.log.append(rotor_id, [event])[0].seq
-    told: Json = {"diagnosis": body["diagnosis"], "seq": seq}
+    found = _at(tx, rotor_id, seq).event
+    told: Json = {"diagnosis": body["diagnosis"], "seq": seq, "posted_by": found.posted_by}
     told |= {"effects": [one["name"] for one in body["effects"]]}
-    told |= {"unasked": body["unasked"]} if "unasked" in body else {}
+    told |= {of: body[of] for of in ("unasked", "chosen") if of in body}
     tx.outbox.post(rotor_id, NOTES[kind], told)
-    return Change(_at(tx, rotor_id, seq).event, body, True)
+    return Change(found, body, True)

@@ -36,6 +36,7 @@ class AmplitudeBody(Body):
     mean: FiniteFloat | None = None
     sd: FiniteFloat | None = None
     of: str | None = None
+    unit: str | None = None
 
 
 class EffectBody(Body):

@@ -107,7 +107,7 @@ class Offsets(FakeScience):
         more = self._with(card.network, name, campaign, size)
         cell = {"name": name, "words": name, "family": "campaign offset", "kind": "sensor"}
         cell |= {"target": "elongation", "how": "plus", "shape": "constant", "whom": "campaign"}
-        amplitude = {"mean": size, "sd": 0.01, "of": "added to elongation"}
+        amplitude = {"mean": size, "sd": 0.01, "of": "added to elongation", "unit": "mm"}
         effect = cell | {"value": campaign, "clock": "rotor", "step_h": None}
         return {
             "verdict": "effect",

@@ -522,11 +522,12 @@ def test_who_listens_is_told_of_what_goes_into_the_model_and_out_of_it_again(
         assert api.post(f"/v1/rotors/r1/diagnoses/{found}/adoption").status_code in (200, 202)
     for _ in range(2):
         assert api.delete(f"/v1/rotors/r1/diagnoses/{found}/adoption").status_code in (200, 202)
-    told = {"diagnosis": found, "effects": [NAME]}
+    asked = {"diagnosis": found, "effects": [NAME], "posted_by": "loopback"}
+    told = asked | ({"posted_by": None} if unasked else {})
     assert told_of(store, ("diagnosed", "adopted", "backed-out")) == [
         ("diagnosed", {"diagnosis": found, "verdict": "effect", "names": [NAME]}),
         ("adopted", told | {"seq": 13, "unasked": unasked}),
-        ("backed-out", told | {"seq": 14}),
+        ("backed-out", asked | {"seq": 14}),
     ]
 
 
@@ -869,7 +870,7 @@ def test_the_commands_adopt_and_back_out_and_say_so(
     assert done.exit_code == 0, done.output
     assert "backed out with entry 14" in done.stdout
     assert f"{NAME}: " in done.stdout
-    assert ": 0.100 ± 0.010 added to elongation\n" in done.stdout
+    assert ": 0.100 ± 0.010 mm added to elongation\n" in done.stdout
     assert called(store) == before
     done = command(worker, diagnoser, "adopt", "r1", name, "--json", *url)
     assert json.loads(done.stdout)["adoption"]["seq"] == 15
@@ -946,7 +947,7 @@ def test_the_command_backs_out_what_came_with_an_imported_rotor(
     done = command(worker, diagnoser, "adopt", "copy", named, "--back-out", *url)
     assert done.exit_code == 0, done.output
     assert "rotor copy: backed out with entry 14" in done.stdout
-    assert f"{NAME}: 0.100 ± 0.010 added to elongation" in done.stdout
+    assert f"{NAME}: 0.100 ± 0.010 mm added to elongation" in done.stdout
     done = command(worker, diagnoser, "adopt", "copy", "zz", "--back-out", *url)
     assert done.exit_code == 1, "never adopted"
 

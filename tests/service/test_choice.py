@@ -78,6 +78,10 @@ def test_the_chosen_one_is_in_the_model_as_it_was_calibrated_and_goes_out_bit_fo
     calibrated = result["alternatives"]["each"][number - 1]["adoption"]["model"]
     assert told["models"] == {"before": result["models"]["before"], "after": calibrated}
     assert told["chosen"] == {"alternative": number, "because": WHY}
+    with store.read() as tx:
+        (heard,) = [n.payload for n in tx.outbox.after("r1", 0, 100) if n.kind == "adopted"]
+    assert heard["chosen"] == told["chosen"]
+    assert heard["posted_by"] == told["posted_by"] == "loopback"
     assert told["unasked"] is False
     worker.drain()
     rotor = api.get("/v1/rotors/r1").json()
@@ -243,7 +247,8 @@ def test_commands_and_client_choose_and_tell_why(
     told = run("adopt", "r1", found, "--alternative", "2", "--because", WHY)
     assert told.exit_code == 0, told.output
     assert f"alternative 2, because: {WHY}" in told.stdout
-    assert C3 in told.stdout
+    assert f"{C3}: " in told.stdout
+    assert told.stdout.count(" mm added to elongation\n") == 1, "the chosen one has its unit"
     worker.drain()
     (line,) = [x for x in run("inspect", "r1").stdout.splitlines() if x.startswith("  effect ")]
     assert line.endswith(f"alternative 2, because: {WHY}")

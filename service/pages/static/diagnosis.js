@@ -102,7 +102,7 @@ function result(found, unitName) {
   const effects = found.effects.length ? scroll("Effects", table([
     { name: "Effect", value: (e) => e.name ?? words(e.words) },
     { name: "What happens", value: (e) => e.words ?? "–" },
-    { name: "Amplitude", value: (e) => inUnit(withSd(e.amplitude.mean, e.amplitude.sd), units[e.name]), number: true },
+    { name: "Amplitude", value: (e) => inUnit(withSd(e.amplitude.mean, e.amplitude.sd), e.amplitude.unit ?? units[e.name]), number: true },
     { name: "Of", value: (e) => words(e.amplitude.of ?? "–") },
   ], found.effects)) : h("p", { class: "soft" }, "No effect is named.");
   const shared = Object.keys(found.parameters.before).map((name) => ({ name, before: found.parameters.before[name], after: found.parameters.after[name] }));
@@ -203,6 +203,7 @@ function choices(told, choose) {
     scroll("Alternatives", table([
       { name: "Number", value: (one) => String(one.number), number: true },
       { name: "Effects", value: called },
+      { name: "Amplitude", value: (one) => one.adoption.effects.map(({ amplitude: a }) => inUnit(withSd(a.mean, a.sd), a.unit)).join(" and "), number: true },
       { name: "Share of the evidence [%]", value: (one) => fixed(100 * one.share, 0), sort: (one) => one.share, number: true },
       { name: "", value: (one) => h("button", { type: "button", onclick: () => choose(one, called(one)) }, `Adopt ${one.number}`) },
     ], told.each)));

@@ -294,7 +294,7 @@ def test_what_is_lost_of_a_dormant_input_that_wakes_is_below_zero_and_told_so() 
     assert one.verdict.names == ("bend",)
     (told,) = to_json(one, Case(SPEC, data, {b: Facts() for b in SPEC.blades}))["effects"]
     assert told["amplitude"]["mean"] < -0.15
-    assert told["amplitude"]["of"] == "added to bend"
+    assert (told["amplitude"]["of"], told["amplitude"]["unit"]) == ("added to bend", "1")
 
 
 def test_a_provisional_state_is_not_diagnosed() -> None:
