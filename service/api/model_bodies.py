@@ -92,7 +92,7 @@ async def asked_of(request: Request) -> Upload | str:
     try:
         return ModelIn.model_validate(data).builtin
     except ValidationError as error:
-        raise invalid(faults_of_validation(error.errors())) from None
+        raise invalid(faults_of_validation(error.errors(), ModelIn)) from None
 
 
 async def _upload(request: Request) -> Upload:

@@ -15,6 +15,7 @@ from fastapi import Request
 from fastapi.responses import JSONResponse
 
 from core.errors import InputError
+from service.api import known_fields
 from service.api.visit import visit_of
 from service.errors import MOST_FAULTS as MOST_FAULTS
 from service.names import TEXT_PATTERN, TITLE_PATTERN
@@ -135,7 +136,6 @@ NUMBER = "write a bare number with a decimal point, e.g. 0.41 (no comma, unit or
 WHOLE = "write a whole number, e.g. 3 (no point, comma, unit or quotes)"
 OBJECT = "write an object with its fields, {…}"
 REMEDIES = {
-    "extra_forbidden": "leave the field out, or correct its name",
     "missing": "give it",
     "float_type": f"{NUMBER}; leave out what is not known",
     "float_parsing": NUMBER,
@@ -163,18 +163,24 @@ TAGS = frozenset({"vector", "scalar"})
 PLACES = frozenset({"body", "query", "path", "header"})
 
 
-def faults_of_validation(errors: Sequence[Any], prefix: str = "") -> list[Fault]:
-    """The faults that pydantic found, under the names that the caller wrote."""
+def faults_of_validation(errors: Sequence[Any], kind: Any, prefix: str = "") -> list[Fault]:
+    """The faults that pydantic found in a body of a type, under the names that the caller wrote."""
     return [
         fault(
             prefix + (VALUED.get(error["type"]) or _field(error["loc"])),
             None if error["type"] in NOT_THERE else error.get("input"),
             _problem(error["msg"]),
-            PATTERNS.get(error.get("ctx", {}).get("pattern"))
-            or REMEDIES.get(error["type"], "correct the value"),
+            _remedy(error, kind),
         )
         for error in errors
     ]
+
+
+def _remedy(error: Any, kind: Any) -> str:
+    if error["type"] == "extra_forbidden":
+        return known_fields.remedy(kind, _inside(error["loc"]))
+    by_pattern = PATTERNS.get(error.get("ctx", {}).get("pattern"))
+    return by_pattern or REMEDIES.get(error["type"], "correct the value")
 
 
 def _problem(told: str) -> str:
@@ -187,10 +193,14 @@ def _problem(told: str) -> str:
     return told[:1].lower() + told[1:]
 
 
+def _inside(loc: Sequence[str | int]) -> Sequence[str | int]:
+    """Without the part of the request that it is in."""
+    return loc[1:] if len(loc) > 1 and loc[0] in PLACES else loc
+
+
 def _field(loc: Sequence[str | int]) -> str:
-    parts = list(loc[1:]) if loc and loc[0] in PLACES and len(loc) > 1 else list(loc)
     text = ""
-    for part in parts:
+    for part in _inside(loc):
         if isinstance(part, int):
             text += f"[{part}]"
         elif part not in TAGS:

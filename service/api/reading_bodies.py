@@ -178,9 +178,11 @@ def read_inspections(
             items.append(Item(where, InspectionIn.model_validate(row).reading()))
         except ValidationError as error:
             if len(faults) + error.error_count() > MOST_FAULTS:
-                faults += faults_of_validation(error.errors()[: MOST_FAULTS + 1], where)
+                faults += faults_of_validation(
+                    error.errors()[: MOST_FAULTS + 1], InspectionIn, where
+                )
                 raise invalid(faults) from None
-            faults += faults_of_validation(error.errors(), where)
+            faults += faults_of_validation(error.errors(), InspectionIn, where)
             fields = _fields(error)
             if (rest := _rest(row, fields)) is not None:
                 items.append(Item(where, rest))

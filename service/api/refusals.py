@@ -62,7 +62,9 @@ async def _unusable(request: Request, error: Any) -> JSONResponse:
 
 
 async def _malformed(request: Request, error: Any) -> JSONResponse:
-    faults = faults_of_validation(error.errors()[: MOST_FAULTS + 1])
+    asked = getattr(request.scope.get("route"), "body_field", None)
+    kind = None if asked is None else asked.field_info.annotation
+    faults = faults_of_validation(error.errors()[: MOST_FAULTS + 1], kind)
     broken = any(one["type"] == "json_invalid" for one in error.errors())
     status, kind = (400, "invalid-json") if broken else (422, "invalid-input")
     return problem(request, status, kind, _sentence(faults), bounded(faults))

@@ -537,6 +537,28 @@ def test_a_blocked_rotor_is_shown_as_such_with_its_remedy(
     expect(page.get_by_text("no rotor is blocked")).to_be_visible()
 
 
+def test_only_what_can_be_taken_back_is_to_be_taken_back(watched: Watched) -> None:
+    """A blade that joined cannot be retracted, nor a retraction."""
+    page = watched.open("/rotors/r1")
+    told = page.evaluate("""async () => {
+      const { warningsOf } = await import("/assets/states.js");
+      const blocked = (event) => ({ status: "blocked", attempts: 5, last_error: { event } });
+      const of = (event) => warningsOf(blocked(event))[0].at(-1);
+      return ["a", "adoption/1", "blade/B4", "retraction/a", null].map(of);
+    }""")
+    assert [("retract or correct the entry" in one) for one in told] == [
+        True,
+        False,
+        False,
+        False,
+        True,
+    ]
+    assert "back out what was adopted last" in told[1]
+    assert told[2] == told[3]
+    assert "no entry can be taken back" in told[2]
+    assert all(one.startswith("To mend it: ") for one in told)
+
+
 def test_a_posterior_that_is_not_trusted_or_provisional_is_shown_as_such(watched: Watched) -> None:
     def worse(route: Route) -> None:
         answer = route.fetch()

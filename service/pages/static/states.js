@@ -39,6 +39,7 @@ export function notices(given) {
 function undoing(event) {
   if (!event) return "retract or correct the entry";
   if (event.startsWith("adoption/")) return "back out what was adopted last, on the page of its diagnosis (Diagnoses)";
+  if (event.includes("/")) return "no entry can be taken back for it, so see what the error says (the server's log has more)";
   return `retract or correct the entry ${event}`;
 }
 
