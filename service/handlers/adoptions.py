@@ -244,8 +244,8 @@ def _append(tx: Transaction, rotor_id: str, kind: str, body: Json) -> Change:
     event = NewEvent(f"{kind}/{body['number']}", kind, text, digest)
     seq = tx.log.append(rotor_id, [event])[0].seq
     found = _at(tx, rotor_id, seq).event
-    told: Json = {"diagnosis": body["diagnosis"], "seq": seq, "posted_by": found.posted_by}
-    told |= {"effects": [one["name"] for one in body["effects"]]}
-    told |= {of: body[of] for of in ("unasked", "chosen") if of in body}
+    names = [one["name"] for one in body["effects"]]
+    told = {"diagnosis": body["diagnosis"], "seq": seq, "posted_by": found.posted_by}
+    told |= {"effects": names} | {of: body[of] for of in ("unasked", "chosen") if of in body}
     tx.outbox.post(rotor_id, NOTES[kind], told)
     return Change(found, body, True)
