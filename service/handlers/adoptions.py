@@ -242,10 +242,9 @@ def _last(tx: Transaction, rotor_id: str, diagnosis: str) -> Change:
 def _append(tx: Transaction, rotor_id: str, kind: str, body: Json) -> Change:
     text, digest = digest_of_json(body)
     event = NewEvent(f"{kind}/{body['number']}", kind, text, digest)
-    seq = tx.log.append(rotor_id, [event])[0].seq
-    found = _at(tx, rotor_id, seq).event
+    found = _at(tx, rotor_id, tx.log.append(rotor_id, [event])[0].seq).event
     names = [one["name"] for one in body["effects"]]
-    told = {"diagnosis": body["diagnosis"], "seq": seq, "posted_by": found.posted_by}
+    told = {"diagnosis": body["diagnosis"], "seq": found.seq, "posted_by": found.posted_by}
     told |= {"effects": names} | {of: body[of] for of in ("unasked", "chosen") if of in body}
     tx.outbox.post(rotor_id, NOTES[kind], told)
     return Change(found, body, True)
