@@ -36,6 +36,7 @@ from core.smc.particles import log_sum_exp
 from core.smc.proposal import Proposal
 
 Array = NDArray[np.float64]
+Turned = tuple[list[dict[str, Any]], Looks]
 
 
 @dataclass(frozen=True)
@@ -129,16 +130,26 @@ class Step(Basis):
         """Blades whose readings of a visit look exchanged (`exchanged`)."""
         return self._turned(*self.settled)[0]
 
-    def _turned(self, made: Weighed, accused: Accused) -> tuple[list[dict[str, Any]], Looks]:
+    def _turned(self, made: Weighed, accused: Accused) -> Turned:
         """Blades that look exchanged at these nodes, and the looks at all of them."""
 
         def messages_of(readings: Mapping[str, Sequence[Inspection]]) -> dict[str, BladeMessage]:
             rows = {b: self.work.rows_of(self.model, own) for b, own in readings.items()}
             return self.work.messages_of(self.model, rows, self.space, self.rotor.known or {})
 
+        bad = frozenset(one["blade"] for one in accused)
+        for at, of_whom, told in self._turns:  # the nodes seldom change once they were doubted
+            if at is made and of_whom == bad:
+                return told
         looked = looks(self.messages, made, self.work.looks)
-        bad = {one["blade"] for one in accused}
-        return exchanged(self.messages, made, bad, messages_of, looked), looked
+        told = exchanged(self.messages, made, bad, messages_of, looked), looked
+        self._turns.append((made, bad, told))
+        return told
+
+    @cached_property
+    def _turns(self) -> list[tuple[Weighed, frozenset[str], Turned]]:
+        """What `_turned` said so far, and of what."""
+        return []
 
     def otherwise_known(self, previous: RotorState, weighed: Weighed) -> set[str]:
         """Blades whose column was a table's before and no longer is, or the other way round.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import replace
+from typing import Any
 
 import jsonschema_rs
 import numpy as np
@@ -249,6 +250,21 @@ def test_a_state_to_compare_with_others_says_it_too() -> None:
     for one in (start, start.wider(2.0), start.between(start)):
         other = update(MODEL, SPEC, given, start=one)
         assert other.meta["health"]["exchanged"] == state.meta["health"]["exchanged"]
+
+
+def test_pairs_are_weighed_once_where_the_nodes_stay_what_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """First for doubts about the nodes, then for the state."""
+    seen: list[Exchange] = []
+
+    def weighing(one: Exchange, *given: Any) -> Exchange:
+        seen.append(one)
+        return _weighed(one, *given)
+
+    monkeypatch.setattr(module, "_weighed", weighing)
+    assert told(turned(rotor(0), 1)).meta["health"]["exchanged"]
+    assert len(seen) == len({(one.visit, one.pair) for one in seen}) > 0
 
 
 def test_more_pairs_ask_for_more() -> None:
