@@ -24,6 +24,7 @@ from service.commands.reach import reached
 from service.report import noticed
 from service.report.alternatives import hypothesis, names
 from service.report.split import what_to_read
+from service.report.words import p_of
 
 if TYPE_CHECKING:
     from service.client import Client
@@ -106,7 +107,7 @@ def lines_of(told: Told) -> Iterator[str]:
     """A diagnosis that has a result, as a short table."""
     found = told["result"]
     readings, rests = found["readings"], found["rests_on"]
-    p = "" if found["p"] is None else f" (p = {found['p']:.2g})"
+    p = "" if found["p"] is None else f" (p {p_of(found)})"
     yield f"rotor {told['rotor']}: {found['verdict']}{p}"
     yield from (f"  {reason}" for reason in found["reasons"])
     if why := found.get("not_adopted"):

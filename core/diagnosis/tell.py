@@ -60,6 +60,7 @@ def to_json(
             *([] if unseen is None else noticed.in_words(unseen)),
         ],
         "p": verdict.p,
+        "dealt": case.dealt,
         "p_after": verdict.after,
         "effects": [effect_json(e, found.before[0]) for e in found.effects],
         "claimed": verdict.word == "effect",

@@ -747,6 +747,7 @@ class Found(TypedDict):
     several: NotRequired[list[str]]
     reasons: list[str]
     p: float | None
+    dealt: NotRequired[int]
     p_after: float | None
     effects: list[dict[str, Any]]
     claimed: bool

@@ -18,11 +18,17 @@ Json = Mapping[str, Any]
 def evidence(found: Json) -> Markup:
     """Shares of the evidence by name, calibrated hypotheses, p-values, and everything tried."""
     parts: list[Child] = []
-    rows = [("of the model as it was", found["p"], ALARM)] if found["p"] is not None else []
+    rows = []
+    if found["p"] is not None:
+        rows.append(("of the model as it was", found["p"], ALARM))
     if found["p_after"] is not None and found["effects"]:  # else nothing was put in
         rows.append(("of what is left after", found["p_after"], LEFT))
     if rows:
         said = "Family-wise over everything that was tried; the null is made of the residuals."
+        if dealt := found.get("dealt"):
+            said += (
+                f" Of {dealt} dealt sets: the least that they can tell is {1 / (dealt + 1):.2g}."
+            )
         parts.append(figure(figures.p_values(rows), said))
     shares = [(n, 100 * w) for n, w in found["evidence"].items() if w is not None and w >= 5e-3]
     if shares:

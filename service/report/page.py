@@ -18,7 +18,7 @@ from service.report.conditions import conditions
 from service.report.markup import Markup, el, join
 from service.report.tables import facts, pairs, section
 from service.report.verdict import do_next, verdict
-from service.report.words import number
+from service.report.words import number, p_of
 
 Json = Mapping[str, Any]
 LAYOUT = 5  # raised when the page changes, so that its tag does
@@ -102,7 +102,7 @@ def _key_figures(found: Json) -> Markup:
     readings = found["readings"]
     told = [(f"{readings['used']} of {readings['delivered']}", "readings used of delivered")]
     if found["p"] is not None:
-        told.append((number(found["p"], 2), "p of the model as it was"))
+        told.append((p_of(found).removeprefix("= "), "p of the model as it was"))
     if found["p_after"] is not None and found["effects"]:
         told.append((number(found["p_after"], 2), "p of what is left"))
     if found["effects"]:

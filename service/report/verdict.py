@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from service.report.noticed import blind
-from service.report.words import counted, joined, number, sentence
+from service.report.words import counted, joined, number, p_of, sentence
 
 Json = Mapping[str, Any]
 SEVERAL = 6  # names in a sentence
@@ -15,8 +15,7 @@ IDLE = 0.02  # nat: an inspection that tells less tells nothing
 
 def verdict(found: Json, rotor: str, units: Mapping[str, str]) -> str:
     """The verdict in one or two sentences."""
-    p = found["p"]
-    chance = "" if p is None else f" (p = {number(p, 2)})"
+    chance = "" if found["p"] is None else f" (p {p_of(found)})"
     if found["verdict"] == "adequate":
         return (
             f"The model explains the {counted(found['readings']['used'], 'reading')} of rotor "

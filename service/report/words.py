@@ -42,6 +42,19 @@ def number(value: float | None, digits: int = 3) -> str:
     return told.replace("-", "−")
 
 
+def p_of(found: Json) -> str:
+    """The p-value of a model as it was; the least that so few dealt sets can tell is a bound.
+
+    >>> p_of({"p": 1 / 401, "dealt": 400}), p_of({"p": 2 / 401, "dealt": 400})
+    ('≤ 0.0025', '= 0.005')
+    >>> p_of({"p": 1 / 401})  # of a release that did not tell how many there were
+    '= 0.0025'
+    """
+    p, dealt = found["p"], found.get("dealt")
+    least = dealt is not None and p * (dealt + 1) < 1.5
+    return f"{'≤' if least else '='} {number(p, 2)}"
+
+
 def with_sd(value: float | None, sd: float | None) -> str:
     """A value to the digits that its sd leaves, ± the sd with two of its own.
 

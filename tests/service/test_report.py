@@ -559,7 +559,7 @@ def test_what_is_sure_is_not_among_what_cannot_be_itsapart() -> None:
     found["names"] = [*found["names"], sure]
     said = " ".join(Read(page_of(found)).said.split())
     assert (
-        f"lacks {sure}, and something else (p = 0.0025), of which its readings cannot tell whether "
+        f"lacks {sure}, and something else (p ≤ 0.0025), of which its readings cannot tell whether "
         "it is campaign offset (campaign spring) or root settling." in said
     )
     assert "Not among those told apart" not in said

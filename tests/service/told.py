@@ -33,6 +33,7 @@ def told(verdict: str, blade: str = "B1", campaign: str = "spring", **changes: A
         "several": [],
         "reasons": ["because it is so"],
         "p": 0.31 if verdict == "adequate" else 0.0025,
+        "dealt": 400,
         "p_after": 0.4 if named else None,
         "effects": [effect(name, campaign)] * named,
         "claimed": verdict == "effect",

@@ -110,7 +110,7 @@ function result(found, unitName) {
   const bars = ranking(found.tried);
   return [
     panel("Verdict", h("p", {}, verdictOf(found.verdict)), found.reasons.map((reason) => h("p", {}, reason)), facts([
-      ["Chance under the model alone", found.p === null ? "–" : plain(found.p, 2)],
+      ["Chance under the model alone", found.p === null ? "–" : (found.p * (found.dealt + 1) < 1.5 ? "≤ " : "") + plain(found.p, 2)],
       ["The same with the effects", found.p_after === null ? "–" : plain(found.p_after, 2)],
       ["Gain in evidence", found.gained_nat === null ? "–" : `${fixed(found.gained_nat, 1)} nat`],
       ["Readings", `${found.readings.used} used of ${found.readings.delivered}`],
