@@ -4,16 +4,17 @@ A webhook is told of events of some or all rotors. What is to be told is written
 in which it happens, one delivery for each webhook that asks for it, so that nothing is lost between
 the two; a worker sends it, and it counts as delivered when that was answered with 2xx.
 
-================  =============================================================================
-sealed            a rotor has a new sealed version
-blocked           a rotor is blocked; its error, and the entry that stops it
-alarm             a sealed version is not to be trusted, and the one before was (health)
-diagnosed         a diagnosis is done; its verdict, and why the rotor did not adopt it by itself
-diagnosis-failed  a diagnosis failed and is not tried again; its error
-adopted           effects are put into a rotor's model: of which diagnosis, and whether unasked
-backed-out        they are taken out again
-gap               some of a rotor's were dropped, for too many waited; told unasked
-================  =============================================================================
+===================  ===========================================================================
+sealed               a rotor has a new sealed version
+blocked              a rotor is blocked; its error, and the entry that stops it
+alarm                a sealed version is not to be trusted, and the one before was (health)
+diagnosed            a diagnosis is done; its verdict, and why the rotor did not adopt it by itself
+diagnosis-failed     a diagnosis failed and is not tried again; its error
+diagnosis-cancelled  somebody cancelled a diagnosis that had not ended
+adopted              effects are put into a rotor's model: of which diagnosis, and whether unasked
+backed-out           they are taken out again
+gap                  some of a rotor's were dropped, for too many waited; told unasked
+===================  ===========================================================================
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol, get_args
 
 Kind = Literal[
-    "sealed", "blocked", "alarm", "diagnosed", "diagnosis-failed", "adopted", "backed-out"
+    "sealed",
+    "blocked",
+    "alarm",
+    "diagnosed",
+    "diagnosis-failed",
+    "diagnosis-cancelled",
+    "adopted",
+    "backed-out",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 GAP = "gap"

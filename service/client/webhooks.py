@@ -35,8 +35,8 @@ def create_webhook(
 ) -> Steps[answers.WebhookMade]:
     """Have what happens sent to a URL: ``{"webhook", "secret"}``; the secret is shown once.
 
-    events   some of sealed, blocked, alarm, diagnosed, diagnosis-failed, adopted, backed-out;
-             None: all
+    events   some of sealed, blocked, alarm, diagnosed, diagnosis-failed, diagnosis-cancelled,
+             adopted, backed-out; None: all
     rotors   the only ones; None: all
     """
     body: Json = {"id": webhook, "url": url}

@@ -99,9 +99,12 @@ def cancel_diagnosis(store: Store, rotor_id: str, diagnosis: str) -> JobRecord:
     """End a diagnosis that is queued or running; one that has ended stays as it is."""
     with store.write() as tx:
         tx.log.lock(rotor_id)
-        found_in(tx, rotor_id, diagnosis)
+        before = found_in(tx, rotor_id, diagnosis)
         tx.records.cancel_job(diagnosis)
-        return tx.records.job(diagnosis)
+        job = tx.records.job(diagnosis)
+        if job.status != before.status:  # who waits for its end is told
+            tx.outbox.post(rotor_id, "diagnosis-cancelled", {"diagnosis": diagnosis})
+        return job
 
 
 def found_in(tx: Transaction, rotor_id: str, diagnosis: str) -> JobRecord:

@@ -207,6 +207,9 @@ def test_a_running_diagnosis_that_is_cancelled_stops_at_its_next_step(
     ended = twin.diagnosis("r1", told["id"])
     assert (ended["status"], ended["result"]) == ("cancelled", None)
     assert twin.cancel_diagnosis("r1", told["id"]) == ended, "again: as it is"
+    with store.read() as tx:
+        heard = [(n.kind, n.payload) for n in tx.outbox.after("r1", 0, 100) if "diagnos" in n.kind]
+    assert heard == [("diagnosis-cancelled", {"diagnosis": told["id"]})], "once"
 
 
 def test_a_diagnosis_that_is_done_is_not_cancelled(

@@ -219,6 +219,7 @@ def test_every_kind_of_event_is_told_and_only_to_who_asked(
             note(connection, rotor, "alarm", {"version": 1, "health": "contradicted"})
             note(connection, rotor, "diagnosed", {"diagnosis": "d", "verdict": "adequate"})
             note(connection, rotor, "diagnosis-failed", {"diagnosis": "e", "error": "e"})
+            note(connection, rotor, "diagnosis-cancelled", {"diagnosis": "f"})
             note(connection, rotor, "adopted", {"diagnosis": "d", "effects": [], "seq": 2})
             note(connection, rotor, "backed-out", {"diagnosis": "d", "effects": [], "seq": 3})
     assert [(one.rotor_id, one.event) for one in reversed(listed(store))] == [

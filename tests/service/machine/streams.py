@@ -14,7 +14,8 @@ from tests.service.machine.steps import act, rotors
 from tests.service.modelled import Json, Modelled
 
 CHANGES = {"adoption": "adopted", "back-out": "backed-out"}
-KINDS = {"applied", "diagnosed", "diagnosis-failed", "residuals", *CHANGES.values()}
+ENDS = {"diagnosed": "done", "diagnosis-failed": "failed", "diagnosis-cancelled": "cancelled"}
+KINDS = {"applied", "residuals", *ENDS, *CHANGES.values()}
 
 
 class Streams(Log):
@@ -51,7 +52,7 @@ class Streams(Log):
         assert {one["rotor"] for one in told} <= {self.id(rotor)}
         assert {one["event"] for one in told} <= KINDS
         self.compare_versions(rotor, model, [one for one in told if one["event"] == "applied"])
-        for kind, status in (("diagnosed", "done"), ("diagnosis-failed", "failed")):
+        for kind, status in ENDS.items():
             ended = [one["diagnosis"] for one in told if one["event"] == kind]
             assert sorted(ended) == sorted(d.id for d in model.diagnoses if d.status == status)
         self.compare_changes(model, told)
