@@ -188,8 +188,11 @@ def _problem(told: str) -> str:
 
     >>> _problem("Value error, holds no face"), _problem("Field required")
     ('holds no face', 'field required')
+    >>> _problem("Extra inputs are not permitted")
+    'is not known here'
     """
     told = told.removeprefix("Value error, ")
+    told = told.replace("Extra inputs are not permitted", "is not known here")
     return told[:1].lower() + told[1:]
 
 
