@@ -12,7 +12,7 @@ import pytest
 from core.validation import effects_study as study
 from core.validation.effect_gains import improvement
 from core.validation.effect_sets import CLEAN, CONDITIONS, NAMED, PHYSICS
-from tests.claims.words import WORDS
+from tests.claims.words import FIGURES, WORDS
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -41,6 +41,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-scans-named", NAMED, 1),
         ("effects-scans-named-second", NAMED, 1),
         ("effects-worn", ("worn lot",), 12),
+        ("effects-sensors", ("campaign", "instrument", "gain"), 6),
         ("effects-chosen", ("wear", "worn lot", "fouling", "step", "tertiary"), 2),
     ],
 )
@@ -70,6 +71,22 @@ def test_whoever_chooses_what_was_planted_is_nearer_than_with_another_alternativ
     assert (sum(count for *_, count, _ in placebos), sum(won for *_, won in placebos)) == (1194, 0)
     assert [s["outcome"] for s in found].count("in the set") == 3
     assert {s["outcome"] for s in found} == {"in the set", "silent"}
+
+
+def test_no_name_that_is_right_is_lost_to_placebos() -> None:
+    """Three kinds of sensors' faults; and twelve worn lots, as before there were any."""
+    sensors, worn = kept("effects-sensors"), kept("effects-worn-placebos")
+    before = [s for s in kept("effects-worn")["sets"] if s["condition"] == "worn lot"]
+    assert [s["outcome"] for s in worn["sets"]] == [s["outcome"] for s in before]
+    assert [s["gained_nat"] for s in worn["sets"]] == [s["gained_nat"] for s in before]
+    right = {kind: 6 * row["right"] for kind, row in sensors["table"].items()}
+    assert right == pytest.approx({"campaign": 6, "instrument": 6, "gain": 4})
+    assert {row["wrong"] for row in sensors["table"].values()} == {0.0}
+    for found, count, won in ((sensors, 6367, 0), (worn, 3221, 1)):
+        asked = [one for s in found["sets"] for one in s["placebos"]]
+        assert (sum(n for *_, n, _ in asked), sum(k for *_, k in asked)) == (count, won)
+        assert f"{count:,} placebos" in WORDS
+    assert "1 of 9,588; none" in FIGURES
 
 
 def test_worn_lots_have_the_room_of_their_blades_and_what_leans_on_it_is_told() -> None:
