@@ -20,6 +20,8 @@ from service.fake import FakeScience
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor
+from service.handlers.transfer_in import import_rotor
+from service.handlers.transfer_out import export_rotor
 from service.ports import BladeRecord, Diagnose, Json, ModelCard
 from service.settings import Settings
 from service.store.engine import open_engine
@@ -206,6 +208,35 @@ def test_what_a_diagnosis_named_is_adopted_and_backed_out_by_its_page(
     expect(page.get_by_role("button", name="Adopt into the model")).to_be_visible()
     assert page.evaluate("window.same") is True, "never reloaded"
     assert (seen.errors, seen.outside) == ([], [])
+
+
+def test_what_an_imported_rotor_brought_of_a_diagnosis_is_shown_and_backed_out(
+    seen: Watched, twin: Twin, tmp_path: Path
+) -> None:
+    """The diagnosis stayed where it was made; its effect is linked to from the rotor's page."""
+    asked = twin.client.post("/v1/rotors/r1/diagnoses", json={}).raise_for_status()
+    found = asked.json()["diagnosis"]["id"]
+    twin.diagnoser.drain()
+    twin.client.post(f"/v1/rotors/r1/diagnoses/{found}/adoption").raise_for_status()
+    twin.worker.drain()
+    export_rotor(twin.store, "r1", tmp_path / "r1.zip", "test")
+    import_rotor(twin.store, Offsets(), tmp_path / "r1.zip", "copy")
+    twin.worker.drain()
+    page = seen.open(f"/rotors/copy/diagnoses/{found}")
+    expect(page.locator("#states")).to_contain_text("not here")
+    expect(page.locator("#notice .warn")).to_contain_text("did not travel with its rotor")
+    effects = page.get_by_role("region", name="Effects")
+    expect(effects).to_contain_text(NAME)
+    expect(effects).to_contain_text("0.100 ± 0.010 mm")
+    press(page, "Back out", sure=True)
+    expect(said(page)).to_contain_text("Back out: done.")
+    expect(page.locator("main")).to_contain_text("Backed out.")
+    expect(page.get_by_role("button", name="Back out")).to_have_count(0)
+    assert serious(page) == []
+    assert seen.outside == []
+    assert all("404" in one for one in seen.errors), "nothing but what is not there"
+    page = seen.open("/rotors/copy/diagnoses/never", state="failed")
+    expect(page.locator("#notice .warn")).to_contain_text("Not found")
 
 
 def test_a_rotor_s_page_tells_that_it_adopted_by_itself(seen: Watched, twin: Twin) -> None:

@@ -6,6 +6,7 @@ import { axis, fixed, hours, inUnit, moment, number, plain, withSd, words } from
 import { drawn, follow, keep } from "./live.js";
 import { pictures } from "./pictures.js";
 import { progress } from "./progress.js";
+import { effectsOf, isInForce, isWider, standing } from "./standing.js";
 import { badge, notices, shaken } from "./states.js";
 import { askedBy, stateOf, verdictOf } from "./verdict.js";
 
@@ -150,41 +151,6 @@ function result(found, unitName) {
   ];
 }
 
-/** The words for an entry that concerns a diagnosis. */
-function happened(one) {
-  if (one.what === "joining") return `blade ${one.blade} joined`;
-  return one.what === "adoption" ? "adopted" : "backed out";
-}
-
-/** Whether what a diagnosis found is in the model: blades that joined since do not change that. */
-const isInForce = (history) => history.findLast((one) => one.what !== "joining")?.what === "adoption";
-
-/** Whether a lack without a name widens the bands by a discrepancy, which can be adopted. */
-const isWider = (found) => found.verdict === "unattributed" && found.widened?.borne_out === true;
-
-/** What of this diagnosis is in the rotor's model: when it was adopted, and since which version. */
-function standing(history, now, found) {
-  const last = history.at(-1);
-  if (!last) return [h("p", {}, "Not in the model."), found.not_adopted ? h("p", {}, `The rotor did not adopt it by itself: ${found.not_adopted}`) : null];
-  const inForce = isInForce(history);
-  const state = now.posterior;
-  const computed = state !== null && state.through_seq >= last.seq;
-  const what = !inForce ? "the network before it" : isWider(found) ? "the discrepancy" : "the effect";
-  return [
-    h("p", {}, h("strong", {}, inForce ? "Adopted." : "Backed out."), " ",
-      computed ? `Version ${fixed(state.version, 0)} of the posterior has ${what}${state.sealed ? "" : "; it is provisional, the sealed one follows"}.`
-        : `The next version will have ${what}; a worker has yet to compute it.`),
-    scroll("Adoptions", table([
-      { name: "What happened", value: happened },
-      { name: "Entry", value: (one) => fixed(one.seq, 0), number: true },
-      { name: "When", value: (one) => moment(one.at) },
-      { name: "By key", value: (one) => (one.unasked ? "the rotor itself" : one.posted_by ?? "–") },
-      { name: "Chosen", value: (one) => (one.chosen ? `alternative ${one.chosen.alternative}: ${one.chosen.because}` : "–") },
-      { name: "Readings since the diagnosis", value: (one) => (one.readings_since === null ? "–" : fixed(one.readings_since, 0)), number: true },
-    ], history)),
-  ];
-}
-
 /** The report's pictures, or why there are none. */
 async function drawings(can) {
   if (!can) return null;
@@ -215,21 +181,47 @@ function choose(one, name) {
   if (because) act(`Adopt ${one.number}`, () => post(`${url}/adoption`, { alternative: one.number, because }));
 }
 
+const button = (text, how, quiet) => h("button", { type: "button", class: quiet ? null : "main", onclick: how }, text);
+const backOut = (what) => button("Back out", () => confirm(`Take the ${what} out of this rotor's model again?`) && act("Back out", () => remove(`${url}/adoption`)), true);
+
+/** The diagnosis; where it is not here, the problem that says so. */
+async function here() {
+  try {
+    return await get(url);
+  } catch (error) {
+    if (error.status !== 404) throw error;
+    return error;
+  }
+}
+
+/** What a rotor brought with it of a diagnosis that stayed where it was made (an import). */
+function away(history, now, canBackOut) {
+  show($("states"), badge("warn", "not here"));
+  notices([["warn", "This diagnosis did not travel with its rotor: what it found, and its report, stayed where they were made.", "What it put into the model came with the rotor’s log."],
+    ...shaken(now.effects.filter((one) => one.diagnosis === names.d))]);
+  show($("page"), h("div", { class: "controls actions" }, canBackOut && isInForce(history) ? backOut("effect") : null, said),
+    panel("In the model", standing(history, now, {})), panel("Effects", effectsOf(history)));
+}
+
 let next = 0;
 
 async function draw() {
-  const [d, canReport, canAdopt, canBackOut, canCancel] = await Promise.all([get(url),
+  const [d, canReport, canAdopt, canBackOut, canCancel] = await Promise.all([here(),
     offers("get", `${TEMPLATE}/report`), offers("post", `${TEMPLATE}/adoption`), offers("delete", `${TEMPLATE}/adoption`), offers("delete", TEMPLATE)]);
   const [now, adoptions] = await Promise.all([get(rotor), pages(`${rotor}/adoptions`)]);
   drawn.version = now.version;
   const history = adoptions.items.filter((one) => one.diagnosis === names.d);
+  if (d instanceof Problem) {
+    if (history.length === 0) throw d;
+    away(history, now, canBackOut);
+    return;
+  }
   const inForce = isInForce(history);
   const going = d.status === "queued" || d.status === "running";
   show($("states"), badge(...stateOf(d)));
   notices([d.status === "failed" && ["bad", `It failed after ${number(d.attempts, "attempt")}.`, d.error],
     d.status === "cancelled" && ["warn", "It was cancelled: there is no result."],
     ...shaken(now.effects.filter((one) => one.diagnosis === names.d))]);
-  const button = (text, how, quiet) => h("button", { type: "button", class: quiet ? null : "main", onclick: how }, text);
   const done = d.status === "done";
   const wider = done && isWider(d.result);
   const adoptable = wider || (done && d.result.claimed);
@@ -244,7 +236,7 @@ async function draw() {
       going && canCancel ? button("Cancel", () => act("Cancel", () => remove(url)), true) : null,
       done && canReport ? button("Save the report", () => act("Report", report), true) : null,
       adoptable && canAdopt && !inForce ? button("Adopt into the model", () => confirm(`Put the ${what} into this rotor's model?`) && act("Adopt", () => post(`${url}/adoption`))) : null,
-      (adoptable || choosable) && canBackOut && inForce ? button("Back out", () => confirm(`Take the ${what} out of this rotor's model again?`) && act("Back out", () => remove(`${url}/adoption`)), true) : null), said),
+      (adoptable || choosable) && canBackOut && inForce ? backOut(what) : null), said),
     choosable && canAdopt && !inForce ? choices(d.result.alternatives, choose) : null,
     adoptable || history.length ? panel("In the model", standing(history, now, d.result)) : null,
     done ? h("div", { class: "columns halves" }, result(d.result, unitName), await drawings(canReport)) : null);
