@@ -199,8 +199,8 @@ function away(history, now, canBackOut) {
   show($("states"), badge("warn", "not here"));
   notices([["warn", "This diagnosis did not travel with its rotor: what it found, and its report, stayed where they were made.", "What it put into the model came with the rotor’s log."],
     ...shaken(now.effects.filter((one) => one.diagnosis === names.d))]);
-  show($("page"), h("div", { class: "controls actions" }, canBackOut && isInForce(history) ? backOut("effect") : null, said),
-    panel("In the model", standing(history, now, {})), panel("Effects", effectsOf(history)));
+  const actions = h("div", { class: "controls actions" }, canBackOut && isInForce(history) ? backOut("effect") : null, said);
+  show($("page"), panel("In the model", standing(history, now, {}), actions), panel("Effects", effectsOf(history)));
 }
 
 let next = 0;
