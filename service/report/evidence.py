@@ -10,7 +10,7 @@ from service.report.alternatives import hypothesis
 from service.report.markup import Child, Markup, el
 from service.report.sections import ALARM, ALLOWED, CONFIRMED, LEFT, NAMED, OLDER, SHOWN, changes
 from service.report.tables import cell, figure, note, section, table
-from service.report.words import joined, number, with_sd
+from service.report.words import joined, number, p_of, with_sd
 
 Json = Mapping[str, Any]
 
@@ -18,16 +18,14 @@ Json = Mapping[str, Any]
 def evidence(found: Json) -> Markup:
     """Shares of the evidence by name, calibrated hypotheses, p-values, and everything tried."""
     parts: list[Child] = []
-    rows = []
-    if found["p"] is not None:
-        rows.append(("of the model as it was", found["p"], ALARM))
+    rows = [("of the model as it was", found["p"], ALARM)] if found["p"] is not None else []
     if found["p_after"] is not None and found["effects"]:  # else nothing was put in
         rows.append(("of what is left after", found["p_after"], LEFT))
     if rows:
         said = "Family-wise over everything that was tried; the null is made of the residuals."
-        if dealt := found.get("dealt"):
+        if found["p"] is not None and p_of(found).startswith("≤"):
             said += (
-                f" Of {dealt} dealt sets: the least that they can tell is {1 / (dealt + 1):.2g}."
+                f" {number(found['p'], 2)} is the least that {found['dealt']} dealt sets can tell."
             )
         parts.append(figure(figures.p_values(rows), said))
     shares = [(n, 100 * w) for n, w in found["evidence"].items() if w is not None and w >= 5e-3]

@@ -565,6 +565,17 @@ def test_what_is_sure_is_not_among_what_cannot_be_itsapart() -> None:
     assert "Not among those told apart" not in said
 
 
+def test_the_least_p_that_can_be_told_is_a_bound_in_report_and_command() -> None:
+    found = told("unattributed")
+    older = {k: v for k, v in found.items() if k != "dealt"}
+    least = "0.0025 is the least that 400 dealt sets can tell."
+    for one, bound in ((found, True), (older, False), (found | {"p": 2 / 401}, False)):
+        said = " ".join(Read(page_of(one)).said.split())
+        assert (least in said, "(p ≤ 0.0025)" in said, "≤ 0.0025" in said) == (bound,) * 3
+        (first, *_) = lines_of({"rotor": "r1", "id": "d1", "result": one})
+        assert ("(p ≤ 0.0025)" in first) is bound, first
+
+
 def test_a_cause_is_itsapart_by_its_courses() -> None:
     found = told("not separable", names=["coating loss", "root settling"])
     for rival, names in zip(
