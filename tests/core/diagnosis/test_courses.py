@@ -66,26 +66,38 @@ def told() -> tuple[Diagnosis, Case]:
     return diagnose(model, update(model, SPEC, data), case), case
 
 
+@cache
+def normal(
+    read: tuple[tuple[int, float, bool], ...], cells: tuple[Cell, ...]
+) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.ndarray]:
+    """Mean and covariance of readings by blade, hour and whether the gauge is that of the cells;
+    log determinant of 2π times that; what a reading moves all amplitudes by, and their covariance.
+    """
+    sizes = [SIZE**2] * len(cells)
+    prior = np.diag([0.25, *sizes, *[0.36] * (2 * BLADES)])
+    mean = np.array([2.0, *[0.0] * len(cells), *[-1.0, 0.0] * BLADES])
+    x = np.zeros((len(read), len(mean)))
+    k = len(cells)
+    for row, (b, hour, off) in enumerate(read):
+        x[row, 0] = 0.8
+        if off:
+            x[row, 1 : 1 + k] = [float(c.course.at(hour)) for c in cells]
+        x[row, 1 + k + 2 * b : 3 + k + 2 * b] = SLOPES[0], SLOPES[1] * hour
+    covariance = x @ prior @ x.T + SIGMA**2 * np.eye(len(read))
+    gain = prior @ x.T @ np.linalg.inv(covariance)
+    after = prior - gain @ x @ prior
+    _, logdet = np.linalg.slogdet(2 * np.pi * covariance)
+    return x @ mean, covariance, float(logdet), gain, after
+
+
 def exact(
     data: Sequence[Inspection], cells: Sequence[Cell]
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence, and the amplitudes' mean and covariance; all else integrated out."""
-    sizes = [SIZE**2] * len(cells)
-    prior = np.diag([0.25, *sizes, *[0.36] * (2 * BLADES)])
-    mean = np.array([2.0, *[0.0] * len(cells), *[-1.0, 0.0] * BLADES])
-    x = np.zeros((len(data), len(mean)))
+    read = tuple((int(r.blade[1:]), r.time_h, r.instrument == "gauge 0") for r in data)
+    expected, covariance, logdet, gain, after = normal(read, tuple(cells))
     k = len(cells)
-    for row, r in enumerate(data):
-        b = int(r.blade[1:])
-        x[row, 0] = 0.8
-        if r.instrument == "gauge 0":
-            x[row, 1 : 1 + k] = [float(c.course.at(r.time_h)) for c in cells]
-        x[row, 1 + k + 2 * b : 3 + k + 2 * b] = SLOPES[0], SLOPES[1] * r.time_h
-    y = np.array([r.values[0] for r in data]) - x @ mean
-    covariance = x @ prior @ x.T + SIGMA**2 * np.eye(len(data))
-    gain = prior @ x.T @ np.linalg.inv(covariance)
-    after = prior - gain @ x @ prior
-    _, logdet = np.linalg.slogdet(2 * np.pi * covariance)
+    y = np.array([r.values[0] for r in data]) - expected
     evidence = -0.5 * (logdet + y @ np.linalg.solve(covariance, y))
     return float(evidence), (gain @ y)[1 : 1 + k], after[1 : 1 + k, 1 : 1 + k]
 
