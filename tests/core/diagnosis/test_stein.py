@@ -10,7 +10,7 @@ from scipy.stats import truncnorm
 
 from core.calibration.online import Workspace, update
 from core.calibration.space import locals_of
-from core.calibration.state import RotorSpec, blade_posterior
+from core.calibration.state import RotorSpec, RotorState, blade_posterior
 from core.diagnosis import scoring
 from core.diagnosis.answering import Answering
 from core.diagnosis.case import Case
@@ -65,14 +65,17 @@ def test_weights_say_what_a_regression_on_the_fields_says() -> None:
     assert steadied(c, w) @ c == pytest.approx(np.zeros(4), abs=1e-12)
 
 
+def _calibrated(model: Model, data: list[Inspection], particles: int) -> RotorState:
+    blades = tuple(sorted({r.blade for r in data}))
+    return update(model, RotorSpec("r", blades, particles, 3), data)
+
+
 def _fields_of(
-    model: Model, data: list[Inspection], particles: int, off: float = 0.0
+    model: Model, data: list[Inspection], state: RotorState, off: float = 0.0
 ) -> np.ndarray:
     """Means of the fields over their standard error, by blade; off: of readings that are wrong."""
-    blades = tuple(sorted({r.blade for r in data}))
-    state, work = update(model, RotorSpec("r", blades, particles, 3), data), Workspace()
-    found = []
-    for blade in blades:
+    found, work = [], Workspace()
+    for blade in state.meta["blades"]:
         posterior = blade_posterior(state.meta, state.arrays.__getitem__, blade)
         rows = work.rows_of(model, [r for r in data if r.blade == blade])
         wrong = replace(rows, y=rows.y + off * np.array([o >= 0 for o in rows.of]))
@@ -95,13 +98,16 @@ def test_the_fields_of_a_blades_posterior_are_zero_on_average() -> None:
         for b in range(6)
         for k, t in enumerate((8e3, 16e3, 24e3))
     ]
-    z = _fields_of(rotor_blade(), data, 10_000)
+    model = rotor_blade()
+    state = _calibrated(model, data, 10_000)
+    z = _fields_of(model, data, state)
     assert z.shape == (6, 12)
     assert np.sqrt(np.mean(z**2)) < 1.2
     assert np.abs(z).max() < 4.0
-    assert np.abs(_fields_of(rotor_blade(), data, 10_000, 0.02)).max() > 8.0
+    assert np.abs(_fields_of(model, data, state, 0.02)).max() > 8.0
     values = np.random.default_rng(7).normal(2.5, 0.5, (len(BLADES), 3))
-    z = _fields_of(hierarchical(), of_a_population(values), POPULATION.particles)
+    model, data = hierarchical(), of_a_population(values)
+    z = _fields_of(model, data, _calibrated(model, data, POPULATION.particles))
     assert z.shape == (len(BLADES), 2)
     assert np.sqrt(np.mean(z**2)) < 1.2
 
