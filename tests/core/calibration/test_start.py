@@ -34,12 +34,28 @@ def nothing() -> tuple[Step, int]:
     return made()
 
 
-def test_from_where_it_is_expected_the_same_posterior_is_found_in_a_quarter_of_the_columns(
-    nothing: tuple[Step, int],
-) -> None:
-    alone, many = nothing
+@pytest.fixture(scope="module")
+def near(nothing: tuple[Step, int]) -> tuple[Step, int]:
+    """From where it is expected, twice as wide."""
+    return made(Start.of(MODEL, nothing[0].sealed()).wider(2.0))
+
+
+def far(alone: Step) -> Start:
     known = Start.of(MODEL, alone.sealed())
-    again, few = made(known.wider(2.0))
+    sd = np.sqrt(np.diag(known.covariance))
+    return replace(known, mean=known.mean + np.array([-12.0, 8.0]) * sd)
+
+
+@pytest.fixture(scope="module")
+def misled(nothing: tuple[Step, int]) -> tuple[Step, int]:
+    """From a start that is far off."""
+    return made(far(nothing[0]))
+
+
+def test_from_where_it_is_expected_the_same_posterior_is_found_in_a_quarter_of_the_columns(
+    nothing: tuple[Step, int], near: tuple[Step, int]
+) -> None:
+    (alone, many), (again, few) = nothing, near
     assert again.log_evidence == pytest.approx(alone.log_evidence, abs=0.05)
     mine, other = (
         shared_posterior(one.meta, one.arrays.__getitem__).particles
@@ -51,25 +67,20 @@ def test_from_where_it_is_expected_the_same_posterior_is_found_in_a_quarter_of_t
 
 
 def test_a_start_that_is_far_off_costs_time_and_changes_nothing(
-    nothing: tuple[Step, int],
+    nothing: tuple[Step, int], misled: tuple[Step, int]
 ) -> None:
     alone, _ = nothing
-    known = Start.of(MODEL, alone.sealed())
-    sd = np.sqrt(np.diag(known.covariance))
-    off = replace(known, mean=known.mean + np.array([-12.0, 8.0]) * sd)
-    assert made(off)[0].log_evidence == pytest.approx(alone.log_evidence, abs=0.1)
+    assert misled[0].log_evidence == pytest.approx(alone.log_evidence, abs=0.1)
 
 
 def test_where_a_start_is_to_be_alone_nothing_is_looked_for_elsewhere(
-    nothing: tuple[Step, int],
+    nothing: tuple[Step, int], near: tuple[Step, int], misled: tuple[Step, int]
 ) -> None:
     known = Start.of(MODEL, nothing[0].sealed())
-    sd = np.sqrt(np.diag(known.covariance))
-    off = replace(known, mean=known.mean + np.array([-12.0, 8.0]) * sd)
-    (found, many), (lost, few) = made(off), made(replace(off, alone=True))
+    (found, many), (lost, few) = misled, made(replace(far(nothing[0]), alone=True))
     assert 2 * few < many
     assert 2 * lost.weighed.ess_ratio < found.weighed.ess_ratio, "and its share tells"
-    near, there = made(known.wider(2.0)), made(replace(known.wider(2.0), alone=True))
+    there = made(replace(known.wider(2.0), alone=True))
     assert near[1] == there[1]
     assert near[0].sealed().digest == there[0].sealed().digest
 
