@@ -32,23 +32,23 @@ def slipped(condition: str, particles: int = 1000) -> tuple[Any, str]:
     return replace(given, case=replace(given.case, readings=wrong)), name
 
 
-def first_word(given: Any) -> tuple[RotorState, Verdict]:
-    model, work = rotor_blade_wide(), Workspace()
+def first_word(given: Any, work: Workspace) -> tuple[RotorState, Verdict]:
+    model = rotor_blade_wide()
     state = update(model, given.case.spec, given.case.readings, workspace=work)
     scan = replace(given.case, workspace=work).scan(model, state)
     return state, judge(scan, given.case.seed, dealt=given.case.dealt)
 
 
 def test_it_raises_no_alarm_and_without_bounds_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    given, name = slipped("clean", 400)
-    state, verdict = first_word(given)
+    (given, name), work = slipped("clean", 400), Workspace()
+    state, verdict = first_word(given, work)
     (one,) = state.meta["health"]["contradicted"]
     assert [s["reading"] for s in one["suspects"]] == [name]
     assert verdict.word == "adequate"
     assert verdict.p > 0.1
     monkeypatch.setattr(bounded, "ROUNDS", 0)
     monkeypatch.setattr(bounded, "TRIED", 0)
-    assert first_word(given)[1].p < 0.05, "the control"
+    assert first_word(given, work)[1].p < 0.05, "the control"
 
 
 def test_an_effect_beside_it_is_found_and_the_blade_that_was_left_out_told() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from core.calibration.online import Workspace
 from core.diagnosis.families import FAMILIES
 from core.diagnosis.grammar import Cell
 from core.errors import InputError
@@ -41,14 +42,15 @@ def test_a_rival_that_would_have_to_go_the_wrong_way_is_none() -> None:
 
 def test_a_campaigns_offset_is_told_from_all_else_and_an_hour_hotter_gas_is_not() -> None:
     model, campaign = rotor_blade_wide(), made(TWENTY, "campaign", 0, 5, 200)
+    work = Workspace()
     moved = [r.id for r in campaign.case.readings if campaign.exact[r.id] != campaign.sound[r.id]]
-    sure = oracle.possible(model, campaign)
+    sure = oracle.possible(model, campaign, workspace=work)
     bound = 0.5 * len(moved) * (OFFSET / NOISE) ** 2  # what these readings tell of a mean
     assert 0.5 * bound < sure.alone < bound
     assert sure.alarm > 0.99
     assert sure.searched == 1.0
     assert sure.name > 0.98
-    faint = oracle.possible(model, made(TWENTY, "step", 0, 5, 200))
+    faint = oracle.possible(model, made(TWENTY, "step", 0, 5, 200), workspace=work)
     assert faint.rival is not None
     assert faint.left < sure.left / 2
     assert faint.name < 0.9
