@@ -131,7 +131,7 @@ def test_a_scan_is_expected_as_it_is_simulated() -> None:
     rng, drawn = np.random.default_rng(4), Drawn.of(state, "B1")
     names = model.input_names
     x = np.stack([drawn.posterior.column(n) for n in names], axis=1)
-    some = rng.choice(len(x), 4000, p=drawn.w)
+    some = rng.choice(len(x), 1500, p=drawn.w)
     noise = {"sigma_obs.deformation": 0.001}
     z = np.array([q.T @ scan(model, x[i], 16e3, nodes, noise, rng).ravel() for i in some])
     whole = told.own[0] + told.common[0] @ told.common[0].T
