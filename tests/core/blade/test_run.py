@@ -118,13 +118,13 @@ def test_elongation_is_monotone_in_each_input_at_every_late_instant(
     assert np.all(steps > 0.05 * middle[1:])
 
 
-def test_a_starved_coolant_makes_the_blade_longer(base: dict[str, float]) -> None:
-    p, instants = Properties(), np.array([0.0, 5000.0])
+def test_a_starved_coolant_makes_the_blade_longer(
+    base: dict[str, float], middle: np.ndarray
+) -> None:
+    p = Properties()
     starved = replace(p, service=replace(p.service, coolant_film=0.9 * p.service.coolant_film))
-    assert (
-        simulate(base, "coarse", starved, time_h=instants).elongation[-1]
-        > 1.2 * simulate(base, "coarse", time_h=instants).elongation[-1]
-    )
+    longer = simulate(base, "coarse", starved, time_h=LATE[:2], tolerance=LOOSE).elongation
+    assert longer[1] > 1.2 * middle[1]
 
 
 EXTREMES = {
