@@ -36,6 +36,12 @@ def before() -> RotorState:
     return update(MODEL, SPEC, READINGS)
 
 
+@pytest.fixture(scope="module")
+def with_late() -> RotorState:
+    """Of the late reading, too, calibrated from nothing."""
+    return update(MODEL, SPEC, [*READINGS, LATE])
+
+
 def stored(state: RotorState, asked: list[str]) -> RotorState:
     """The state as another process finds it: arrays are fetched by name."""
 
@@ -106,10 +112,9 @@ def test_a_quick_update_says_that_its_messages_are_nearly_known(before: RotorSta
     assert before.meta["health"]["message_error_nat"] < NEARLY
 
 
-def test_sealed_states_remember_no_path(before: RotorState) -> None:
+def test_sealed_states_remember_no_path(before: RotorState, with_late: RotorState) -> None:
     """Late, shuffled, over quick states of fewer draws, from another process: bit-identical."""
-    readings = [*READINGS, LATE]
-    alone = update(MODEL, SPEC, readings)
+    readings, alone = [*READINGS, LATE], with_late
     quick = update(MODEL, SPEC, readings, before, quick=True)
     assert alone.meta["provisional"] == []
     shuffled = [readings[i] for i in np.random.default_rng(5).permutation(len(readings))]
@@ -198,10 +203,12 @@ def test_a_surprising_reading_tempers_the_shared_level_until_it_is_sealed(
     assert abs(mean - true_mean) < 3 * sd
 
 
-def test_a_state_of_another_algorithm_is_not_built_upon(before: RotorState) -> None:
+def test_a_state_of_another_algorithm_is_not_built_upon(
+    before: RotorState, with_late: RotorState
+) -> None:
     old = RotorState({**before.meta, "algorithm_version": "older"}, before.arrays)
     state = update(MODEL, SPEC, [*READINGS, LATE], old, quick=True)
-    assert state.digest == update(MODEL, SPEC, [*READINGS, LATE]).digest
+    assert state.digest == with_late.digest
 
 
 def test_a_blade_that_joins_gets_its_prior_and_what_the_others_told(before: RotorState) -> None:

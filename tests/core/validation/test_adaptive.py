@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,7 @@ def rows() -> list[dict[str, Any]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(adaptive, "learn", once(adaptive.learn, lambda x, *_: x.tobytes()))
         patch.setattr(refine, "train", once(train, runs_of))
+        patch.setattr(Study, "one_shot", cache(Study.one_shot))
         return run_formula(small)
 
 
