@@ -19,11 +19,12 @@ from sqlalchemy import make_url
 import service.one_thread  # noqa: F401  before numpy, as every command does
 from service.store.engine import open_engine
 from service.store.migrate import migrate
-from tests import postgres
+from tests import compiled_once, postgres
 
 
 def pytest_sessionstart() -> None:
     gc.disable()
+    compiled_once.keep()
 
 
 def pytest_collection_finish() -> None:
