@@ -182,6 +182,7 @@ def build(root: Path) -> Image:
 def shell(image: Image, line: str, folder: Path) -> None:
     environ = {n: v for n, v in image.environ().items() if n != "PYTHONDONTWRITEBYTECODE"}
     environ.setdefault("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))  # the cache mount
+    environ.setdefault("PIP_NO_COMPILE", "1")  # `imported` does it for what is used
     done = subprocess.run(
         ["/bin/sh", "-ec", image.here(line)],
         cwd=folder,
@@ -191,6 +192,21 @@ def shell(image: Image, line: str, folder: Path) -> None:
         timeout=LONG_S,
     )
     assert done.returncode == 0, f"RUN {line}\n{done.stdout[-1000:]}{done.stderr[-3000:]}"
+
+
+def imported(image: Image) -> None:
+    """Import all of our code once, which leaves the bytecode that pip would have: commands do not
+    write it, and each would compile all that it imports.
+    """
+    program = (
+        "import contextlib, importlib, pkgutil, core, service",
+        "for one in (core, service):",
+        "    for module in pkgutil.walk_packages(one.__path__, f'{one.__name__}.'):",
+        "        with contextlib.suppress(Exception):  # of an extra that is not there",
+        "            importlib.import_module(module.name)",
+    )
+    words = ["/opt/bladetwin/bin/python", "-c", "\n".join(program)]
+    shell(image, shlex.join(words), image.root)
 
 
 def copy(rest: str, folder: Path) -> None:
@@ -237,7 +253,9 @@ def as_user(image: Image, words: list[str]) -> None:
 
 @pytest.fixture(scope="module")
 def image(tmp_path_factory: pytest.TempPathFactory) -> Image:
-    return build(tmp_path_factory.mktemp("image"))
+    made = build(tmp_path_factory.mktemp("image"))
+    imported(made)
+    return made
 
 
 @pytest.fixture(scope="module")
