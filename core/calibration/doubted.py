@@ -16,27 +16,31 @@ vain: what is taken is decided by the evidence itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
-from core.calibration.exchanged import Looks
 from core.calibration.health import most_of
+from core.calibration.looked import Looked
 from core.calibration.message import BladeMessage
+from core.calibration.noisier import kind
 
 
 def doubted(
     messages: Mapping[str, BladeMessage],
-    looked: Looks,
-    turned: Sequence[Mapping[str, Any]],
+    looked: Looked,
     doubt: float,
 ) -> list[tuple[str, ...]]:
     """Groups of blades that may be gross errors, the likeliest first.
 
-    turned  pairs that look exchanged; doubt: −log of the probability of a gross error [nat]
+    looked  at all visits: which pairs look exchanged, which visits are noisier than told
+    doubt   −log of the probability of a gross error [nat]
     """
     count = sum(len(m.rows.of) - m.rows.of.count(-1) for m in messages.values())
-    worst = {b: max((one.misfit for one in own.values()), default=0.0) for b, own in looked.items()}
-    pairs = [tuple(one["blades"]) for one in turned]
+    worst = {}
+    for blade, own in looked.looks.items():
+        out = looked.paired | {blade}
+        sizes = (one.misfit / looked.scatter.variance([kind(one)], out) for one in own.values())
+        worst[blade] = max(sizes, default=0.0)
+    pairs = [tuple(one["blades"]) for one in looked.exchanged]
     paired = {blade for pair in pairs for blade in pair}
     groups = [*pairs, *((b,) for b in sorted(worst) if b not in paired)]
     gains = []

@@ -13,7 +13,8 @@ log BF ≥ log(N ODDS / VISIT) is met with a probability of VISIT / ODDS at most
 the rotor; 1 / (1 + 1/ODDS) is the least probability of an exchange that is told, where one visit in
 1/VISIT has one.
 That holds where the model does: an effect that it lacks, as the zero of an instrument some noises
-off, can look like an exchange, and so can one misread value.
+off, can look like an exchange, and so can one misread value. Where the visits of all other blades
+scatter s times as much as their noise says (`noisier`), log BF counts 1/s² of what it is.
 
 Which of the thousands of pairs are weighed is told by a look at all of them (`cavity`): a reading
 foreseen by the others of blade a, held against that of b, both near the rotor's best node. Blades
@@ -35,6 +36,7 @@ from numpy.typing import NDArray
 
 from core.calibration.cavity import Seen, Visit, seen_of, visits_of
 from core.calibration.message import BladeMessage
+from core.calibration.noisier import Looks, Scatter, kind
 from core.calibration.weighed import Weighed, said
 from core.observation import Inspection
 from core.smc.particles import log_sum_exp
@@ -48,18 +50,21 @@ PLACES = 64  # of each shared parameter's range: what a look is at is rounded to
 KEPT = 2000  # looks
 MOST = 24  # pairs of all visits that are weighed
 Pair = tuple[str, str]
-Looks = Mapping[str, Mapping[Visit, Seen]]
 Kept = OrderedDict[tuple[str, bytes], dict[Visit, Seen]]
 Messages = Callable[[Mapping[str, Sequence[Inspection]]], Mapping[str, BladeMessage]]
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A pair of blades at a visit, and by how much the evidence is for their exchange [nat]."""
+    """A pair of blades at a visit, and by how much the evidence is for their exchange [nat].
+
+    variance  s² of the readings: times less of it counts
+    """
 
     gain: float
     visit: Visit
     pair: Pair
+    variance: float = 1.0
 
     def order(self) -> tuple[float, Visit, Pair]:
         return -self.gain, self.visit, self.pair
@@ -98,11 +103,13 @@ def exchanged(
     accused: Collection[str],
     messages_of: Messages,
     looked: Looks,
+    scatter: Scatter,
 ) -> list[dict[str, Any]]:
     """Pairs of blades whose readings of a visit look exchanged, the clearest first.
 
     messages_of  the messages of blades with these readings
     looked       at each blade's visits (`looks`)
+    scatter      how far they are off
     """
     visits: dict[Visit, dict[str, Seen]] = {}
     for blade, own in looked.items():
@@ -112,7 +119,9 @@ def exchanged(
     counts: dict[Visit, int] = {}
     for visit, seen_there in visits.items():
         counts[visit], found = _looked(visit, seen_there, accused)
-        worth += found
+        least = least_gain(max(counts[visit], 1)) - ROUGH
+        held = [_held(one, seen_there, scatter) for one in found]
+        worth += [one for one in held if one.gain >= least]
     worth.sort(key=Exchange.order)
     weighed = [_weighed(one, messages, made, messages_of) for one in worth[:MOST]]
     told = []
@@ -162,20 +171,27 @@ def _looked(
     return count, [Exchange(float(g), visit, (a, b)) for g, a, b in found if g >= least]
 
 
+def _held(one: Exchange, seen: Mapping[str, Seen], scatter: Scatter) -> Exchange:
+    """With what the others' scatter leaves of it."""
+    variance = scatter.variance({kind(seen[blade]) for blade in one.pair}, one.pair)
+    return replace(one, gain=one.gain / variance, variance=variance)
+
+
 def _weighed(
     one: Exchange,
     messages: Mapping[str, BladeMessage],
     made: Weighed,
     messages_of: Messages,
 ) -> Exchange:
-    """With its evidence by the messages themselves."""
+    """With its evidence by the messages themselves, of which what noise does not make counts."""
     a, b = one.pair
     turned = messages_of(other_way_round(messages[a], messages[b], one.visit))
     moved = np.zeros(len(made.unit))
     for blade, message in turned.items():
         moved += message.column(made.unit) - said(blade, made.columns[blade], made.floors)
     log_w = made.log_w
-    return replace(one, gain=log_sum_exp(log_w + moved) - log_sum_exp(log_w))
+    gain = log_sum_exp(log_w + moved) - log_sum_exp(log_w)
+    return replace(one, gain=gain / one.variance)
 
 
 def other_way_round(

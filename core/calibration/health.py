@@ -3,8 +3,9 @@
     ok            the nodes carry the posterior, and every blade fits the rotor
     degenerate    they do not: too few effective nodes, messages that are too rough, or tempered
                   until the state is sealed; or too few draws carry a blade's own (`few`)
-    contradicted  a blade's readings cannot be what the rotor's best parameters give, or those of
-                  two blades look exchanged (`exchanged`)
+    contradicted  a blade's readings cannot be what the rotor's best parameters give, those of two
+                  blades look exchanged (`exchanged`), or all scatter more than their noise says
+                  (`noisier`)
 
 A blade contradicts where even its best local parameters, at the best shared node s*, leave
 residuals that noise does not: with chi² the least Σ (y − Y_m)² / var over the box of local
@@ -25,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from core.calibration import few
-from core.calibration.exchanged import in_words
+from core.calibration import exchanged, few, noisier
+from core.calibration.looked import TOLD, Told
 from core.calibration.message import BladeMessage
 from core.calibration.misfit import best_fit, suspects
 
@@ -124,13 +125,15 @@ def _most(rows: int, log_p: float) -> float:
 def verdict(
     health: Mapping[str, Any],
     contradicted: Sequence[Mapping[str, Any]],
-    exchanged: Sequence[Mapping[str, Any]] = (),
+    told: Told | None = None,
     thinned: Sequence[Mapping[str, Any]] = (),
     *,
     sealed: bool,
 ) -> dict[str, Any]:
     """`health` with its outcome: status, reasons, met_floor, the blades that contradict and, where
-    there are any, those that look exchanged and those of whose draws too few count (`few`)."""
+    there are any, what looks at all visits told (`looked`) and those of whose draws too few count
+    (`few`)."""
+    looked = {name: list((told or {}).get(name, ())) for name in TOLD}
     floor = FLOOR if sealed else QUICK_FLOOR
     reasons = []
     if not health["ess_ratio"] >= floor:
@@ -162,16 +165,18 @@ def verdict(
         miss = f"the rotor's best fit by {one['misfit_nat']:g} nat"
         apart = "; no other blade follows it" if one.get("bounded") else ""
         reasons.append(f"blade {one['blade']} misses {miss}, {other}{apart}{_to_look_at(one)}")
-    reasons += [in_words(one) for one in exchanged]
+    reasons += [noisier.in_words(one) for one in looked["noisier"]]
+    reasons += [exchanged.in_words(one) for one in looked["exchanged"]]
+    wrong = contradicted or any(looked.values())
     out = {
         **health,
-        "status": "contradicted" if contradicted or exchanged else "ok" if met else "degenerate",
+        "status": "contradicted" if wrong else "ok" if met else "degenerate",
         "reasons": reasons,
         "met_floor": met,
         "contradicted": [dict(one) for one in contradicted],
     }
-    told = {"exchanged": exchanged, "few_draws": thinned}
-    return out | {name: [dict(one) for one in which] for name, which in told.items() if which}
+    there = looked | {"few_draws": thinned}
+    return out | {name: [dict(one) for one in which] for name, which in there.items() if which}
 
 
 def _to_look_at(one: Mapping[str, Any]) -> str:

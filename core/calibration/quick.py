@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.health import blamed, contradictions
+from core.calibration.looked import told_of
 from core.calibration.sets import Nodes
 from core.calibration.state import RotorState
 from core.calibration.step import Step
@@ -94,8 +95,7 @@ def provisional(
     bad = [one | {"bounded": False} for one in blamed(step.messages, accused, best)]
     before = previous.meta["health"].get("contradicted", [])
     bad += [one for one in before if one["blade"] in unread]
-    pairs = previous.meta["health"].get("exchanged", [])
-    turned = [one for one in pairs if unread.issuperset(one["blades"])]
+    told = told_of(previous.meta["health"], unread)
     error = step.message_error(unit, previous)
     return step.state(
         own,
@@ -104,7 +104,7 @@ def provisional(
         log_w,
         error,
         bad,
-        turned,
+        told,
         step.few_draws(own, previous, unread),
         sealed=False,
         thin=thin,

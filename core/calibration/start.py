@@ -16,13 +16,13 @@ few of them carry the weight the descent is made after all.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import truncnorm
 
+from core.calibration.looked import Told, told_of
 from core.calibration.space import SharedSpace, shared_prior
 from core.calibration.state import RotorState
 from core.model import Model
@@ -44,7 +44,7 @@ class Start:
     alone  a posterior that is not found from there is looked for nowhere else
     served  the state may be served: as many nodes have to carry it as one from nothing
     apart  blades that are `bounded` from the beginning
-    turned  blades that look exchanged: told of such a state as well
+    told  what looks at all visits told (`looked`): of such a state as well
     """
 
     names: tuple[str, ...]
@@ -53,7 +53,7 @@ class Start:
     alone: bool = False
     served: bool = False
     apart: frozenset[str] = frozenset()
-    turned: tuple[Mapping[str, Any], ...] = ()
+    told: Told = field(default_factory=dict)
 
     @staticmethod
     def of(model: Model, state: RotorState) -> Start:
@@ -64,7 +64,7 @@ class Start:
         health = state.meta["health"]
         told = health.get("contradicted", ())
         apart = frozenset(one["blade"] for one in told if one.get("bounded"))
-        return Start(names, *found, apart=apart, turned=tuple(health.get("exchanged", ())))
+        return Start(names, *found, apart=apart, told=told_of(health))
 
     def joined(self, names: Sequence[str], turn: Array, mean: Array, covariance: Array) -> Start:
         """With amplitudes of these names, of N(mean (k,), covariance (k, k)).
@@ -105,7 +105,7 @@ class Start:
         between = means[1] - means[0]
         spread = np.mean(covariances, axis=0) + np.outer(between, between) / 12.0
         apart = self.apart | other.apart
-        return Start(names, np.mean(means, axis=0), spread, apart=apart, turned=self.turned)
+        return Start(names, np.mean(means, axis=0), spread, apart=apart, told=self.told)
 
     def held(self, values: Mapping[str, float]) -> Start:
         """Without these parameters, which have these values.

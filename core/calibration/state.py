@@ -30,7 +30,7 @@ from core.smc.particles import Particles, ess, normalised
 
 Array = NDArray[np.float64]
 Get = Callable[[str], Array]
-ALGORITHM = "panels-18"
+ALGORITHM = "panels-19"
 DRAWS = "panels-15"  # since when draws are what they are: those of sound rotors stay
 FAMILY, NUMBER = ALGORITHM.rsplit("-", 1)
 SUPERSEDED = tuple(f"{FAMILY}-{number}" for number in range(1, int(NUMBER)))

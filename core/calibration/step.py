@@ -19,9 +19,9 @@ from core.calibration.alike import family_key
 from core.calibration.basis import Basis
 from core.calibration.bounded import DOUBT, Accused, settled
 from core.calibration.doubted import doubted
-from core.calibration.exchanged import Looks, exchanged, looks
 from core.calibration.few import few_draws
 from core.calibration.health import blamed, verdict
+from core.calibration.looked import Looking, Told
 from core.calibration.message import BladeMessage
 from core.calibration.rotor import weigh
 from core.calibration.sets import Nodes
@@ -36,7 +36,6 @@ from core.smc.particles import log_sum_exp
 from core.smc.proposal import Proposal
 
 Array = NDArray[np.float64]
-Turned = tuple[list[dict[str, Any]], Looks]
 
 
 @dataclass(frozen=True)
@@ -51,8 +50,8 @@ class Step(Basis):
         return settled(self.messages, self.weigh_with, doubts=self._doubts)
 
     def _doubts(self, made: Weighed, accused: Accused) -> list[tuple[str, ...]]:
-        turned, looked = self._turned(made, accused)
-        return doubted(self.messages, looked, turned, DOUBT)
+        found = self._looking.at(made, accused)
+        return doubted(self.messages, found, DOUBT)
 
     @property
     def weighed(self) -> Weighed:
@@ -111,7 +110,8 @@ class Step(Basis):
         arrays = below.over(own, kept)
         best = weighed.unit[[int(np.argmax(weighed.log_p))]]
         bad = blamed(self.messages, self.settled[1], best)
-        turned = self.exchanged() if self.start is None else self.start.turned
+        start = self.start
+        told = start.told if start is not None else self._looking.at(*self.settled).told()
         return self.state(
             own,
             arrays,
@@ -119,7 +119,7 @@ class Step(Basis):
             log_w,
             self.message_error(weighed.unit),
             bad,
-            turned,
+            told,
             self.few_draws(own, previous, stays),
             sealed=True,
             thin=set(),
@@ -128,28 +128,15 @@ class Step(Basis):
 
     def exchanged(self) -> list[dict[str, Any]]:
         """Blades whose readings of a visit look exchanged (`exchanged`)."""
-        return self._turned(*self.settled)[0]
+        return self._looking.at(*self.settled).exchanged
 
-    def _turned(self, made: Weighed, accused: Accused) -> Turned:
-        """Blades that look exchanged at these nodes, and the looks at all of them."""
-
+    @cached_property
+    def _looking(self) -> Looking:
         def messages_of(readings: Mapping[str, Sequence[Inspection]]) -> dict[str, BladeMessage]:
             rows = {b: self.work.rows_of(self.model, own) for b, own in readings.items()}
             return self.work.messages_of(self.model, rows, self.space, self.rotor.known or {})
 
-        bad = frozenset(one["blade"] for one in accused)
-        for at, of_whom, told in self._turns:  # the nodes seldom change once they were doubted
-            if at is made and of_whom == bad:
-                return told
-        looked = looks(self.messages, made, self.work.looks)
-        told = exchanged(self.messages, made, bad, messages_of, looked), looked
-        self._turns.append((made, bad, told))
-        return told
-
-    @cached_property
-    def _turns(self) -> list[tuple[Weighed, frozenset[str], Turned]]:
-        """What `_turned` said so far, and of what."""
-        return []
+        return Looking(self.messages, messages_of, self.work.looks)
 
     def otherwise_known(self, previous: RotorState, weighed: Weighed) -> set[str]:
         """Blades whose column was a table's before and no longer is, or the other way round.
@@ -203,7 +190,7 @@ class Step(Basis):
         log_w: Array,
         message_error: tuple[float, float],
         contradicted: Sequence[Mapping[str, Any]],
-        turned: Sequence[Mapping[str, Any]],
+        told: Told,
         few: Sequence[Mapping[str, Any]],
         *,
         sealed: bool,
@@ -239,7 +226,7 @@ class Step(Basis):
             "local": [p.name for p in locals_of(self.model)],
             "blades": list(self.rotor.blades),
             "log_evidence": log_sum_exp(whole) - float(np.log(nodes)),
-            "health": verdict(carried, contradicted, turned, few, sealed=sealed),
+            "health": verdict(carried, contradicted, told, few, sealed=sealed),
             "arrays": sorted(arrays),
         }
         if self.prior is not None:

@@ -46,6 +46,13 @@ class HealthFewDraw(TypedDict):
     share: float
 
 
+class HealthNoisier(TypedDict):
+    quantities: list[str]
+    stated: bool
+    times: float
+    visits: int
+
+
 class Health(TypedDict):
     status: Literal["ok", "degenerate", "contradicted", "unknown"]
     reasons: list[str]
@@ -53,6 +60,7 @@ class Health(TypedDict):
     contradicted: list[HealthContradicted]
     exchanged: NotRequired[list[HealthExchanged]]
     few_draws: NotRequired[list[HealthFewDraw]]
+    noisier: NotRequired[list[HealthNoisier]]
     trusted: bool
 
 

@@ -17,7 +17,7 @@ from service.api.answers.words import (
 
 WHICH = {"blades": each(TEXT), "campaign": maybe(TEXT), "time_h": each(NUMBER)}
 HEALTH = having(
-    ("exchanged", "few_draws"),
+    ("exchanged", "few_draws", "noisier"),
     status={"enum": ["ok", "degenerate", "contradicted", "unknown"]},
     reasons=each(TEXT),
     met_floor=maybe(YES),
@@ -42,6 +42,7 @@ HEALTH = having(
         )
     ),
     few_draws=each(having(blade=TEXT, share=NUMBER)),
+    noisier=each(having(quantities=each(TEXT), stated=YES, times=NUMBER, visits=WHOLE)),
     trusted=YES,
 ) | {"additionalProperties": True}
 BLADE = having(

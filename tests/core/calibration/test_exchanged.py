@@ -21,6 +21,7 @@ from core.calibration.exchanged import (
     least_gain,
     other_way_round,
 )
+from core.calibration.noisier import Scatter
 from core.calibration.online import Workspace, begun, update
 from core.calibration.start import Start
 from core.calibration.state import RotorSpec, RotorState
@@ -281,5 +282,6 @@ def test_what_a_look_misses_by_chance_is_weighed_where_blades_are_accused(
     weighed = step.weighed
     looked = module.looks(step.messages, weighed, OrderedDict())
     bad = ["b1", "b4"]
-    found = module.exchanged(step.messages, weighed, bad, messages_of(step), looked)
+    given_of = messages_of(step)
+    found = module.exchanged(step.messages, weighed, bad, given_of, looked, Scatter({}))
     assert [one["blades"] for one in found] == [["b1", "b4"]]
