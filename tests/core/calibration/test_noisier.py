@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import jsonschema_rs
 import numpy as np
@@ -11,6 +13,8 @@ from scipy.stats import chi2
 
 from core.calibration import noisier as module
 from core.calibration.cavity import Seen
+from core.calibration.doubted import doubted
+from core.calibration.looked import Looked
 from core.calibration.noisier import CHANCE, kind, scatter
 from core.calibration.online import update
 from core.calibration.start import Start
@@ -114,3 +118,34 @@ def test_kinds_are_told_apart_and_accused_blades_left_out() -> None:
     assert found.variance([z, y]) == s2, "the larger one"
     assert found.variance([kind(seen(one, sigma=None))]) == 1.0, "another noise, another kind"
     assert found.told(looks) == scatter(looks, looks).told(()) == []
+
+
+def test_what_one_blade_makes_or_a_pair_of_which_something_else_is_told_is_not_told() -> None:
+    """A wrong reading puts off all visits of its blade, for others foresee them from it."""
+    near, far = np.full(1, 0.5), np.full(1, 6.0)
+
+    def looks(off: int) -> dict[str, dict[tuple[str, float], Seen]]:
+        return {
+            f"b{b}": {("", t): seen(far if b < off else near) for t in range(4)} for b in range(6)
+        }
+
+    one, two = scatter(looks(1), ()), scatter(looks(2), ())
+    which = [kind(seen(near))]
+    assert one.variance(which) > 1.0, "the control"
+    assert one.variance(which, ["b0"]) == 1.0
+    assert one.told(()) == []
+    assert [row["visits"] for row in two.told(())] == [24], "the control"
+    assert two.variance(which, ["b0", "b1"]) == 1.0
+    assert two.told(["b0", "b1"]) == []
+
+
+def test_a_blade_is_doubted_by_what_the_others_scatter() -> None:
+    """Held against its own visits a wrong reading would excuse itself."""
+    near, far = np.full(1, 0.5), np.full(1, 9.0)
+    looks = {f"b{b}": {("", t): seen(far if b == 0 else near) for t in range(4)} for b in range(6)}
+    rows = SimpleNamespace(of=[0, 1, 2, 3], y=np.zeros(4))
+    messages = cast(Any, dict.fromkeys(looks, SimpleNamespace(rows=rows)))
+    assert doubted(messages, Looked(looks, scatter(looks, ()), []), 10.0) == [("b0",)]
+    wide = {b: {v: seen(1.5 * far) for v in own} for b, own in looks.items()}
+    assert doubted(messages, Looked(wide, scatter(wide, ()), []), 10.0) == [], "as all others"
+    assert len(doubted(messages, Looked(wide, scatter({}, ()), []), 10.0)) == 6, "the control"
