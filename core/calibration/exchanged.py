@@ -13,8 +13,9 @@ log BF ≥ log(N ODDS / VISIT) is met with a probability of VISIT / ODDS at most
 the rotor; 1 / (1 + 1/ODDS) is the least probability of an exchange that is told, where one visit in
 1/VISIT has one.
 That holds where the model does: an effect that it lacks, as the zero of an instrument some noises
-off, can look like an exchange, and so can one misread value. Where the visits of all other blades
-scatter s times as much as their noise says (`noisier`), log BF counts 1/s² of what it is.
+off, can look like an exchange, and so can one misread value. Where the visits of the blades that
+look exchanged nowhere scatter s times as much as their noise says (`noisier`), log BF counts 1/s²
+of what it is; where exchanges explain all that is improbable, nothing improbable is left there.
 
 Which of the thousands of pairs are weighed is told by a look at all of them (`cavity`): a reading
 foreseen by the others of blade a, held against that of b, both near the rotor's best node. Blades
@@ -56,15 +57,11 @@ Messages = Callable[[Mapping[str, Sequence[Inspection]]], Mapping[str, BladeMess
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A pair of blades at a visit, and by how much the evidence is for their exchange [nat].
-
-    variance  s² of the readings: times less of it counts
-    """
+    """A pair of blades at a visit, and by how much the evidence is for their exchange [nat]."""
 
     gain: float
     visit: Visit
     pair: Pair
-    variance: float = 1.0
 
     def order(self) -> tuple[float, Visit, Pair]:
         return -self.gain, self.visit, self.pair
@@ -119,12 +116,10 @@ def exchanged(
     counts: dict[Visit, int] = {}
     for visit, seen_there in visits.items():
         counts[visit], found = _looked(visit, seen_there, accused)
-        least = least_gain(max(counts[visit], 1)) - ROUGH
-        held = [_held(one, seen_there, scatter) for one in found]
-        worth += [one for one in held if one.gain >= least]
+        worth += found
     worth.sort(key=Exchange.order)
     weighed = [_weighed(one, messages, made, messages_of) for one in worth[:MOST]]
-    told = []
+    clear = []
     left = sorted(weighed, key=Exchange.order)
     while left:
         first = left.pop(0)
@@ -132,13 +127,21 @@ def exchanged(
             continue
         rivals = [one for one in left if {*one.pair} & {*first.pair}]
         left = [one for one in left if one not in rivals]
-        near = [one for one in rivals if one.gain >= first.gain - math.log(RIVAL)]
-        odds = first.gain - math.log(counts[first.visit] / VISIT)
+        clear.append((first, [o for o in rivals if o.gain >= first.gain - math.log(RIVAL)]))
+    paired = {blade for first, _ in clear for blade in first.pair}
+    told = []
+    for first, near in clear:
+        there, count = visits[first.visit], counts[first.visit]
+        others = paired if looked.keys() - paired else first.pair
+        gain = first.gain / scatter.variance({kind(there[b]) for b in first.pair}, others)
+        if not gain >= least_gain(count):
+            continue
+        odds = gain - math.log(count / VISIT)
         told.append(
             _named(first, visits)
             | {
-                "readings": [[r.id for r in visits[first.visit][b].readings] for b in first.pair],
-                "gained_nat": round(first.gain, 1),
+                "readings": [[r.id for r in there[b].readings] for b in first.pair],
+                "gained_nat": round(gain, 1),
                 "probability": round(1.0 / (1.0 + math.exp(-odds)), 6),
                 "rivals": [_named(rival, visits) for rival in near],
             }
@@ -171,27 +174,20 @@ def _looked(
     return count, [Exchange(float(g), visit, (a, b)) for g, a, b in found if g >= least]
 
 
-def _held(one: Exchange, seen: Mapping[str, Seen], scatter: Scatter) -> Exchange:
-    """With what the others' scatter leaves of it."""
-    variance = scatter.variance({kind(seen[blade]) for blade in one.pair}, one.pair)
-    return replace(one, gain=one.gain / variance, variance=variance)
-
-
 def _weighed(
     one: Exchange,
     messages: Mapping[str, BladeMessage],
     made: Weighed,
     messages_of: Messages,
 ) -> Exchange:
-    """With its evidence by the messages themselves, of which what noise does not make counts."""
+    """With its evidence by the messages themselves."""
     a, b = one.pair
     turned = messages_of(other_way_round(messages[a], messages[b], one.visit))
     moved = np.zeros(len(made.unit))
     for blade, message in turned.items():
         moved += message.column(made.unit) - said(blade, made.columns[blade], made.floors)
     log_w = made.log_w
-    gain = log_sum_exp(log_w + moved) - log_sum_exp(log_w)
-    return replace(one, gain=gain / one.variance)
+    return replace(one, gain=log_sum_exp(log_w + moved) - log_sum_exp(log_w))
 
 
 def other_way_round(

@@ -17,10 +17,10 @@ Of n visits that are independent a share β is beyond s² χ²_q(1 − β) with 
 P(Bin(n, P(χ²_q > s² χ²_q(1 − β))) ≥ β n). As m visits of a blade are foreseen from one another they
 are counted as m − 1. From `FACTOR` and a probability of `CHANCE` on, both β together, visits are
 noisier than told, and what is improbable in others is held to be s² times less so (`exchanged`,
-`doubted`): in a pair of blades, or a blade, what the visits of all others say, for a wrong reading
-puts off all visits of its blade. It is told where it is so without any one blade, by the least s.
-Where the noise is inferred it takes all that up, and nothing is told; what is left is a model that
-lacks an effect of each visit.
+`doubted`): in exchanges by what the visits of all other blades say, in a blade by the same, for a
+wrong reading puts off all visits of its blade. It is told where it is so without any one blade, by
+the least s. Where the noise is inferred it takes all that up, and nothing is told; what is left is
+a model that lacks an effect of each visit.
 """
 
 from __future__ import annotations
