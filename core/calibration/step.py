@@ -50,7 +50,7 @@ class Step(Basis):
         return settled(self.messages, self.weigh_with, doubts=self._doubts)
 
     def _doubts(self, made: Weighed, accused: Accused) -> list[tuple[str, ...]]:
-        found = self._looking.at(made, accused)
+        found = self.looking.at(made, accused)
         return doubted(self.messages, found, DOUBT)
 
     @property
@@ -111,7 +111,7 @@ class Step(Basis):
         best = weighed.unit[[int(np.argmax(weighed.log_p))]]
         bad = blamed(self.messages, self.settled[1], best)
         start = self.start
-        told = start.told if start is not None else self._looking.at(*self.settled).told()
+        told = start.told if start is not None else self.looking.at(*self.settled).told()
         return self.state(
             own,
             arrays,
@@ -128,10 +128,12 @@ class Step(Basis):
 
     def exchanged(self) -> list[dict[str, Any]]:
         """Blades whose readings of a visit look exchanged (`exchanged`)."""
-        return self._looking.at(*self.settled).exchanged
+        return self.looking.at(*self.settled).exchanged
 
     @cached_property
-    def _looking(self) -> Looking:
+    def looking(self) -> Looking:
+        """The looks at all visits (`looked`)."""
+
         def messages_of(readings: Mapping[str, Sequence[Inspection]]) -> dict[str, BladeMessage]:
             rows = {b: self.work.rows_of(self.model, own) for b, own in readings.items()}
             return self.work.messages_of(self.model, rows, self.space, self.rotor.known or {})

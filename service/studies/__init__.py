@@ -21,6 +21,7 @@ from service.studies import power as power  # noqa: E402
 from service.studies import reduction as reduction  # noqa: E402
 from service.studies import references as references  # noqa: E402
 from service.studies import slips as slips  # noqa: E402
+from service.studies import stated as stated  # noqa: E402
 from service.studies.chaos import commands as chaos  # noqa: E402
 from service.studies.contest import commands as contest  # noqa: E402
 from service.studies.load import commands as load  # noqa: E402
@@ -28,5 +29,5 @@ from service.studies.paper import commands as paper  # noqa: E402
 
 __all__ = [
     "adaptive", "app", "chaos", "commit", "contest", "effects", "histories", "lives", "load",
-    "paper", "power", "reduction", "slips",
+    "paper", "power", "reduction", "slips", "stated",
 ]  # fmt: skip
