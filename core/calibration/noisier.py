@@ -10,7 +10,7 @@ the blade's other readings (`cavity`): of visit i of q_i coordinates
 
 is about one where noise and model are right, whatever a blade's own parameters; readings that are
 wrong, of less than a share β of the visits, move it little. Where noises are k times what is stated
-s is k at most, and more in the tail than in the middle: what the blades' own parameters can follow
+s is about k at most, more in the tail than in the middle: what blades' own parameters follow
 is in no visit that others foresee. So β is ¼ and 1/10, and the larger s counts.
 
 Of n visits that are independent a share β is beyond s² χ²_q(1 − β) with a probability of
