@@ -1,8 +1,10 @@
-"""From when on a blade's inputs are held at the end of the simulation's runs.
+"""From when on a blade has too little of an adopted effect.
 
 A drift that a diagnosis adopts stays inside the runs at every reading; where it goes on, an input
-may reach the end of the runs and stay there (`core.surrogate.reach`). Such hours have too
-little of the effect. Parameters count at their posterior means: a warning, not a band.
+may reach the end of the runs and stay there (`core.surrogate.reach`). And what grows has a course
+until an hour of its own (`core.diagnosis.grammar.UNTIL`), and stays as it is by then: a model of
+wider runs goes on for longer. Such hours have too little of the effect. Parameters count at their
+posterior means: a warning, not a band.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.state import Posterior
+from core.drift import Bias, Drift
 from core.model import Model
+from core.network import Network
 from core.surrogate.driven import Driven
 
 HOURS = 151  # at which a course is looked at
@@ -48,6 +52,21 @@ def held_from(
         outside = (course < own.low - slack) | (course > own.high + slack)
         if outside.any():
             found[own.name] = float(hours[np.argmax(outside)])
+    return found
+
+
+def courses_end(network: Network, blade: str, horizon_h: float) -> dict[str, float]:
+    """By adopted effect of the blade that still grows where its course ends, before the model's
+    last hour: that hour of the blade [h], from which on the effect stays as it is."""
+    found: dict[str, float] = {}
+    effects: list[Drift | Bias] = [d for d in network.drifts if d.held]
+    effects += [b for b in network.biases if b.lasting]
+    for one in effects:
+        if (own := one.of_blade(blade)) is None or len(own.shape.points) < 2:
+            continue
+        (before, less), (end, most) = own.shape.points[-2:]
+        if before < end < horizon_h and less != most:
+            found[one.name] = max(end, 0.0)
     return found
 
 

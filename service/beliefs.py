@@ -17,7 +17,7 @@ import numpy as np
 from core.calibration.state import Arrays, Posterior, RotorState, blade_posterior, shared_posterior
 from core.life import Life, life
 from core.observation import Inspection
-from core.runs_end import held_from
+from core.runs_end import courses_end, held_from
 from service.bands import Bands, bands_of
 from service.models import Models
 from service.ports import (
@@ -128,10 +128,11 @@ class Beliefs:
         blade: str,
         known: Mapping[str, float] | None,
     ) -> float | None:
-        if not any(d.held for d in card.network.drifts):
-            return None
-        found = held_from(self.models.of(card), blade_posterior(meta, get, blade), blade, known)
-        return min(found.values(), default=None)
+        hours = [*courses_end(card.network, blade, card.horizon_h).values()]
+        if any(d.held for d in card.network.drifts):
+            posterior = blade_posterior(meta, get, blade)
+            hours += held_from(self.models.of(card), posterior, blade, known).values()
+        return min(hours, default=None)
 
     def joint_draws(
         self, meta: Mapping[str, Any], get: Get, blades: Sequence[str], count: int

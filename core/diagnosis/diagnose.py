@@ -40,7 +40,7 @@ from core.diagnosis.conclude import Rival, Turn, conclude
 from core.diagnosis.courses import with_both
 from core.diagnosis.densities import leaning, leans
 from core.diagnosis.grammar import Cell
-from core.diagnosis.held import leaving_runs, while_read
+from core.diagnosis.held import ending, leaving_runs, while_read
 from core.diagnosis.leaving import without_open, without_unsteady
 from core.diagnosis.left_out import left_out
 from core.diagnosis.misread import copied, set_apart, slips, understated
@@ -187,6 +187,7 @@ def diagnose(
             taken, told = both
             verdict = replace(verdict, reasons=(*verdict.reasons, told))
         later = leaving_runs(taken.model, taken.state, case.present, case.spec.known)
+        later += ending(taken.model, case.present)
         verdict = replace(verdict, reasons=(*verdict.reasons, *later))
     return Diagnosis(
         _with_slips(verdict, case, taken, model),

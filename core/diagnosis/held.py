@@ -1,5 +1,5 @@
-"""Where runs end, in words: from when on later hours have too little of an effect, and of which
-blades; and what to do where an effect has no room at all."""
+"""Where runs and courses end, in words: from when on later hours have too little of an effect, and
+of which blades; and what to do where an effect has no room at all."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from core.calibration.state import RotorState, blade_posterior
 from core.model import Model
 from core.network import Network
-from core.runs_end import held_by, held_from
+from core.runs_end import courses_end, held_by, held_from
 from core.surrogate.driven import Driven
 
 WHILE_READ = 0.05  # of the concerned blades, on average: more that are held is an end
@@ -55,6 +55,20 @@ def leaving_runs(
         f"would take {name} of {len(hours)} of {len(blades)} blades out of the runs, "
         f"{box[name].low:g} … {box[name].high:g}: there it is held at their end, and later hours "
         "have too little of the effect"
+        for name, hours in sorted(ends.items())
+    ]
+
+
+def ending(model: Model, blades: Sequence[str]) -> list[str]:
+    """One sentence for each effect that still grows where its course ends, before the model's last
+    hour; hours are the blades' own."""
+    ends: dict[str, list[float]] = {}
+    for blade in blades:
+        for name, hour in courses_end(model.network, blade, model.surrogate.horizon_h).items():
+            ends.setdefault(name, []).append(hour)
+    return [
+        f"how {name} goes on from {min(hours):,.0f} h on is not known: it stays as it is by then, "
+        "and later hours have too little of the effect"
         for name, hours in sorted(ends.items())
     ]
 

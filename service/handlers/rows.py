@@ -51,7 +51,7 @@ def rows(
     time   operating hours; value: the mean; lower, upper: between which a reading falls with the
            probability asked for
     held   an adopted effect would take an input out of the model's runs by then, and it is held at
-           their end: there is too little of the effect (`held_from`)
+           their end, or its course ended: there is too little of the effect (`held_from`)
     """
     out: list[Json] = []
     get = found.arrays(store)

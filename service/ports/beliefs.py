@@ -125,7 +125,8 @@ class Beliefs(Protocol):
         known: Mapping[str, float] | None,
     ) -> float | None:
         """The blade's hour [h] from which one of its inputs is held at the end of the model's runs,
-        so that later ones have too little of an effect; None: at none of the model's hours."""
+        or an effect that grows has no course, so that later ones have too little of an effect;
+        None: at none of the model's hours."""
         ...
 
     def surface(self, card: ModelCard) -> Surface | None:

@@ -12,15 +12,17 @@ import pytest
 
 from core.calibration.online import RotorSpec, update
 from core.calibration.state import RotorState, blade_posterior
+from core.course import Course
 from core.diagnosis import Facts
 from core.diagnosis.adopt import with_effects
 from core.diagnosis.families import FAMILIES
 from core.diagnosis.grammar import Cell
-from core.diagnosis.held import leaving_runs
+from core.diagnosis.held import ending, leaving_runs
+from core.drift import Bias
 from core.model import Model, rotor_blade_wide
 from core.observation import Inspection
 from core.prior import Prior
-from core.runs_end import held_from
+from core.runs_end import courses_end, held_from
 from service import fields
 from service.handlers.reads import basis
 from service.ports import ModelCard, Which
@@ -104,6 +106,46 @@ def test_a_verdict_knows_the_inputs_that_are_given(worn: tuple[Model, RotorState
     (said,) = leaving_runs(*worn, NAMES, {"B2": given})
     assert hour(given) > hour(None)
     assert said.startswith(f"from {hour(given):,.0f} h on ")
+
+
+def test_what_grows_is_told_until_its_course_ends(
+    science: CoreScience,
+    card: ModelCard,
+    worn: tuple[Model, RotorState],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Runs of 150,000 h go on for longer: lives were too long, and nothing said so."""
+    model, state = worn
+    horizon = model.surrogate.horizon_h
+    assert courses_end(model.network, "B2", horizon) == {WEAR.name: 6e4}
+    assert courses_end(model.network, "B1", horizon) == {}, "of another coating"
+    assert courses_end(model.network, "B2", 5e4) == {}, "a model that ends before"
+    monkeypatch.setattr("service.beliefs.held_from", lambda *_: {})
+    get = state.arrays.__getitem__
+    told = [science.held_from(card, state.meta, get, blade, None) for blade in NAMES]
+    assert told == [None, 6e4]
+    (said,) = ending(model, NAMES)
+    assert said.startswith(f"how {WEAR.name} goes on from 60,000 h on is not known: it stays")
+
+
+def test_a_course_by_the_rotor_s_hours_ends_earlier_in_a_younger_blade(
+    worn: tuple[Model, RotorState],
+) -> None:
+    (drift,) = worn[0].network.drifts
+    shared = replace(drift, blades=None, since=(("B1", 0.0), ("B2", 1e4)))
+    step = replace(drift, name="spalled", shape=Course.of([(9e3, 0.0), (9e3, -1.0)]))
+    rub = Bias("rub", "elongation", Course.of([(0.0, 0.0), (6e4, 1.0)]), lasting=True)
+    gauge = replace(rub, name="gauge", lasting=False)
+    (*inputs, amplitude) = worn[0].network.parameters
+    more = [replace(amplitude, name=one.name) for one in (step, rub, gauge)]
+    network = replace(
+        worn[0].network,
+        parameters=(*inputs, amplitude, *more),
+        drifts=(shared, step),
+        biases=(rub, gauge),
+    )
+    ends = [courses_end(network, blade, 1.5e5) for blade in NAMES]
+    assert ends == [{drift.name: 6e4, "rub": 6e4}, {drift.name: 5e4, "rub": 6e4}]
 
 
 def test_prediction_and_life_say_it(

@@ -170,7 +170,7 @@ async function draw() {
   const latest = Math.max(0, ...readings.map((r) => r.time_h));
   if (latest > found.time_h.at(-1)) found = await get(`${own}/prediction`, { quantity: chosen.quantity, times: usualHours(model, latest) });
   notices([...warningsOf(now), readings.length === 0 && ["wait", "No reading of this blade yet: what is shown is what the rotor tells of it."],
-    found.held_from_h !== null && ["warn", `From ${hours(found.held_from_h)} on an adopted effect would take an input of this blade out of the model’s runs, and it is held at their end.`,
+    found.held_from_h !== null && ["warn", `From ${hours(found.held_from_h)} on an adopted effect stays as it is by then: it would take an input of this blade out of the model’s runs, or how it goes on is not known.`,
       "Later hours have too little of the effect."],
     all.more && ["wait", "Only the newest 2 000 readings of this blade are drawn."]]);
   drawControls(found);
