@@ -193,13 +193,16 @@ def conclude(
     doubt = [t for t in took if any(claims.get(n, n) is None for n in t.took)]
     rest = {n for turn in doubt for n in turn.in_doubt}
     several = tuple(sorted({*sure, *rest}))
-    why = f"{len(rest - set(sure) or rest)} names share the evidence"
-    if sure:
-        why += f" beside {' and '.join(sure)}"
+    open_, beside = sorted(rest - set(sure) or rest), " and ".join(sure)
+    why = f"the evidence{beside and ' beside ' + beside}"
+    own = ([h.weight for h in t.hypotheses if open_[0] in map(t.called, h.names)] for t in doubt)
+    if len(open_) == 1:
+        why = f"{open_[0]} has {max(map(sum, own)):.0%} of {why}, where {NAMED:.0%} are asked for"
+    else:
+        why = f"{len(open_)} names share {why}"
     if len(several) > MOST_NAMES:
         return replace(said, word="unattributed", names=(), several=several, reasons=(why,))
-    apart = replace(said, word="not separable", names=several, reasons=(why,))
-    return replace(apart, beside=tuple(sure))
+    return replace(said, word="not separable", names=several, reasons=(why,), beside=tuple(sure))
 
 
 def _against(

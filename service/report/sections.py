@@ -18,6 +18,10 @@ ALARM, LEFT, CONFIRMED, NAMED = 0.05, 0.01, 5.0, 0.90  # of core.diagnosis.verdi
 ALLOWED = 0.05  # of core.diagnosis.placebos
 SHOWN = 12
 BY_ALL = "calibrated with all readings"
+OF_ANOTHER = (
+    "Scores of readings that neither model used, and the digest after, are of the discrepancy that "
+    "names no cause."
+)
 OLDER = "This diagnosis was made by a release that did not keep {}. Ask for a new one to have them."
 
 
@@ -61,7 +65,10 @@ def on_trial(found: Json) -> str:
     if found["claimed"] or not changes(found):
         return ""
     names = joined([one["name"] for one in found["effects"]])
-    return f"Where this report says after, {names} would be in the model: that is not claimed."
+    said = f"Where this report says after, {names} would be in the model: that is not claimed."
+    if found["before_after"] is None:
+        return said
+    return f"{said} {OF_ANOTHER}"
 
 
 def before_after(found: Json) -> Markup:

@@ -26,7 +26,13 @@ def verdict(found: Json, rotor: str, units: Mapping[str, str]) -> str:
         return f"{lacks} {joined(found['names'])}: {_effects(found, units)}"
     if found["verdict"] == "not separable":
         if beside := found.get("beside"):
-            others = joined([name for name in found["names"] if name not in beside], "or")
+            open_ = [name for name in found["names"] if name not in beside]
+            if len(open_) == 1:
+                return (
+                    f"{lacks} {joined(beside)}, and something else{chance}: {open_[0]} comes "
+                    "nearest to it, with too little of the evidence to be named."
+                )
+            others = joined(open_, "or")
             return (
                 f"{lacks} {joined(beside)}, and something else{chance}, of which its readings "
                 f"cannot tell whether it is {others}."

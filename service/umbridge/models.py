@@ -2,7 +2,8 @@
 
 ``elongation``            (psi) → mean, sd: the model at given parameters, as this blade has it (its
                           known inputs, the effects that the rotor has adopted), without
-                          discrepancy and noise; sd is the surrogate's own. Names, units and bounds
+                          discrepancy and noise; sd is the surrogate's own, without what the
+                          simulation errs by (`core.quantity`: numerical). Names, units and bounds
                           of psi stand in ModelFacts. config: times, node
 ``elongation.posterior``  (hours) → mean, sd of the blade, sd of a reading, lower, upper: what
                           ``GET …/prediction`` says of the version that ModelFacts names, with

@@ -97,6 +97,23 @@ def test_what_a_diagnosis_compared_is_told_in_tables(watched: Watched, diagnosis
     expect(page.locator("main pre")).to_have_count(0)
 
 
+def test_after_a_lack_without_a_name_is_said_to_be_of_the_discrepancy(watched: Watched) -> None:
+    """Beside it stand effects that were calibrated and not claimed: of them it was read."""
+    wide = {"borne_out": True, "quantity": "elongation", "time_h": 50_000.0, "share": 0.4}
+    wide |= {"discrepancy": {}, "gained_nat": 9.0, "sd": {"before": 0.007, "after": 0.0378}}
+    of_effect = told("effect")
+    both = {name: of_effect[name] for name in ("effects", "gained_nat", "before_after")}
+    found = told("unattributed", widened=wide, **both)
+    words = "After is the model with a discrepancy that names no cause"
+    page = watched.open(f"/rotors/r1/diagnoses/{ended(watched.service, found)}")
+    expect(page.locator("main")).to_contain_text(words)
+    expect(page.locator("dl", has_text="Gain in evidence")).to_contain_text("not claimed")
+    page = watched.open(f"/rotors/r1/diagnoses/{ended(watched.service, of_effect)}")
+    expect(page.get_by_role("region", name="Before and after")).to_be_visible()
+    expect(page.locator("main")).not_to_contain_text(words)
+    expect(page.locator("dl", has_text="Gain in evidence")).not_to_contain_text("not claimed")
+
+
 def test_a_diagnosis_that_found_nothing_tells_what_it_would_have_found(watched: Watched) -> None:
     page = watched.open(f"/rotors/r1/diagnoses/{ended(watched.service, told('adequate'))}")
     table = page.get_by_role("region", name="What would have been noticed")
@@ -349,6 +366,8 @@ def test_each_residual_is_a_point_and_each_test_a_row(watched: Watched) -> None:
     rows = page.get_by_role("region", name="Tests").locator("tbody tr")
     expect(rows).to_have_count(2)
     expect(rows.first).to_contain_text("alarm")  # the smallest p first
+    said = page.get_by_role("region", name="Tests").locator("caption")
+    expect(said).to_contain_text("that by chance any of them scores as high")
     expect(page.locator("ul.legend li")).to_have_text([HOSTILE, "c2"])
     page.get_by_text("The 12 largest").click()
     largest = page.get_by_role("region", name="Largest residuals").locator("tbody tr").first

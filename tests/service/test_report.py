@@ -563,6 +563,10 @@ def test_what_is_sure_is_not_among_what_cannot_be_itsapart() -> None:
         "it is campaign offset (campaign spring) or root settling." in said
     )
     assert "Not among those told apart" not in said
+    found["names"] = ["root settling", sure]
+    said = " ".join(Read(page_of(found)).said.split())
+    assert f"lacks {sure}, and something else (p ≤ 0.0025): root settling comes nearest" in said
+    assert "cannot tell whether" not in said, "of one there is no other"
 
 
 def test_the_least_p_that_can_be_told_is_a_bound_in_report_and_command() -> None:
@@ -614,6 +618,10 @@ def test_the_comparison_says_what_it_does_not_test() -> None:
     assert "at 50,000 h is 0.0378 mm instead of 0.007 mm" in apart
     assert "Because it is so." in apart
     assert "After is the model with a discrepancy that names no cause" in Read(page_of(wide)).said
+    other = "Scores of readings that neither model used, and the digest after, are of the discrepan"
+    assert apart.count(other) == apart.count("that is not claimed.") > 0, "one word, two models"
+    assert other not in Read(page_of(told("unattributed", before_after=None, **two))).said
+    assert other not in Read(page_of(told("effect"))).said
 
 
 def test_what_to_do_promises_no_more_than_was_found() -> None:

@@ -51,7 +51,7 @@ function ranking(tried) {
     s("text", { x: 440, y: height - 4, "text-anchor": "middle", "font-size": 11, fill: colour("soft") }, "log Bayes factor [nat]"));
 }
 
-function beforeAfter(told, unitName) {
+function beforeAfter(told, unitName, wider) {
   if (!told) return h("p", { class: "soft" }, "No comparison: it was not asked for, or no effect is claimed.");
   const share = (v) => `${fixed(100 * v, 0)} %`;
   const rows = [
@@ -68,7 +68,7 @@ function beforeAfter(told, unitName) {
     { name: "On readings that neither used", value: (r) => r.name },
     { name: "Before", value: (r) => r.form(r.before), number: true },
     { name: "After", value: (r) => r.form(r.after), number: true },
-  ], rows)), aside(`The ${told.held_out.length} readings of ${words(told.quantity)} that neither used`, h("p", { class: "small" }, `The latest third of every second blade's: ${told.held_out.join(", ")}`))];
+  ], rows)), wider ? h("p", { class: "small" }, "After is the model with a discrepancy that names no cause, here and of shared parameters.") : null, aside(`The ${told.held_out.length} readings of ${words(told.quantity)} that neither used`, h("p", { class: "small" }, `The latest third of every second blade's: ${told.held_out.join(", ")}`))];
 }
 
 /** Whether each effect's amplitude holds, between halves of the blades and early and late. */
@@ -113,12 +113,12 @@ function result(found, unitName) {
     panel("Verdict", h("p", {}, verdictOf(found.verdict)), found.reasons.map((reason) => h("p", {}, reason)), facts([
       ["Chance under the model alone", found.p === null ? "–" : (found.p * (found.dealt + 1) < 1.5 ? "≤ " : "") + plain(found.p, 2)],
       ["The same with the effects", found.p_after === null ? "–" : plain(found.p_after, 2)],
-      ["Gain in evidence", found.gained_nat === null ? "–" : `${fixed(found.gained_nat, 1)} nat`],
+      ["Gain in evidence", found.gained_nat === null ? "–" : `${fixed(found.gained_nat, 1)} nat${found.claimed || !found.effects.length ? "" : ", by what is not claimed"}`],
       ["Readings", `${found.readings.used} used of ${found.readings.delivered}`],
       ["Rests on", `entries to ${found.rests_on.through_seq}, model ${found.rests_on.model} ${found.rests_on.model_version.slice(0, 8)}`],
     ])),
     panel(found.claimed || !found.effects.length ? "Effects" : "Effects that were calibrated, not claimed", effects),
-    panel("Before and after", beforeAfter(found.before_after, unitName),
+    panel("Before and after", beforeAfter(found.before_after, unitName, isWider(found)),
       shared.length ? scroll("Shared parameters", table([
         { name: "Shared parameter", value: (p) => words(p.name) },
         ...(found.names.length || isWider(found) ? [

@@ -122,7 +122,7 @@ async function draw() {
       })),
       told.items.length ? across("Residuals by blade and visit", heat(told.items, told.visits, now.blades, chosen.order)) : h("p", {}, "No reading."),
       h("p", { class: "small soft" }, "Red: read higher than predicted. Of several readings at a visit the one furthest off. A dash: not read then.")),
-    panel("Tests", scroll("Tests", table(columns, told.tests, { sorted: [5, true], caption: "mean, variance and autocorrelation of groups of residuals; p among all: of the smallest p by chance" }))));
+    panel("Tests", scroll("Tests", table(columns, told.tests, { sorted: [5, true], caption: "mean, variance and autocorrelation of groups of residuals; p among all: that by chance any of them scores as high" }))));
 }
 
 const redraw = keep(draw);

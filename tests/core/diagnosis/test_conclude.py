@@ -141,6 +141,19 @@ def test_names_are_counted_without_the_sure_one_that_they_share_the_evidence_bes
     assert found.reasons == ("2 names share the evidence beside wear",)
 
 
+def test_of_a_single_name_that_is_open_its_share_is_told() -> None:
+    """A scanner was set anew, and 34 % of the evidence was for that alone: of root settling beside
+    it "1 names share the evidence" was said."""
+    both = Hypothesis((0, 1), ("offset", "settling"), 9.0, 0.66)
+    alone = Hypothesis((0,), ("offset",), 9.0, 0.34)
+    found = said(("offset", "settling"), Turn((both, alone), ("offset", "settling"), {}))
+    assert (found.word, found.names) == ("not separable", ("offset", "settling"))
+    assert found.beside == ("offset",)
+    assert found.reasons == (
+        "settling has 66% of the evidence beside offset, where 90% are asked for",
+    )
+
+
 def test_a_set_holds_what_was_taken_even_where_another_cause_has_the_evidence() -> None:
     found = said(("wear",), turn("wear", cooling=0.99, wear=0.01))
     assert (found.word, found.names) == ("not separable", ("cooling", "wear"))
