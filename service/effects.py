@@ -14,7 +14,7 @@ Imported when it is first needed, with the compiled kernels of the calibration.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from itertools import count
 from typing import Any
 
@@ -146,6 +146,7 @@ def diagnosed(
     compare_h: float | None,
     progress: Progress,
     kept: MutableMapping[str, Any] | None = None,
+    heed: Callable[[], None] = lambda: None,
 ) -> Json:
     """Verdict, effects, everything tried, and both models before and after (`core.diagnosis`).
 
@@ -153,6 +154,7 @@ def diagnosed(
     are claimed, or, where a lack has no name, the discrepancy that the readings bear out.
 
     kept  where an earlier attempt found the posteriors; those are not searched again
+    heed  called every few seconds; what it raises ends the work
     """
     elsewhere = conditions(spec.known, sorted({r.blade for r in readings}))
     total = STEPS + 4 + max(RANKED, 1 + 2 * len(elsewhere))
@@ -166,7 +168,7 @@ def diagnosed(
     serving = tuple(b.id for b in blades if b.retired_seq is None)
     case = Case(spec, tuple(readings), facts, families_of(model, families), serving=serving)
     case.cells(model)  # refuses at once where there is nothing to look for
-    work = Workspace(kept)
+    work = Workspace(kept, heed)
     progress("calibration", 0, total)
     state = update(model, spec, case.readings, workspace=work)
 

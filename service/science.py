@@ -158,13 +158,13 @@ class CoreScience(Beliefs):
         compare_h: float | None,
         progress: Progress,
         kept: MutableMapping[str, Any],
+        heed: Callable[[], None],
     ) -> Json:
         from service.effects import diagnosed
 
-        spec = _spec(rotor)
-        return diagnosed(
-            self.models.of(card), spec, facts, readings, families, compare_h, progress, kept
-        )
+        model, spec = self.models.of(card), _spec(rotor)
+        asked = (facts, readings, families, compare_h)
+        return diagnosed(model, spec, *asked, progress, kept, heed)
 
     def residuals(
         self,

@@ -7,7 +7,7 @@ the blade needs (`smooth`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Literal
@@ -87,12 +87,15 @@ class KeptColumns:
     How a column is asked for: ``exact``; ``near``, which may be off by `smooth.NEARLY`; ``rough``.
     A near column is the same whether the exact one is kept or not: by near ones is decided where
     nodes stand, and equal readings have to end in equal states whatever a process has met before.
+
+    heed  called before anything is computed; what it raises ends the update, and nothing is lost
     """
 
     kept: dict[tuple[str, How, bytes], Column] = field(default_factory=dict)
     limit: int = 20_000
     computed: int = 0
     families: dict[bytes, Family] = field(default_factory=dict)
+    heed: Callable[[], None] = lambda: None
 
     def gathered(self, messages: Mapping[str, BladeMessage]) -> dict[str, BladeMessage]:
         """The messages, those of many blades alike from tables that are kept."""
@@ -114,6 +117,8 @@ class KeptColumns:
                 smooth = many and message.smooth
                 self.kept[places[blade]] = as_near(known, unit, message.seen) if smooth else known
         missing = {b: m for b, m in messages.items() if places[b] not in self.kept}
+        if missing:
+            self.heed()
         if len(self.kept) + len(missing) > self.limit:
             for old in list(self.kept)[: self.limit // 2]:
                 if old not in places.values():

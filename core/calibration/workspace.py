@@ -6,7 +6,7 @@ Which kind of message a blade's rows get is told here as well (`message_of`).
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from typing import Any
 
 from core.calibration.collapsed import CollapsedMessage
@@ -44,11 +44,16 @@ class Workspace:
 
     places  where nodes were found to stand, as JSON by what that follows from: a calibration that
             is asked for again, by another process perhaps, searches nothing. None: not kept
+    heed    called every few seconds of work: it may raise, and ends an update that nobody wants
     """
 
-    def __init__(self, places: MutableMapping[str, Any] | None = None) -> None:
-        self.places = places
-        self.columns = KeptColumns()
+    def __init__(
+        self,
+        places: MutableMapping[str, Any] | None = None,
+        heed: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.places, self.heed = places, heed
+        self.columns = KeptColumns(heed=heed)
         self.rows: OrderedDict[tuple[str, str], BladeRows] = OrderedDict()
         self.messages: OrderedDict[tuple[Any, ...], BladeMessage] = OrderedDict()
         self.sets = ParticleSets()

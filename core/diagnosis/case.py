@@ -182,7 +182,8 @@ class Case:
     @cached_property
     def parted(self) -> Parted:
         """Its readings in halves that are calibrated by themselves."""
-        return Parted(self.spec, self.readings)
+        work = self.workspace or Workspace()
+        return Parted(self.spec, self.readings, work.heed)
 
     def concerned(self, model: Model, state: RotorState, taken: Rival) -> tuple[Concerned, ...]:
         """Whether all blades have the effects in a model; model, state without any effect."""

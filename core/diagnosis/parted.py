@@ -25,7 +25,7 @@ smaller. What both halves find, each by itself, is no accident of either.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -65,10 +65,14 @@ def parts(readings: Sequence[Inspection], by: str) -> tuple[list[Inspection], li
 
 @dataclass(frozen=True)
 class Parted:
-    """A rotor's readings in halves, and what each half by itself makes of a model."""
+    """A rotor's readings in halves, and what each half by itself makes of a model.
+
+    heed  as of a `Workspace`
+    """
 
     spec: RotorSpec
     readings: Sequence[Inspection]
+    heed: Callable[[], None] = lambda: None
     _known: dict[tuple[str, str], tuple[Part, Part]] = field(
         default_factory=dict, compare=False, repr=False
     )
@@ -102,6 +106,6 @@ class Parted:
         return self._known[key]
 
     def _calibrated(self, model: Model, half: Sequence[Inspection]) -> Part:
-        state = update(model, self.spec, half, workspace=Workspace())
+        state = update(model, self.spec, half, workspace=Workspace(heed=self.heed))
         shared = shared_posterior(state.meta, state.arrays.__getitem__)
         return Part(state.meta["log_evidence"], shared)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as default
 from typing import Any
@@ -105,6 +105,7 @@ class FakeScience(FakeBeliefs):
         compare_h: float | None,
         progress: Progress,
         kept: MutableMapping[str, Any],
+        heed: Callable[[], None],
     ) -> Json:
         return questions.diagnosed(card, rotor, readings, progress, self.delay_s, kept)
 

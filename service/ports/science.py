@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from typing import Any, Protocol
 
 from core.network import Network
@@ -112,6 +112,7 @@ class Science(Beliefs, Protocol):
         compare_h: float | None,
         progress: Progress,
         kept: MutableMapping[str, Any],
+        heed: Callable[[], None],
     ) -> Json:
         """What the model lacks, by the readings that count (`core.diagnosis`), as plain JSON.
 
@@ -120,6 +121,7 @@ class Science(Beliefs, Protocol):
         progress    called with (what, done, total) before each step; what it raises ends the work
         kept        what an earlier attempt had found out, as JSON; what is found out now joins it.
                     The answer is the same with and without
+        heed        called every few seconds of a step; what it raises ends the work, too
 
         Raises InputError where there is nothing to diagnose.
         """

@@ -8,7 +8,7 @@ it runs, nor how often it was begun changes the answer.
 from __future__ import annotations
 
 import math
-from collections.abc import MutableMapping
+from collections.abc import Callable, MutableMapping
 from dataclasses import replace
 from typing import Any
 
@@ -32,10 +32,12 @@ def diagnose(
     request: Json,
     progress: Progress,
     kept: MutableMapping[str, Any],
+    heed: Callable[[], None] = lambda: None,
 ) -> Json:
     """The result of a diagnosis of the log through ``request["through_seq"]``.
 
     kept  what an earlier attempt had found out; it spares time and changes nothing
+    heed  called within steps, too; what it raises ends the diagnosis
 
     Raises InputError where no reading counts.
     """
@@ -63,7 +65,8 @@ def diagnose(
     )
     compare_h = float(request["horizon_h"]) if request["compare"] else None
     families = request["families"]
-    found = science.diagnose(card, spec, blades, readings, families, compare_h, progress, kept)
+    asked = (blades, readings, families, compare_h)
+    found = science.diagnose(card, spec, *asked, progress, kept, heed)
     rests_on = {
         "rotor": rotor_id,
         "through_seq": through,

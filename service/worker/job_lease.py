@@ -124,6 +124,14 @@ def tell_progress(engine: Engine, lease: JobLease, progress: Json) -> None:
             raise LostLeaseError(f"job {lease.id}", lease.fence)
 
 
+def still_holds(engine: Engine, lease: JobLease) -> None:
+    """LostLeaseError: the job was cancelled, or another worker has it."""
+    own = (c.id == lease.id) & runs() & holds(lease)
+    with transaction(engine, write=False) as connection:
+        if connection.execute(select(c.id).where(own)).scalar() is None:
+            raise LostLeaseError(f"job {lease.id}", lease.fence)
+
+
 def close(connection: Connection, lease: JobLease, **values: object) -> None:
     """End the claim in the caller's transaction. LostLeaseError: roll everything back.
 

@@ -2,7 +2,8 @@
 
 A job is claimed, fenced and finished like a rotor's update: its result is written only while the
 fence of the claim still holds. While it runs, a heartbeat prolongs its lease every third of it, and
-each step writes how far it is; there a worker stops that lost its lease or whose job was cancelled.
+each step writes how far it is; there, and within a diagnosis' steps (`service.worker.heed`), a
+worker stops that lost its lease or whose job was cancelled.
 A step that takes too long hangs (`service.worker.overdue`), and counts as its worker's death.
 Diagnoses and trainings take minutes and belong to workers of their own (role `diagnose`); the
 others take the short jobs.
@@ -16,7 +17,7 @@ from contextlib import AbstractContextManager, suppress
 from json import dumps
 from time import monotonic
 
-from core.errors import BladetwinError, FaultsError, InputError, ModelError
+from core.errors import FaultsError, InputError, ModelError
 from service import tracing
 from service.errors import LostLeaseError, NotFoundError, StoreAwayError
 from service.handlers.diagnoses import KIND as DIAGNOSE
@@ -29,6 +30,7 @@ from service.worker.claiming import Role
 from service.worker.concluding import ahead_of, concluded, in_vain
 from service.worker.diagnosing import diagnose
 from service.worker.heartbeat import Deadline, heartbeats
+from service.worker.heed import Heed, StoppedError
 from service.worker.job_lease import JobLease, beat_job, claim_job, close, give_back, tell_progress
 from service.worker.overdue import Bound, Steps, endless, hangs
 from service.worker.training import drop_runs, keep, refusal, train
@@ -36,10 +38,6 @@ from service.worker.training import drop_runs, keep, refusal, train
 log = logging.getLogger("bladetwin.worker")
 # Writes what a job comes to, in the transaction that ends it, and gives the job's result.
 Outcome = Callable[[SqlTransaction], Json]
-
-
-class StoppedError(BladetwinError):
-    """The worker is to end: the job goes back as if it had not been begun."""
 
 
 class Jobs:
@@ -139,9 +137,9 @@ class Jobs:
             return lambda tx: keep(tx, lease.id, lease.request, card, artefact)
         if lease.kind == DIAGNOSE and lease.rotor_id is not None:
             told = self.progress(lease, span, begins)
-            found = diagnose(
-                self.store, self.science, lease.rotor_id, lease.request, told, lease.kept
-            )
+            heed = Heed(self.store.engine, lease, self.stopping)
+            asked = (lease.rotor_id, lease.request)
+            found = diagnose(self.store, self.science, *asked, told, lease.kept, heed)
             ahead = ahead_of(self.store, lease.rotor_id, found)
             return lambda tx: concluded(tx, self.science, lease, found, ahead)
         raise NotFoundError("kind of job", lease.kind, "run a worker of the release that wrote it")

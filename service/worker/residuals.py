@@ -34,7 +34,7 @@ from service.store.unit_of_work import SqlStore
 from service.worker.clock import LONGEST_S, counted, over, rested
 from service.worker.diagnosing import MOST_PARTICLES, plain
 from service.worker.heartbeat import heartbeats
-from service.worker.jobs import StoppedError
+from service.worker.heed import StoppedError
 from service.worker.overdue import Bound, Steps, endless, hangs
 
 log = logging.getLogger("bladetwin.worker")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -92,9 +92,11 @@ class Offsets(FakeScience):
         compare_h: float | None,
         progress: Progress,
         kept: MutableMapping[str, Any],
+        heed: Callable[[], None],
     ) -> Json:
         own = corrected(card.network, readings)
-        found = super().diagnose(card, rotor, facts, own, families, compare_h, progress, kept)
+        asked = (card, rotor, facts, own, families, compare_h)
+        found = super().diagnose(*asked, progress, kept, heed)
         if found["verdict"] == "adequate":
             return found
         off = self._off(own)

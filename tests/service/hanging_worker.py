@@ -44,7 +44,7 @@ class Hanging(FakeScience):
         return super().update(card, rotor, readings, previous, quick=quick)
 
     def diagnose(self, card: ModelCard, rotor: RotorSpec, facts: Any, *given: Any) -> Json:
-        readings, progress = given[0], given[-2]
+        readings, progress = given[0], given[-3]
         if "diagnosed" in {one.id for one in readings}:
             progress("a step", 0, 2)
             threading.Event().wait()

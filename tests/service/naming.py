@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from typing import Any
 
 from core.observation import Inspection
@@ -30,8 +30,9 @@ class Naming(Offsets, Descent):
         compare_h: float | None,
         progress: Progress,
         kept: MutableMapping[str, Any],
+        heed: Callable[[], None],
     ) -> Json:
-        given = (card, rotor, facts, readings, families, compare_h, progress, kept)
+        given = (card, rotor, facts, readings, families, compare_h, progress, kept, heed)
         found = Descent.diagnose(self, *given) | {"verdict": "adequate"}
         campaign = families[0]["name"]
         known = {bias.campaign for bias in card.network.biases}

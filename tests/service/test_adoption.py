@@ -657,7 +657,7 @@ def lost(store: SqlStore, settings: Settings) -> tuple[str, int]:
         def diagnose(self, *given: Any) -> Json:
             with store.write() as tx:
                 tx.records.cancel_job(names[0])
-            return super().diagnose(*given[:-2], lambda what, done, total: None, given[-1])
+            return super().diagnose(*given[:-3], lambda what, done, total: None, *given[-2:])
 
     science = Cancelled()
     job, _ = request_diagnosis(store, science, "r1", (), compare=True, horizon_h=None)

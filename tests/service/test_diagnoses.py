@@ -12,7 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import select, true, update
+from sqlalchemy import Engine, select, true, update
 from typer.testing import CliRunner
 
 from core.family import Family
@@ -20,9 +20,9 @@ from core.observation import Inspection
 from service.bootstrap import make_worker
 from service.cli import app as commands
 from service.client import Client, ProblemError
-from service.errors import StoreAwayError
+from service.errors import LostLeaseError, StoreAwayError
 from service.fake import FakeScience
-from service.handlers.diagnoses import find_diagnosis, request_diagnosis
+from service.handlers.diagnoses import cancel_diagnosis, find_diagnosis, request_diagnosis
 from service.handlers.rotors import create_rotor
 from service.ports import BladeRecord, Json, ModelCard, Progress, RotorSpec
 from service.processes import worker_roles
@@ -30,9 +30,9 @@ from service.settings import Settings
 from service.store import tables as t
 from service.store.engine import now_s, transaction
 from service.store.unit_of_work import SqlStore, SqlTransaction
-from service.worker import job_lease, jobs
+from service.worker import heed, job_lease, jobs
 from service.worker.heartbeat import heartbeats
-from service.worker.job_lease import beat_job, claim_job
+from service.worker.job_lease import JobLease, beat_job, claim_job
 from service.worker.jobs import Jobs
 from service.worker.lease import release
 from service.worker.loop import Worker
@@ -70,12 +70,14 @@ class Stepped(FakeScience):
         compare_h: float | None,
         progress: Progress,
         kept: MutableMapping[str, Any],
+        heed: Callable[[], None],
     ) -> Json:
         def told(what: str, done: int, total: int) -> None:
             progress(what, done, total)
             self.at(done)
 
-        return super().diagnose(card, rotor, facts, readings, families, compare_h, told, kept)
+        asked = (card, rotor, facts, readings, families, compare_h)
+        return super().diagnose(*asked, told, kept, heed)
 
 
 def stepped(at: Callable[[int], None]) -> Stepped:
@@ -210,6 +212,83 @@ def test_a_running_diagnosis_that_is_cancelled_stops_at_its_next_step(
     with store.read() as tx:
         heard = [(n.kind, n.payload) for n in tx.outbox.after("r1", 0, 100) if "diagnos" in n.kind]
     assert heard == [("diagnosis-cancelled", {"diagnosis": told["id"]})], "once"
+
+
+class Long(FakeScience):
+    """A diagnosis of one step, which ends when `heed` says so; `at` is called within it."""
+
+    at: Callable[[], None]
+    ended: list[str]
+
+    def diagnose(self, *given: Any) -> Json:
+        *_, progress, _, heed = given
+        progress("a long step", 0, 1)
+        self.at()
+        try:
+            until("the end of a step that nobody waits for", lambda: heed() and False)
+        except Exception as error:
+            self.ended.append(type(error).__name__)
+            raise
+        return super().diagnose(*given)
+
+
+@pytest.mark.parametrize("why", ["cancelled", "its worker ends", "another worker has it"])
+def test_a_diagnosis_that_is_no_more_wanted_ends_within_its_step(
+    api: httpx.Client, store: SqlStore, settings: Settings, straight: str, why: str
+) -> None:
+    told = Client(http=api).diagnose("r1")
+
+    def at() -> None:
+        if why == "cancelled":
+            Client(http=api).cancel_diagnosis("r1", told["id"])
+        elif why == "its worker ends":
+            own.stop()
+        else:
+            with transaction(store.engine, write=True) as connection:
+                here = t.job.c.id == told["id"]
+                connection.execute(update(t.job).where(here).values(fence=t.job.c.fence + 1))
+
+    science = Long()
+    object.__setattr__(science, "at", at)
+    object.__setattr__(science, "ended", [])
+    own = make_worker(store, science, settings, "d", "diagnose")
+    own.run_once()
+    assert science.ended == ["StoppedError" if why == "its worker ends" else "LostLeaseError"]
+    ended = find_diagnosis(store, "r1", told["id"])
+    status = {"cancelled": "cancelled", "its worker ends": "queued"}.get(why, "running")
+    assert (ended.status, ended.result) == (status, None)
+    assert ended.attempts == (0 if status == "queued" else 1)
+
+
+def test_a_database_that_is_away_within_a_step_ends_no_diagnosis(
+    store: SqlStore,
+    settings: Settings,
+    straight: str,
+    science: FakeScience,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is asked again, a second later at the earliest, and tells of a job that was cancelled."""
+    job, _ = request_diagnosis(store, science, "r1", (), compare=True, horizon_h=None)
+    lease = claim_job(store.engine, "d", settings.lease_s, "diagnose")
+    assert lease is not None
+    asked: list[str] = []
+
+    def away(engine: Engine, lease: JobLease) -> None:
+        asked.append(lease.id)
+        raise StoreAwayError("cannot be reached")
+
+    monkeypatch.setattr(heed, "ASK_S", 0.0)
+    monkeypatch.setattr(heed, "still_holds", away)
+    own = heed.Heed(store.engine, lease, lambda: False)
+    own()
+    assert asked == [job.id]
+    monkeypatch.undo()
+    cancel_diagnosis(store, "r1", job.id)
+    own()
+    assert asked == [job.id], "not within a second"
+    monkeypatch.setattr(heed, "ASK_S", 0.0)
+    with pytest.raises(LostLeaseError):
+        own()
 
 
 def test_a_diagnosis_that_is_done_is_not_cancelled(
@@ -393,7 +472,7 @@ class Noted(FakeScience):
     met: list[Json]
 
     def diagnose(self, *given: Any) -> Json:
-        self.met.append(dict(given[-1]))
+        self.met.append(dict(given[-2]))
         return super().diagnose(*given)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sqlalchemy import Engine
 
 from core.builtin import creep_specimens
 from core.builtin.paper_network import rotor_blade_network
@@ -32,7 +33,7 @@ from service.errors import FaultsError
 from service.handlers import reads
 from service.handlers.adoptions import adopt, back_out
 from service.handlers.blades import retire_blade
-from service.handlers.diagnoses import find_diagnosis, request_diagnosis
+from service.handlers.diagnoses import cancel_diagnosis, find_diagnosis, request_diagnosis
 from service.handlers.inspections import Item, post_inspections
 from service.handlers.models import register_builtins
 from service.handlers.rotors import create_rotor, view_rotor
@@ -43,6 +44,8 @@ from service.settings import Settings
 from service.store.engine import open_engine
 from service.store.unit_of_work import SqlStore
 from service.variant import effects_between, vary, with_more
+from service.worker import heed
+from service.worker.job_lease import JobLease
 from service.worker.lease import release
 from service.worker.residuals import Residuals
 from tests.service.smooth import elongation, formula_science
@@ -173,6 +176,30 @@ def test_the_same_blades_without_the_offset_are_adequate(
     found = diagnosed(fleet, settings, 0.0)["result"]
     assert (found["verdict"], found["effects"], found["before_after"]) == ("adequate", [], None)
     assert found["p"] > 0.05
+
+
+def test_one_that_is_cancelled_within_a_step_ends_there(
+    fleet: SqlStore, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The real science heeds that between two blades' messages, long before its first step ends."""
+    post_inspections(fleet, "r1", visits(0.0))
+    science = formula_science()
+    job, _ = request_diagnosis(fleet, science, "r1", (), compare=True, horizon_h=None)
+    asked, still_holds = list[str](), heed.still_holds
+
+    def cancelling(engine: Engine, lease: JobLease) -> None:
+        asked.append(lease.id)
+        if len(asked) == 2:
+            cancel_diagnosis(fleet, "r1", job.id)
+        still_holds(engine, lease)
+
+    monkeypatch.setattr(heed, "ASK_S", 0.0)
+    monkeypatch.setattr(heed, "still_holds", cancelling)
+    make_worker(fleet, science, settings, "d", "diagnose").run_once()
+    ended = find_diagnosis(fleet, "r1", job.id)
+    assert ended.progress is not None
+    assert (ended.status, ended.progress["what"]) == ("cancelled", "calibration")
+    assert asked == [job.id] * 2
 
 
 def test_a_diagnosis_that_another_worker_goes_on_with_says_the_same(

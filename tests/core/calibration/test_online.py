@@ -273,3 +273,25 @@ def test_particles_drawn_side_by_side_are_those_drawn_one_after_the_other(
 ) -> None:
     monkeypatch.setattr(sets, "PARTS", BLADES + 1)
     assert update(MODEL, SPEC, READINGS).digest == before.digest
+
+
+@pytest.mark.parametrize("after", [1, 3])
+def test_an_update_ends_where_what_it_heeds_raises_and_loses_nothing(
+    before: RotorState, after: int
+) -> None:
+    """And the same workspace then makes the same state."""
+    calls: list[bool] = []
+
+    def heed() -> None:
+        calls.append(True)
+        if len(calls) == after:
+            raise StopAsyncIteration
+
+    work = Workspace(heed=heed)
+    with pytest.raises(StopAsyncIteration):
+        update(MODEL, SPEC, READINGS, workspace=work)
+    assert len(calls) == after
+    assert update(MODEL, SPEC, READINGS, workspace=work).digest == before.digest
+    known = len(calls)
+    update(MODEL, SPEC, READINGS, workspace=work)
+    assert len(calls) == known, "nothing was computed"

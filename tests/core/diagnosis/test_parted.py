@@ -78,6 +78,17 @@ def test_each_half_gains_what_its_exact_evidence_says(by: str, size: float) -> N
     assert all(g < CONFIRMED for g in exact) is (size == 0.0)
 
 
+def test_halves_end_where_what_their_case_heeds_raises() -> None:
+    def heed() -> None:
+        raise StopAsyncIteration
+
+    data = tuple(readings(lambda b, t: 0.0))
+    case = Case(SPEC, data, {}, workspace=Workspace(heed=heed))
+    with pytest.raises(StopAsyncIteration):
+        case.parted.halves(MODEL, BLADES)
+    assert replace(case, workspace=None).parted.halves(MODEL, BLADES)
+
+
 def test_a_large_amplitude_is_asked_of_each_half_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     amplitudes = Parted.amplitudes
