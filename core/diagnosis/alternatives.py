@@ -4,8 +4,9 @@ What a cause is can be settled while its course in time is open: a coating that 
 came off at once move three readings of a blade alike, and go on differently. A model has one
 course, that with the most evidence, and a forecast by it alone is too sure. The rivals are the sets
 of effects that were calibrated from the same readings, as many as are in the model, with the same
-causes but for those that are open themselves (`conclude`). With log evidence L_k against the model
-as it was, and the prior weight of each cell i that a set was chosen from (`search.prices`, c_i),
+causes but for those that are open themselves (`conclude`); where some are open, and others sure,
+the sure ones alone are one more. With log evidence L_k against the model as it was, and the prior
+weight of each cell i that a set was chosen from (`search.prices`, c_i),
 
     w_k ∝ exp(L_k − Σ_i c_i)
 
@@ -103,13 +104,13 @@ def shares(
         return ()
     claims = {n: turn.claim(n) for turn in turns for n in turn.took}
     settled = Counter(c.cause for c in taken.effects if claims.get(c.name) is not None)
-    rivals = [
-        one
-        for one in known
-        if len(one.effects) == len(taken.effects)
-        and not settled - Counter(c.cause for c in one.effects)
-        and all(c in prices for c in one.effects)
-    ]
+
+    def fits(one: Rival) -> bool:
+        causes = Counter(c.cause for c in one.effects)
+        as_many = causes.total() == len(taken.effects) and not settled - causes
+        return as_many or bool(settled and causes == settled)
+
+    rivals = [one for one in known if fits(one) and all(c in prices for c in one.effects)]
     if not rivals:
         return ()
     log_w = np.array([one.gained - sum(prices[c] for c in one.effects) for one in rivals])

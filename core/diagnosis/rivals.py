@@ -1,9 +1,10 @@
 """The rivals of a set that is not separable, calibrated, and the inspections that would split it.
 
 `diagnose` calibrates the weightiest hypotheses of a turn alone. Here every name of the set gets its
-best hypothesis, calibrated from the same readings. Where more names share the evidence than are an
-answer, nothing is claimed, but what to read next is a question all the more: the `MOST` weightiest
-stand for them.
+best hypothesis, calibrated from the same readings. Where some names are sure and a single one
+beside them is open, it is that against nothing more: the rivals are those that forecast
+(`alternatives`). Where more names share the evidence than are an answer, nothing is claimed, but
+what to read next is a question all the more: the `MOST` weightiest stand for them.
 """
 
 from __future__ import annotations
@@ -78,6 +79,8 @@ def splitting(
     if not _open(found):
         return None
     rivals = rivals_of(found, case, workspace, say)
+    if len(rivals) < 2 and found.verdict.beside:
+        rivals = _or_nothing_more(found)
     model = found.before[0]
     asked = candidates(model, case.present, case.readings)
     if len(rivals) < 2 or not asked:
@@ -87,6 +90,12 @@ def splitting(
     list(POOL.map(lambda r: compiled_for(r.model, r.state, asked, whole), rivals))
     apart = separate(rivals, asked, case.spec.known)
     return replace(apart, campaigns=of_all(rivals, whole, case.spec.known, say))
+
+
+def _or_nothing_more(found: Diagnosis) -> list[Rival]:
+    """The sets that forecast, the sure effects alone among them."""
+    told = ((tuple(c.name for c in one.effects), one, share) for one, share in found.rivals)
+    return [Rival(names, one.model, one.state, share, names) for names, one, share in told]
 
 
 def _open(found: Diagnosis) -> tuple[str, ...]:

@@ -146,7 +146,7 @@ def rival(gained: float, *effects: Cell) -> Rival:
 
 KNOWN = (
     rival(30.0, LINEAR, ZERO), rival(30.0, STEP, ZERO), rival(20.0, LATE, ZERO),
-    rival(30.0, GAS, ZERO), rival(40.0, LINEAR, GAS), rival(50.0, LINEAR), rival(29.0, ZERO),
+    rival(30.0, GAS, ZERO), rival(40.0, LINEAR, GAS), rival(50.0, LINEAR), rival(15.0, ZERO),
 )  # fmt: skip
 
 
@@ -170,6 +170,20 @@ def test_where_the_cause_is_open_others_in_its_place_are_rivals_too() -> None:
     found = shares(KNOWN[0], KNOWN, torn, PRICES)
     assert [one.effects for one, _ in found] == [(LINEAR, ZERO), (GAS, ZERO), (STEP, ZERO)]
     assert [w for _, w in found] == pytest.approx([0.4, 0.4, 0.2])
+
+
+def test_where_one_is_sure_and_another_open_it_may_be_the_sure_one_alone() -> None:
+    """By its price, too: with nothing more in the model there is none to pay for it."""
+    alone = (*KNOWN[:-1], rival(25.0, ZERO))
+    torn = [turn((ZERO,), (1.0,), ZERO), turn((LINEAR, GAS), (0.5, 0.5), LINEAR)]
+    found = shares(alone[0], alone, torn, PRICES)
+    every = [(LINEAR, ZERO), (GAS, ZERO), (ZERO,), (STEP, ZERO)]
+    assert [one.effects for one, _ in found] == every
+    assert [w for _, w in found] == pytest.approx(np.array([2, 2, 2, 1]) / 7)
+    both = [turn((ZERO,), (1.0,), ZERO), turn((LINEAR, STEP), (0.6, 0.4), LINEAR)]
+    assert all(len(one.effects) == 2 for one, _ in shares(alone[0], alone, both, PRICES))
+    neither = [turn((ZERO, GAS), (0.5, 0.5), ZERO), turn((LINEAR, GAS), (0.5, 0.5), LINEAR)]
+    assert all(len(one.effects) == 2 for one, _ in shares(alone[0], alone, neither, PRICES))
 
 
 def test_forecasts_are_of_whom_the_difference_concerns() -> None:

@@ -113,6 +113,22 @@ def test_the_suspect_instrument_reads_again_and_then_another_one(
     assert whole["gain_nat"] > told["single"][0]["gain_nat"]
 
 
+def test_a_single_name_beside_a_sure_one_is_told_from_nothing_more(
+    torn: tuple[Diagnosis, Case, Workspace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sets that forecast stand for it: those of its hypotheses are one."""
+    found, case, work = torn
+    monkeypatch.setattr(rivals, "rivals_of", lambda found, *given: rivals_of(found, *given)[:1])
+    assert splitting(found, case, work) is None
+    sure = replace(found, verdict=replace(found.verdict, beside=found.verdict.names[:1]))
+    split = splitting(sure, case, work)
+    assert split is not None
+    told = separation_json(split)["rivals"]
+    each = [(tuple(c.name for c in one.effects), share) for one, share in found.rivals]
+    assert [(tuple(r["names"]), r["weight"]) for r in told] == each
+    assert len(each) > 1
+
+
 def test_no_inspection_is_asked_of_a_blade_that_has_left(
     torn: tuple[Diagnosis, Case, Workspace],
 ) -> None:
