@@ -20,6 +20,9 @@ BEFORE: dict[str, Any] = json.loads(
 PAIRS: dict[str, Any] = json.loads(
     (Path(__file__).with_name("results") / "effects-pairs" / "result.json").read_text()
 )
+LATER: dict[str, Any] = json.loads(
+    (Path(__file__).with_name("results") / "effects-all-kinds" / "result.json").read_text()
+)
 ASKED = {"named, right": 0.85, "named, wrong": 0.05, "outside, no name": 0.90}
 """Marks 3 and 4 of such a loop."""
 
@@ -35,7 +38,9 @@ def test_every_set_is_there_and_the_counts_are_those_of_the_sets(found: dict[str
         assert any(row == own for own in study.table(sets).values()), name
 
 
-@pytest.mark.parametrize("found", [KEPT, BEFORE, PAIRS], ids=["today", "before", "pairs"])
+@pytest.mark.parametrize(
+    "found", [KEPT, BEFORE, PAIRS, LATER], ids=["today", "before", "pairs", "later"]
+)
 def test_the_seed_comes_from_the_commit_so_that_nothing_was_chosen_by_it(
     found: dict[str, Any],
 ) -> None:
@@ -89,3 +94,28 @@ def test_of_two_at_once_none_is_named_wrongly() -> None:
     assert count == {"right": 10, "one": 6, "silent": 4}
     assert PAIRS["marks"]["pairs, wrong"] == 0.0
     assert "both are named in 10 and one of them in 6" in WORDS
+
+
+def test_all_kinds_made_anew_name_no_less_and_what_they_miss_is_said() -> None:
+    sets, marks = LATER["sets"], LATER["marks"]
+    counts = {name: row["sets"] for name, row in LATER["table"].items()}
+    assert counts == {name: 12 if name in study.CLEAN else 6 for name in KEPT["table"]}
+    assert len({(r["condition"], r["number"]) for r in sets}) == len(sets) == 90
+    assert study.table(sets) == LATER["table"]
+    assert study.marks(LATER["table"]) == pytest.approx(marks)
+    assert LATER["algorithm"] == "panels-19"
+    right = {name: round(row["right"] * 6) for name, row in LATER["table"].items()}
+    names = ("campaign", "instrument", "gain", "worn lot", "step", "tertiary")
+    assert [right[name] for name in names] == [6, 5, 4, 5, 0, 0]
+    assert marks["named, right"] == pytest.approx(20 / 36)
+    assert marks["named, wrong"] == 0.0
+    assert marks["outside, no name"] == pytest.approx(16 / 18)
+    assert marks["outside, no name"] < ASKED["outside, no name"]
+    assert marks["clean, alarms"] == pytest.approx(2 / 36)
+    wrong = [(r["condition"], r["names"]) for r in sets if r["outcome"] == "wrong"]
+    assert [name for name, _ in wrong] == ["some blades late", "pulse"]
+    told = [LATER["improvement"][n] for n in names]
+    assert sum(one["sets"] for one in told) == 28
+    assert sum(one["sets"] * one["better"] for one in told) == pytest.approx(27)
+    for said in ("**20 of 36**, 56 %", "16 of 18, 89 % of what has none", "better in 27 of the 28"):
+        assert said in WORDS

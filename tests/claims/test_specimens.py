@@ -37,6 +37,7 @@ def test_what_is_kept_is_of_this_releases_model_and_counts_every_reading(network
     assert (found["delivered"], found["up_to_largest"], found["used"]) == (1428, 1359, 276)
     assert [len(found[which]) for which in ("fit", "new_specimen", "new_stress")] == [12, 12, 12]
     assert found["health"]["status"] == "ok"
+    assert {one["health"] for k in ("new_specimen", "new_stress") for one in found[k]} == {"ok"}
     names = {one["specimen"] for one in found["fit"]}
     assert names == {one["specimen"] for one in found["new_specimen"]}
 
