@@ -55,8 +55,7 @@ def claimed(job: JobRecord, result: Json | None) -> Json:
         )
         remedy = {
             "adequate": "leave the model as it is",
-            "not separable": "take the readings that would separate "
-            f"{' and '.join(result['names']) or 'the effects'}, then ask anew: {where}",
+            "not separable": f"take readings that would {_told(result)}, then ask anew: {where}",
         }.get(verdict, f"add readings, or families of effects of your own, then ask anew: {where}")
         if result.get("alternatives"):
             remedy += "; if you know which it is from elsewhere, choose it: "
@@ -67,6 +66,21 @@ def claimed(job: JobRecord, result: Json | None) -> Json:
         problem = "it is of a release that did not say what its effects add to the network"
         raise AdoptionError(job.id, "adopted", problem, f"ask anew: {where}")
     return adds
+
+
+def _told(result: Json) -> str:
+    """What readings would tell of a set that is not separable.
+
+    >>> _told({"names": ["rub", "wear"], "beside": []})
+    'separate rub and wear'
+    >>> _told({"names": ["rub", "wear"], "beside": ["rub"]})
+    'tell whether wear is there beside rub'
+    """
+    sure = result.get("beside") or []
+    open_ = [name for name in result["names"] if name not in sure]
+    if sure and len(open_) == 1:
+        return f"tell whether {open_[0]} is there beside {' and '.join(sure)}"
+    return f"separate {' and '.join(open_) or 'the effects'}"
 
 
 def holding(job: JobRecord, result: Json) -> None:

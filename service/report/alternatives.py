@@ -76,15 +76,20 @@ def alternatives(found: Json) -> Markup | None:
 
 
 def names(told: Json) -> list[str]:
-    """Each rival by the effects that not all of them have.
+    """Each rival by the effects that not all of them have; by all of its own, where one has no
+    other.
 
     >>> names({"each": [{"effects": [{"name": "wear", "shape": "linear", "step_h": None}]},
     ...                 {"effects": [{"name": "wear", "shape": "late", "step_h": None}]}]})
     ['wear, linear', 'wear, late']
+    >>> gas, oven = ({"name": n, "shape": "constant", "step_h": None} for n in ("gas", "oven"))
+    >>> names({"each": [{"effects": [gas, oven]}, {"effects": [gas]}]})
+    ['gas, constant and oven, constant', 'gas, constant']
     """
     every = [[called(e) for e in one["effects"]] for one in told["each"]]
     common = set.intersection(*map(set, every))
-    return [joined([e for e in one if e not in common]) or joined(one) for one in every]
+    apart = [[e for e in one if e not in common] for one in every]
+    return [joined(one) for one in (apart if all(apart) else every)]
 
 
 def hypothesis(one: Json) -> str:

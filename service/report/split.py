@@ -45,9 +45,10 @@ def split(found: Json) -> Markup | None:
         parts.append(el("p", f"{said} What follows is said as if one of these were true."))
     if best["gain_nat"] < IDLE:
         said = "No single reading that was considered tells them apart: all expect the same of it."
-        parts.append(el("p", said))
+        parts.append(el("p", said, class_="told"))
     else:
-        parts.append(el("p", f"Best: {inspection(best)}. {promise(best, now)}"))
+        said = f"Best single reading: {inspection(best)}. {promise(best, now)}"
+        parts.append(el("p", said, class_="told"))
         parts.append(
             figure(
                 curves(names, best),
@@ -128,7 +129,7 @@ def _expected(names: Sequence[str], one: Json) -> list[str]:
 def _everybody(campaigns: Sequence[Json], now: float) -> list[Child]:
     """What reading every blade once promises."""
     best = campaigns[0]
-    said = f"Best: {campaign(best)}. {promise(best, now)}"
+    said = f"Best of all blades at once: {campaign(best)}. {promise(best, now)}"
     if best["gain_nat"] < IDLE:
         said = "Not even all blades together tell them apart, by any quantity."
     rows = [
@@ -136,7 +137,8 @@ def _everybody(campaigns: Sequence[Json], now: float) -> list[Child]:
         for one in campaigns
     ]
     head = ["every blade once", "tells [nat]", "share of the true one", "settles it"]
-    return [el("h3", "All blades at once"), el("p", said), table(head, rows, (1, 2, 3))]
+    told = el("p", said, class_="told")
+    return [el("h3", "All blades at once"), told, table(head, rows, (1, 2, 3))]
 
 
 def _set(grown: Sequence[Json]) -> Markup:

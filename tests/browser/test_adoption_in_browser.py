@@ -34,6 +34,7 @@ from tests.service.adopting import Doubtful, Lots, Offsets
 from tests.service.conftest import RunningServer, served
 from tests.service.test_adoption import NAME, OFF, of_a_lot, visits
 from tests.service.test_joining import LOTS, read
+from tests.service.told import told
 
 
 @dataclass(frozen=True)
@@ -272,11 +273,19 @@ def test_a_discrepancy_that_is_borne_out_is_adopted_and_backed_out_by_its_page(
         assert (seen.errors, seen.outside) == ([], [])
 
 
+class Splitting(Doubtful):
+    """It tells what would tell them apart, too."""
+
+    def named(self, card: ModelCard, campaign: str, size: float) -> Json:
+        separating = told("not separable")["separating"]
+        return super().named(card, campaign, size) | {"separating": separating}
+
+
 def test_one_of_what_is_not_told_apart_is_chosen_with_a_reason_and_backed_out(
     browser: Browser, tmp_path: Path
 ) -> None:
     blades = [BladeRecord(f"B{i}") for i in (1, 2, 3)]
-    with running(tmp_path, Doubtful(), blades, visits(reading, OFF)) as twin:
+    with running(tmp_path, Splitting(), blades, visits(reading, OFF)) as twin:
         made = twin.client.post("/v1/rotors/r1/diagnoses").json()["diagnosis"]["id"]
         twin.diagnoser.drain()
         for seen in watched(browser, twin):
@@ -285,6 +294,10 @@ def test_one_of_what_is_not_told_apart_is_chosen_with_a_reason_and_backed_out(
             expect(known.locator("tbody tr")).to_have_count(2)
             expect(known.locator("tbody tr").last).to_contain_text("campaign c3), constant")
             expect(page.get_by_role("button", name="Adopt into the model")).to_have_count(0)
+            apart = page.locator("section", has=page.get_by_role("heading", name="that would tell"))
+            expect(apart.locator("p.told")).to_have_count(2)
+            expect(apart.locator("p.told").first).to_contain_text("Best single reading: permanent")
+            expect(apart.locator("p.told").last).to_contain_text("all blades at once: 3-D scan")
             assert serious(page) == []
             for answer in ("", "   ", None):
                 page.once("dialog", lambda d, a=answer: d.dismiss() if a is None else d.accept(a))

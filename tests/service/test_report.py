@@ -250,7 +250,10 @@ def test_what_is_known_of_an_unattributed_misfit_is_told() -> None:
 
 def test_the_inspection_that_splits_the_set_is_itswith_what_it_promises() -> None:
     said = Read(page_of(told("not separable"))).said
-    assert "Best: permanent tip elongation of blade B1 with another instrument, now" in said
+    assert (
+        "Best single reading: permanent tip elongation of blade B1 with another instrument, now"
+        in said
+    )
     assert "from 52 % to 90 %" in said, "0.6² + 0.4² is expected of no reading"
     assert "settles the question in 70 % of cases" in said
     assert "root settling: 0.360 ± 0.012 mm" in said
@@ -258,7 +261,7 @@ def test_the_inspection_that_splits_the_set_is_itswith_what_it_promises() -> Non
     pair["separating"]["rivals"][1]["names"] = ["root settling", "tip rub"]
     assert "and root settling + tip rub: 0.360 ± 0.012 mm" in Read(page_of(pair)).said, "one of two"
     assert "The inspection that would" not in Read(page_of(told("effect"))).said
-    assert "Best: 3-D scan (deformation of 96 nodes) of 3 blades, now" in said
+    assert "Best of all blades at once: 3-D scan (deformation of 96 nodes) of 3 blades, now" in said
     assert "to 97 % and settles the question in 94 % of cases" in said
     assert "permanent tip elongation of 3 blades with another instrument, now" in said
     older = told("not separable")
@@ -296,7 +299,10 @@ def test_where_names_are_too_many_none_is_claimed_and_what_to_read_is_told() -> 
     assert "the inspections below would tell them apart" in said
     assert "No name is claimed. The weightiest of many: campaign offset" in said
     assert "What follows is said as if one of these were true" in said
-    assert "Best: permanent tip elongation of blade B1 with another instrument, now" in said
+    assert (
+        "Best single reading: permanent tip elongation of blade B1 with another instrument, now"
+        in said
+    )
     assert "Not among those told apart" not in said
     without = Read(page_of(told("unattributed"))).said
     assert "than an answer can hold" not in without

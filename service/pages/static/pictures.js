@@ -12,7 +12,8 @@ function text(url) {
 }
 
 /**
- * A panel for each section of the report that has pictures, with these and what stands below them.
+ * A panel for each section of the report that has pictures, with these, what stands below them, and
+ * the sentences that are told beside them.
  * The report's own style sheet goes with them, and holds for them alone.
  */
 export async function pictures(url) {
@@ -24,7 +25,7 @@ export async function pictures(url) {
     const place = h("div", { class: "pictured" });
     const inside = place.attachShadow({ mode: "open" });
     inside.adoptedStyleSheets = [sheet];
-    inside.append(...[...section.querySelectorAll("figure")].map((one) => document.adoptNode(one)));
+    inside.append(...[...section.querySelectorAll("figure, p.told")].map((one) => document.adoptNode(one)));
     return panel(section.querySelector("h2").textContent, place);
   });
 }
