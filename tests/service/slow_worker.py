@@ -36,8 +36,8 @@ class Held(FakeScience):
         return step
 
     def diagnose(self, *given: Any) -> Json:
-        *others, progress, kept = given
-        return FakeScience.diagnose(self, *others, self.held(progress), kept)
+        *others, progress, kept, heed = given
+        return FakeScience.diagnose(self, *others, self.held(progress), kept, heed)
 
     def train(self, *given: Any) -> tuple[ModelCard, bytes]:
         *others, progress = given
