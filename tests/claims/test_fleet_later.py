@@ -36,6 +36,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-scans-all", CONDITIONS, 4),
         ("effects-fleet-2", CONDITIONS, 4),
         ("effects-scans-second", CONDITIONS, 1),
+        ("effects-scans-second-2", CONDITIONS, 2),
         ("effects-late", ("some blades late",), 6),
         ("effects-late-second", ("some blades late",), 6),
         ("effects-scans-named", NAMED, 1),
@@ -274,6 +275,29 @@ def test_what_has_a_name_keeps_it_beside_the_rival_of_some_blades() -> None:
     right = [one["outcome"] for one in (*sets, *older)].count("right")
     assert (right, len(sets) + len(older)) == (49, 56)
     assert "49 of 56 right names (87.5 %), 1 of 56 wrong" in WORDS
+
+
+def test_the_second_rotor_with_scans_by_todays_rules_names_all_but_accelerating_creep() -> None:
+    found = kept("effects-scans-second-2")
+    assert (found["plan"], found["algorithm"]) == ("fleet-scans-2", "panels-19")
+    right = {k: round(2 * row["right"]) for k, row in found["table"].items()}
+    assert {k: right[k] for k in NAMED if right[k] < 2} == {"fouling": 1, "tertiary": 0}
+    assert [s["outcome"] for s in found["sets"]].count("wrong") == 0
+    assert found["marks"]["named, alarms"] == found["marks"]["outside, no name"] == 1.0
+    assert sum(right[k] for k in CLEAN) == 4
+    loud = [s for s in found["sets"] if s["condition"] in CLEAN and s["alarm"]]
+    assert [(s["condition"], s["names"]) for s in loud] == [("clean, heavy tails", [])] * 2
+    nearer = {k: round(100 * (1 - v["forecast"])) for k, v in found["improvement"].items()}
+    assert [nearer[k] for k in ("wear", "worn lot", "fouling", "step", "tertiary")] == [
+        89, 91, 78, 71, 75,
+    ]  # fmt: skip
+    every = ("effects-scans-all", "effects-scans-second", "effects-scans-named",
+             "effects-scans-named-second", "effects-scans-second-2")  # fmt: skip
+    named = [s for one in every for s in kept(one)["sets"] if s["condition"] in NAMED]
+    told = [s["outcome"] for s in named]
+    assert (told.count("right"), told.count("wrong"), len(told)) == (62, 1, 72)
+    for said in ("**13 of 16** effects", "62 of 72 right names (86 %), 1 of 72 wrong"):
+        assert said in WORDS
 
 
 def test_by_todays_rules_sensors_are_named_in_fleets_and_physics_is_not() -> None:
