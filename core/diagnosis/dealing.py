@@ -5,7 +5,8 @@ other blades with equal rows, with random signs (of a blade with few companions 
 by row of any). That keeps what is within a blade, its tails and its memory, and destroys what
 blades have in common. The pull of the shared parameters is taken out of what is dealt (leverage:
 Bell & McCaffrey, Survey Methodology 28, 2002) and laid on it anew, as a fit to the dealt set
-would; where they lie in their priors is drawn.
+would; where they lie in their priors is drawn. So is what the simulation errs by in all blades
+alike (`coherent`): signs that are dealt blade by blade would not leave it in.
 
 Two things such a null would hide. One odd blade is dealt as well, and makes the gain of whichever
 blade it lands on: it is dealt no larger than t-distributed readings of the others' size are but in
@@ -79,6 +80,7 @@ class Deck:
                   and the roots of their eigenvalues, (B, n)
     deal          which blades are dealt to which
     shared        where the shared parameters lie, in prior sds, (count, S)
+    alike         what the simulation errs by in all blades alike, in its sds, (count, M)
     """
 
     seen: Scores
@@ -88,6 +90,7 @@ class Deck:
     held: Array
     deal: Deal
     shared: Array
+    alike: Array
 
     @staticmethod
     def of(seen: Scores, count: int, seed: int) -> Deck:
@@ -95,12 +98,16 @@ class Deck:
         rng, (root, back) = stream(seed, "dealt"), _roots(seen)
         deal = Deal.of(seen.real.sum(axis=1), seen.q.shape[1], rng, count)
         shared = rng.standard_normal((count, len(seen.prior)))
-        return Deck(seen, root, back, *_left(root @ seen.imitated), deal, shared)
+        alike = rng.standard_normal((count, 0 if seen.alike is None else seen.alike.shape[2]))
+        return Deck(seen, root, back, *_left(root @ seen.imitated), deal, shared, alike)
 
     def sets(self, q: Array) -> Array:
         """q (count, B, n) of the sets that are dealt from residuals q (B, n)."""
         dealt = self.deal.sets(self._standard(q))
         whole = (self.root @ dealt.transpose(1, 2, 0)).transpose(2, 0, 1)
+        if self.seen.alike is not None:
+            weighed = self.seen.information @ self.seen.alike
+            whole = whole + np.tensordot(self.alike, weighed, axes=(1, 2))
         return self.seen.refitted(whole, self.shared)
 
     def _standard(self, q: Array) -> Array:

@@ -13,8 +13,10 @@ as well). So each effect is held against itself in other places:
 
 A placebo gains what the scan says of it (`core.diagnosis.scan`: log Bayes factor to second order,
 scatter between blades and single readings that may be misread included), from the residuals of the
-model without the effect and with all others. One that is the effect itself for the most part is
-none: with I the information matrix of both, those of
+model without the effect and with all others. What simulations err by in all blades alike is left
+out (`coherent`): it would be held against the effect, and not against one that is turned in half of
+them. One that is the effect itself for the most part is none: with I the information matrix of
+both, those of
 
     rho = I_0k / sqrt(I_00 I_kk) > `ALIKE`
 
@@ -105,7 +107,7 @@ def placebos(
     here = np.tile(np.arange(own.shape[1]), (len(own), 1))
     real = changed(here)
     kinds = {BLADES: _by_blades(cell, real, own, whole), READINGS: _by_readings(seen, own, changed)}
-    found = []
+    found, seen = [], replace(seen, alike=None)
     for by, drawn in kinds.items():
         rng = stream(seed, "placebos", cell.name, by)
         made = {(own * real[0]).tobytes(): tuple(own * one for one in real)}

@@ -103,7 +103,7 @@ class Scan:
         concerned, alone = np.any(g != 0, axis=1), alone_of(cells, g.shape[2])
         u = np.einsum("bic,bi->c", g, seen.q) + pull.sum(axis=0)
         phi = Scatter.of(own, concerned, alone).phi(c, u, np.diag(information))
-        phi = phi * discount(seen, g, alone)
+        phi = phi * discount(seen, g, alone, np.diag(information))
         return Scan(cells, free, seen, g, h, within, u, information, c, own, phi)
 
     @cached_property
@@ -154,7 +154,7 @@ class Scan:
 
     @cached_property
     def _discount(self) -> Array:
-        return discount(self.seen, self.g, self._alone)
+        return discount(self.seen, self.g, self._alone, np.diag(self.information))
 
     @cached_property
     def _spared(self) -> Spared:

@@ -89,6 +89,7 @@ class Scores:
     answer   E[f], (B, n); lean: Cov[f_j, r_i] at [b, i, j], (B, n, n)
     points   inputs at K particles, (K,) each, one mapping a blade; answers there, (B, K, n)
     unsure   sd of what the simulation does not know of each row, (B, n); none: of nothing
+    alike    what of it is the same in all blades, by unit causes (B, n, M) (`coherent`); or none
     pull     Cov[df_i/dθ, r_i] for each shared parameter, (B, n, S); none: slopes do not vary
     beside   the inputs, on which effects are regressed as well; none: on the answers alone
     """
@@ -107,6 +108,7 @@ class Scores:
     unsure: Array | None = None
     pull: Array | None = None
     beside: Beside | None = None
+    alike: Array | None = None
 
     @property
     def real(self) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ from core.calibration.state import Posterior, RotorState, blade_posterior
 from core.calibration.target import BladeRows
 from core.calibration.workspace import Workspace
 from core.diagnosis.answering import Answering
+from core.diagnosis.coherent import joined, loadings
 from core.diagnosis.information import bounded, given, information, made_by_ends
 from core.diagnosis.scores import Beside, Scores
 from core.diagnosis.stein import fields, steadied
@@ -98,6 +99,7 @@ def scores(
         unsure,
         pull,
         Beside.padded([one.beside for one in made], shape[1]),
+        joined([one.alike for one in made], shape[1]),
     )
 
 
@@ -119,7 +121,7 @@ def variance(prior: Prior) -> float:
 @dataclass(frozen=True)
 class _Blade:
     """q (n,), Q (n, n), S (n, s), Cov[df_i/dθ, r_i] (n, s), E[f] (n,), Cov[f_j, r_i] (n, n), inputs
-    and answers (K, n), sd of what the simulation does not know (n,)."""
+    and answers (K, n), sd of what the simulation does not know (n,), and what of it is alike."""
 
     q: Array
     information: Array
@@ -131,6 +133,7 @@ class _Blade:
     answers: Array
     unsure: Array
     beside: Beside
+    alike: Mapping[str, Array]
 
 
 def _blade(
@@ -189,6 +192,7 @@ def _blade(
     mesh = (rows.relative[:count] * rows.y[:count]) ** 2 + rows.extra[:count] * scanned
     box = any(made_by_ends(p.prior) for p in locals_ if p.population is None)
     seen = information(typical, spread, given(off, f - answer, w), w)
+    unsure = np.sqrt(w @ sd**2 + mesh)
     return _Blade(
         q,
         bounded(seen, typical, q, box),
@@ -198,8 +202,9 @@ def _blade(
         lean,
         dict(zip(names, x[some].T, strict=True)),
         f[some],
-        np.sqrt(w @ sd**2 + mesh),
+        unsure,
         Beside(x[some], middle, leaning),
+        loadings(model, rows, unsure),
     )
 
 

@@ -1,13 +1,17 @@
-"""What the simulation does wrong at all readings of a blade alike is no effect of that blade."""
+"""What the simulation does wrong at many readings alike is no effect."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from core.diagnosis.coherent import discount
+from core.calibration.scans import Mixing
+from core.diagnosis.coherent import discount, joined, loadings
+from core.diagnosis.dealing import dealt_sets
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
 from core.diagnosis.signature import Signatures
@@ -47,10 +51,10 @@ def test_of_values_the_discount_is_the_variance_of_an_error_that_is_always_the_s
     y = rng.multivariate_normal(np.zeros(len(inside)), apart, size=len(same), method="cholesky")
     score = (y + own * same[:, None]) @ one.information[B] @ g[B, :, 0]
     information = g[B, :, 0] @ one.information[B] @ g[B, :, 0]
-    got = discount(one, g, np.array([True, False]))
+    got = discount(one, g, np.array([True, False]), np.ones(2))
     assert got[0] == pytest.approx(score.var() / information, rel=0.02)
     assert got[0] > 1.2
-    assert got[1] == 1.0, "what concerns all blades is told by their scatter"
+    assert got[1] == 1.0, "nothing is alike in all blades here"
 
 
 def test_of_scans_it_is_at_most_that_of_modes_that_always_err_alike() -> None:
@@ -59,14 +63,19 @@ def test_of_scans_it_is_at_most_that_of_modes_that_always_err_alike() -> None:
     a = one.information[B] @ g[B, :, 0]
     own = g[B, :, 0] @ a
     alike = 2.0 * np.sum((0.8 * SIGMA * a) ** 2)  # three scans of a row each
-    assert discount(one, g, np.array([True, False]))[0] == pytest.approx(1.0 + alike / own)
+    assert discount(one, g, np.array([True, False]), np.ones(2))[0] == pytest.approx(
+        1.0 + alike / own
+    )
 
 
 def test_where_the_simulation_is_sure_there_is_none() -> None:
     one, _ = rotor(4)
     g = signatures(one)
-    assert np.array_equal(discount(one, g, np.ones(2, bool)), np.ones(2))
-    assert discount(replace(one, unsure=np.zeros(one.q.shape)), g, np.ones(2, bool))[0] == 1.0
+    alone, own = np.ones(2, bool), np.ones(2)
+    assert np.array_equal(discount(one, g, alone, own), np.ones(2))
+    sure = replace(one, unsure=np.zeros(one.q.shape), alike=np.zeros((*one.q.shape, 3)))
+    assert np.array_equal(discount(sure, g, alone, own), np.ones(2))
+    assert np.array_equal(discount(sure, g, ~alone, own), np.ones(2))
 
 
 def test_a_scan_of_the_grammar_counts_it_for_single_blades_alone() -> None:
@@ -75,7 +84,86 @@ def test_a_scan_of_the_grammar_counts_it_for_single_blades_alone() -> None:
     doubted = replace(plain.seen, unsure=unsure)
     doubting = Scan.of(plain.cells, doubted, Signatures(plain.g, plain.h))
     alone, n = np.array([c.whom == "blade" for c in plain.cells]), len(plain.cells)
-    factor = discount(doubted, plain.g[:, :, :n], alone)
+    factor = discount(doubted, plain.g[:, :, :n], alone, np.diag(plain.information)[:n])
     assert np.allclose(doubting.phi[:n], plain.phi[:n] * factor)
     assert np.any(factor[alone] > 1.05)
     assert np.all(factor[~alone] == 1.0)
+
+
+def doubtful(one: Scores, size: float) -> Scores:
+    """The simulation errs by `size` noises, alike in all blades: of early rows, and of late."""
+    alike = np.zeros((*one.q.shape, 2))
+    alike[:, :1, 0] = alike[:, 1:, 1] = size * SIGMA
+    return replace(one, alike=alike * one.real[:, :, None])
+
+
+def test_of_several_blades_the_discount_is_the_variance_of_an_error_that_all_have() -> None:
+    """By dealt sets, on which the shared parameters are fitted and such errors are drawn; those
+    without them are the control."""
+    one, _ = rotor(4)
+    doubted = doubtful(one, 0.5)
+    g, none = signatures(one)[:, :, 1:], np.zeros(1, bool)
+    g[:, 0] = 0.0  # the later it is the more it concerns all
+    own = np.diag(one.cross(g))
+    told = float(discount(doubted, g, none, own)[0])
+    assert told > 1.5
+    with_it, without = (
+        float(np.einsum("kbi,bic->k", dealt_sets(seen_, 4000, 3), g).var() / own[0])
+        for seen_ in (doubted, one)
+    )
+    assert with_it - without == pytest.approx(told - 1.0, rel=0.15)
+    assert without < 1.4, "the control: what is dealt has no such error"
+
+
+def test_effects_of_single_blades_keep_their_own_discount() -> None:
+    one = replace(seen(0.8), alike=doubtful(seen(0.8), 0.5).alike)
+    g = signatures(one)
+    plain = discount(replace(one, alike=None), g, np.array([True, False]), np.ones(2))
+    found = discount(one, g, np.array([True, False]), np.diag(one.cross(g)))
+    assert found[0] == plain[0]
+    assert found[1] > 1.0
+
+
+def test_what_shared_parameters_make_up_for_is_no_error_of_an_effect() -> None:
+    """An error in all blades that goes as a shared parameter moves them hardly counts; one that
+    goes as no parameter does, does."""
+    one, _ = rotor(4)
+    one = replace(one, prior=1e6 * one.prior)
+    turning = np.sign(np.arange(one.q.shape[1]) - 0.5)[None, :, None] * one.real[:, :, None]
+    own, none = np.diag(one.cross(turning)), np.zeros(1, bool)
+    moved = one.slope[:, :, :1] * SIGMA / np.abs(one.slope[:, :, :1]).max()
+    hidden, seen_ = (
+        float(discount(replace(one, alike=alike), turning, none, own)[0])
+        for alike in (moved, SIGMA * turning)
+    )
+    assert seen_ > 1.5
+    assert hidden - 1.0 < 0.01 * (seen_ - 1.0)
+
+
+def test_loadings_of_a_scan_have_the_shape_of_its_modes_errors_and_the_size_of_its_rows() -> None:
+    rng = np.random.default_rng(2)
+    half = rng.normal(size=(5, 5))
+    c, modes, turn = half @ half.T, rng.normal(size=(4, 5)), rng.normal(size=(4, 4))
+    covariance = turn @ modes @ c @ modes.T @ turn.T
+    unsure = 3.0 * np.sqrt(np.diag(covariance))
+    one, _ = rotor(4)
+    scanned = replace(one.rows[0].readings[0], quantity="deformation", values=np.zeros(4))
+    single = replace(one.rows[0].readings[1], quantity="elongation")
+    rows = replace(
+        one.rows[0],
+        readings=(single, scanned),
+        of=(0, 1, 1, 1, 1, -1),
+        mixings={1: Mixing(turn, modes)},
+    )
+    part = SimpleNamespace(mode_covariance=lambda time_h: c)
+    model: Any = SimpleNamespace(part=lambda quantity: part)
+    found = loadings(model, rows, np.array([0.7, *unsure]))
+    assert found.keys() == {"elongation", "scans of deformation"}
+    assert found["elongation"].ravel().tolist() == [0.7, 0, 0, 0, 0]
+    scan_ = found["scans of deformation"]
+    assert not scan_[0].any()
+    np.testing.assert_allclose(scan_[1:] @ scan_[1:].T, 9.0 * covariance, rtol=1e-9)
+    beside = joined([found, {"elongation": np.ones((2, 1))}], 6)
+    assert beside.shape == (2, 6, 6)
+    assert beside[1, :, 0].tolist() == [1, 1, 0, 0, 0, 0]
+    np.testing.assert_array_equal(beside[0, :5, 1:], scan_)
