@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 
-from sqlalchemy import Connection, bindparam, select, update
+from sqlalchemy import Connection, bindparam, func, select, update
 
 from core.errors import InputError
 from service.errors import NotFoundError
@@ -26,6 +26,9 @@ _MODEL = (
     .order_by(t.model.c.created_at.desc())
 )
 _VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
+
+
+TICK_S = 0.001  # of SQLite's clock
 
 
 class SqlModels(SqlJobs):
@@ -63,6 +66,18 @@ class SqlModels(SqlJobs):
                     "give the model another id, or its rotors' diagnoses these families",
                 )
             self._connection.execute(update(t.model).where(own).values(created_at=now_s()))
+        if newest:
+            self._after_the_others(card)
+
+    def _after_the_others(self, card: ModelCard) -> None:
+        """Later than the other versions, though they were registered within the same tick."""
+        c = t.model.c
+        others = select(func.max(c.created_at)).where(c.id == card.id, c.version != card.version)
+        latest = self._connection.execute(others).scalar()
+        if latest is not None:
+            tied = (c.id == card.id) & (c.version == card.version) & (c.created_at <= latest)
+            later = update(t.model).where(tied).values(created_at=latest + TICK_S)
+            self._connection.execute(later)
 
     def model_sources(self) -> list[tuple[ModelCard, Json]]:
         """Every version of every model, with where it comes from."""

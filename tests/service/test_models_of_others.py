@@ -64,3 +64,17 @@ def test_the_remedy_fits_the_model(name: str, remedy: str) -> None:
     with pytest.raises(ModelError, match=remedy) as told:
         models.of(card)
     assert ("BLADETWIN_MODEL_DIR" in str(told.value)) == (name == NAME)
+
+
+def test_of_versions_registered_within_one_tick_the_last_is_the_newest(store: SqlStore) -> None:
+    """SQLite's clock tells milliseconds; whichever comes first in the table was taken."""
+    card = FakeScience().builtin("rotor-blade")
+    names = [f"v{k}" for k in (3, 1, 4, 0, 2)]
+    with store.write() as tx:
+        for name in names:
+            tx.records.put_model(replace(card, version=name), {"builtin": card.id}, newest=True)
+            assert tx.records.model(card.id).version == name
+    with store.write() as tx:  # one that is known, again
+        tx.records.put_model(replace(card, version="v3"), {"builtin": card.id}, newest=True)
+        tx.records.put_model(replace(card, version="v1"), {"builtin": card.id}, newest=False)
+        assert tx.records.model(card.id).version == "v3"
