@@ -28,7 +28,7 @@ _MODEL = (
 _VERSION = _MODEL.where(t.model.c.version == bindparam("version"))
 
 
-TICK_S = 0.001  # of SQLite's clock
+TICK_S = 0.001  # SQLite's clock tells no less
 
 
 class SqlModels(SqlJobs):
