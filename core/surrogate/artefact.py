@@ -10,6 +10,9 @@ predict; notes on provenance and errors may be added to a manifest without chang
 So that a changed note is noticed, too, the manifest has a second digest, `whole`: SHA-256 over
 everything else in it. It names nothing, and is in no surrogate's manifest. A manifest from before
 has none and is taken as it is.
+
+Schema 2 has parts whose error has a power of its own (`core.surrogate.part`), which a release that
+does not know it would leave out; a surrogate without such parts is written as schema 1.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ from core.surrogate.model import Surrogate
 from core.surrogate.part import Part
 from core.surrogate.tucker import Factors
 
-SCHEMA = 1
+SCHEMAS = (1, 2)
 ARRAYS, MANIFEST = "arrays.npz", "manifest.json"
 WHOLE = "whole"
 EARLY_H = 1.0  # of a part that tells none
@@ -62,6 +65,8 @@ def _unpack(model: Surrogate) -> tuple[dict[str, Any], Arrays]:
         parts[name] = {"form": part.form, "columns": columns, "inflation": part.inflation}
         if factors.early_h != EARLY_H:
             parts[name]["early_h"] = factors.early_h
+        if part.power != 1.0:
+            parts[name]["power"] = part.power
     structure: dict[str, Any] = {
         "inputs": [asdict(item) for item in model.inputs],
         "quantities": [asdict(quantity) for quantity in model.quantities.values()],
@@ -103,7 +108,8 @@ def save(model: Surrogate, directory: str | Path) -> Surrogate:
     own = ("schema", "digest", WHOLE, "structure")
     notes = {k: v for k, v in model.manifest.items() if k not in own}
     digest = _digest(structure, arrays)
-    manifest = {"schema": SCHEMA, "digest": digest, **notes, "structure": structure}
+    schema = SCHEMAS[any(part.power != 1.0 for part in model.parts.values())]
+    manifest = {"schema": schema, "digest": digest, **notes, "structure": structure}
     part = directory / f".{ARRAYS}.part"
     small = packed(arrays)
     write = np.savez if small.keys() == arrays.keys() else np.savez_compressed
@@ -111,7 +117,7 @@ def save(model: Surrogate, directory: str | Path) -> Surrogate:
         write(handle, allow_pickle=False, **small)
     os.replace(part, directory / ARRAYS)
     part = directory / f".{MANIFEST}.part"
-    kept = {"schema": SCHEMA, "digest": digest, WHOLE: whole_of(manifest)} | manifest
+    kept = {"schema": schema, "digest": digest, WHOLE: whole_of(manifest)} | manifest
     part.write_text(json.dumps(kept, indent=1) + "\n")
     os.replace(part, directory / MANIFEST)
     return replace(model, manifest=manifest, digest=digest)
@@ -127,8 +133,8 @@ def load(directory: str | Path, whole: str | None = None) -> Surrogate:
         manifest = json.loads((directory / MANIFEST).read_text())
     except (OSError, ValueError) as error:
         raise ModelError(f"{directory} holds no readable {MANIFEST}: {error}") from error
-    if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
-        raise ModelError(f"{directory}: the artefact's schema is not {SCHEMA}: train it again")
+    if not isinstance(manifest, dict) or manifest.get("schema") not in SCHEMAS:
+        raise ModelError(f"{directory}: the artefact's schema is neither 1 nor 2: train it again")
     try:
         with open(directory / ARRAYS, "rb") as handle:
             stored = np.load(handle, allow_pickle=False)
@@ -177,6 +183,7 @@ def _pack(manifest: dict[str, Any], arrays: Arrays) -> Surrogate:
             arrays[f"{name}/cut_time"],
             arrays[f"{name}/cut_space"],
             one["inflation"],
+            one.get("power", 1.0),
         )
     process = SharedGP(hyper=hyper, **{name: arrays[f"process/{name}"] for name in _PROCESS})
     cells = (structure["cells"], arrays["cells"]) if "cells" in structure else None

@@ -116,10 +116,11 @@ class Compiled:
     def _scale(self, part: Part, rows: Rows, time: Array | None = None) -> Array:
         return part.scale(self.time if time is None else time, rows, self.model.v_typical)
 
-    def _response(self, a: Array, b: Array, ka: Array, kb: Array) -> Response:
+    def _response(self, a: Array, b: Array, ka: Array, kb: Array, power: float = 1.0) -> Response:
         model, made = self.model, self.compiler
         names = tuple(item.name for item in model.inputs)
-        return Response(names, model.low, model.high, made.degree, a, b, ka, kb, made.log_v)
+        log_v = made.log_v if power == 1.0 else power * made.log_v
+        return Response(names, model.low, model.high, made.degree, a, b, ka, kb, log_v)
 
     def direct(self, part: Part, rows: Rows) -> Response:
         """A part that is the quantity itself or its logarithm."""
@@ -130,8 +131,8 @@ class Compiled:
         g = self.compiler.linear(g0.ravel(), d.reshape(len(d), -1), part.columns)
         none = np.zeros_like(k)
         if part.form == "raw":
-            return self._response(g, np.zeros_like(g), k, none)
-        return self._response(self.compiler.constant(np.ones(len(g))), g, none, k)
+            return self._response(g, np.zeros_like(g), k, none, part.power)
+        return self._response(self.compiler.constant(np.ones(len(g))), g, none, k, part.power)
 
     def per_ceeq(self, part: Part, rows: Rows) -> Response:
         """A part times mean CEEQ."""

@@ -113,12 +113,14 @@ class Followed:
 
     per_ceeq   the curves are those of the value over mean CEEQ
     own_clock  each row remembers itself, not the mean CEEQ
+    power      of v in their variance (`core.surrogate.part`)
     """
 
     curves: Curves
     scales: Scales
     per_ceeq: bool
     own_clock: bool
+    power: float = 1.0
 
     @staticmethod
     def of(surrogate: Surrogate, quantity: str, nodes: Sequence[int] | None) -> Followed:
@@ -144,6 +146,7 @@ class Followed:
             ),
             quantity in ("elongation", DEFORMATION),
             quantity == "ceeq",
+            part.power,
         )
 
     @staticmethod

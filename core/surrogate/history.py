@@ -235,7 +235,7 @@ class Walk:
                 k = np.hypot(k, g1 * self.k_memory(after)) * (step.ceeq - begun)
             else:
                 k = k * np.abs(change)
-            doubt = doubt + np.abs(k) * np.sqrt(v)[:, None]
+            doubt = doubt + np.abs(k) * (v ** (0.5 * what.power))[:, None]
         beyond = np.clip((np.exp(after) - np.exp(self.memory.last)) / step.hours, 0.0, 1.0)
         doubt = doubt + EXTRAPOLATED * np.abs(change) * beyond
         return Grown(strain, now.total + change, doubt, after if what.own_clock else None)

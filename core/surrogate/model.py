@@ -2,10 +2,10 @@
 
 Parts (`core.surrogate.part`) in Tucker form (`core.surrogate.tucker`) share one Gaussian process
 (`core.surrogate.kernel`) with one relative variance v(x). Only the rows asked for are put
-together, a block of inputs at a time. With k the scale of a part's error,
+together, a block of inputs at a time. With k the scale of a part's error and p its power,
 
-    log y = g            sd(y) = y k sqrt(v)                                      CEEQ, damage
-    y = g                sd(y) = k sqrt(v)
+    log y = g            sd(y) = y k v^(p/2)                                      CEEQ, damage
+    y = g                sd(y) = k v^(p/2)
     y = E g              sd(y) = E sqrt( v (ka^2 + g^2 kb^2) ), ka of g, kb of log E
 
 where E is the mean CEEQ: elongation and permanent deformation. The hot displacement adds the
@@ -171,7 +171,7 @@ class Surrogate:
         def evaluate(z: Array) -> tuple[Array, Array]:
             (c,), v = self.process.mean_and_variance(z, [part.columns])
             mean = invert(part.form, decode(c), time)
-            spread = square * v[:, None, None]
+            spread = square * part.relative(v)[:, None, None]
             return mean, spread if part.form == "raw" else spread * mean**2
 
         return evaluate

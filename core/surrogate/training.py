@@ -7,8 +7,9 @@
    same. The degree of the trend (0, 1, 2) is the one of smallest leave-one-out error.
 3. Errors: leave-one-out residuals give the covariance C; ten-fold cross-validation over the
    training runs, bases refitted each time, gives the factor f by which the 95 % intervals have
-   to grow to cover 95 %. Test runs are never looked at here. The same folds tell how far each
-   quantity is off at runs that were left out, in its own unit (`Held`).
+   to grow to cover 95 %, and the power of v that errors go with. Test runs are never looked at
+   here. The same folds tell how far each quantity is off at runs that were left out, in its own
+   unit (`Held`).
 
 Runs of the same inputs count once, the first of them: a run whose twin stays foretells itself when
 it is left out, and the error would be that of no surrogate.
@@ -94,7 +95,10 @@ def train(
     found = calibrate(
         z, targets, hyper, seed, lambda k: say("calibrating the errors", steps - FOLDS + k, steps)
     )
-    parts = {name: replace(part, inflation=found[name].inflation) for name, part in parts.items()}
+    parts = {
+        name: replace(part, inflation=found[name].inflation, power=found[name].power)
+        for name, part in parts.items()
+    }
     bases = {
         name: {
             "form": part.form,
@@ -103,6 +107,7 @@ def train(
             "coefficients": part.factors.coefficients,
             "held_out_percent": round(100 * found[name].lost, 4),
             "inflation": round(part.inflation, 4),
+            "power": round(part.power, 4),
         }
         for name, part in parts.items()
     }

@@ -36,11 +36,14 @@ def test_what_is_loaded_predicts_bit_for_bit_what_was_saved(model: Surrogate, sa
     np.testing.assert_array_equal(back.points, model.points)
 
 
-def test_the_manifest_keeps_its_notes_and_names_schema_and_digest(saved: Path) -> None:
+def test_the_manifest_keeps_its_notes_and_names_schema_and_digest(
+    model: Surrogate, saved: Path
+) -> None:
     manifest = load(saved).manifest
     assert manifest["name"] == "stand-in"
     assert manifest["seed"] == 11
-    assert manifest["schema"] == 1
+    powers = {part.power for part in model.parts.values()}
+    assert manifest["schema"] == 1 + (powers != {1.0})
     assert manifest["digest"] == load(saved).digest
     assert len(manifest["digest"]) == 64
 
@@ -134,8 +137,8 @@ def test_another_schema_a_cut_file_and_an_empty_folder_are_refused(
     with pytest.raises(ModelError, match="no readable arrays"):
         load(saved)
     manifest = json.loads((saved / "manifest.json").read_text())
-    (saved / "manifest.json").write_text(json.dumps(manifest | {"schema": 2}))
-    with pytest.raises(ModelError, match="schema is not 1"):
+    (saved / "manifest.json").write_text(json.dumps(manifest | {"schema": 3}))
+    with pytest.raises(ModelError, match="schema is neither 1 nor 2"):
         load(saved)
     with pytest.raises(ModelError, match="no readable manifest"):
         load(tmp_path / "nothing")
@@ -161,3 +164,22 @@ def test_the_scale_of_a_parts_clock_is_kept_and_one_hour_is_not_told(
     assert other.digest != load(saved).digest
     back = load(tmp_path / "late")
     assert {part.factors.early_h for part in back.parts.values()} == {500.0}
+
+
+def test_powers_of_errors_are_kept_and_tell_releases_without_them_to_stay_away(
+    model: Surrogate, tmp_path: Path
+) -> None:
+    plain = {name: replace(part, power=1.0) for name, part in model.parts.items()}
+    powered = plain | {"ceeq": replace(plain["ceeq"], power=0.6)}
+    digests = set()
+    for parts, schema in ((plain, 1), (powered, 2)):
+        digests.add(save(replace(model, parts=parts), tmp_path / str(schema)).digest)
+        manifest = json.loads((tmp_path / str(schema) / "manifest.json").read_text())
+        assert manifest["schema"] == schema
+        told = {n for n, one in manifest["structure"]["parts"].items() if "power" in one}
+        assert told == ({"ceeq"} if schema == 2 else set())
+        back = load(tmp_path / str(schema))
+        assert {n: part.power for n, part in back.parts.items()} == {
+            n: part.power for n, part in parts.items()
+        }
+    assert len(digests) == 2
