@@ -12,11 +12,12 @@ but, of an effect of one blade,
 
 and of an effect of several
 
-    I + |Σ_b,i a_bi L_bi|²                         L_bi, `loadings`: of values s_i; of scans rows of
+    I + rho |Σ_b,i a_bi L_bi|²                     L_bi, `loadings`: of values s_i; of scans rows of
                                                    W R C^½, each as long as its s_i
 
-with C the covariance of the error of the modes' coefficients, wholly correlated over blades and
-visits (`core.calibration.scans`: W R are a scan's rows as mixtures of modes). Both discount score
+with C the covariance of the error of the modes' coefficients (`core.calibration.scans`: W R are a
+scan's rows as mixtures of modes), wholly correlated over visits, and by rho over blades: the mean
+correlation of the surrogate's error between them (`core.surrogate.alike`). Both discount score
 and information as scatter between blades does (`scatter`). What shared parameters make up for is
 out of g⊥. Where noise rules it is little: elongations of a hundred blades. In scanned fleets with
 an effect in the model it is what a found effect leaves: the surrogate of wide runs is off by a few

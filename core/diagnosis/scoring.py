@@ -29,6 +29,7 @@ from core.network import Parameter
 from core.observation import Inspection
 from core.prior import Prior
 from core.readings import digest_of
+from core.surrogate.alike import alike
 
 Array = NDArray[np.float64]
 POINTS = 64  # particles of a blade at which effects of physics are computed
@@ -84,6 +85,8 @@ def scores(
         answers[b, :, :n] = one.answers
         slope[b, :n], pull[b, :n] = one.shared, one.pull
     q, answer, unsure = filled
+    middle = [[np.mean(one.points.get(n, 0.0)) for n in model.input_names] for one in made]
+    rho = alike(model.surrogate, np.array(middle), max(r.time_h for r in readings))
     return Scores(
         blades,
         rows,
@@ -99,7 +102,7 @@ def scores(
         unsure,
         pull,
         Beside.padded([one.beside for one in made], shape[1]),
-        joined([one.alike for one in made], shape[1]),
+        np.sqrt(rho) * joined([one.alike for one in made], shape[1]),
     )
 
 

@@ -59,19 +59,20 @@ class Driven:
     anchor: Anchor | None = None
 
     def __post_init__(self) -> None:
-        self._in_time.check(self.horizon_h)
+        self.in_time.check(self.horizon_h)
         if self.anchor is not None:
-            started = {i.name: self._in_time.range_of(i) for i in self.base.inputs}
+            started = {i.name: self.in_time.range_of(i) for i in self.base.inputs}
             self.anchor.fits(self.base, started)
 
     @cached_property
-    def _in_time(self) -> InTime:
+    def in_time(self) -> InTime:
+        """What the base's own inputs are over time."""
         return InTime(self.base.inputs, self.drifts, self.ranges, self.fixed)
 
     @cached_property
     def inputs(self) -> tuple[Input, ...]:
         """Those of the base that are not fixed, then the amplitudes."""
-        return self._in_time.inputs
+        return self.in_time.inputs
 
     @property
     def horizon_h(self) -> float:
@@ -109,14 +110,14 @@ class Driven:
         if np.any(times <= 0):
             raise InputError("times", times.tolist(), "are not after the start", "ask later")
         self.base.check_times(times)
-        edges, held, at_times = self._in_time.until(x, times)
+        edges, held, at_times = self.in_time.until(x, times)
         rule = FOLLOWED if self.drifts else 0.0
         wide = [one[0] for one in what]
         found = follow(self.base, edges, held, times, at_times, wide, rule, doubt=doubt, late=True)
         both = [(own, fine) for own, fine in what if fine is not None]
         if self.anchor is None or not both:
             return found
-        start = self._in_time.start(x, self.anchor.asleep)
+        start = self.in_time.start(x, self.anchor.asleep)
         middle = from_start(edges, held, times, at_times)
         return self.anchor.corrected(self.base, start, middle, times, found, both, doubt)
 
@@ -131,7 +132,7 @@ class Driven:
         """Mean and sd at inputs x (n, d): (n, T), with nodes (n, T, K) or (n, T, K, 3)."""
         times = self.base.check_times(times)
         if len(x) >= MANY:
-            return self._compiled_answers(self._in_time.checked(x), quantity, times, nodes)
+            return self._compiled_answers(self.in_time.checked(x), quantity, times, nodes)
         return self._followed(x, quantity, times, self._rows(quantity, nodes))
 
     def in_blocks(

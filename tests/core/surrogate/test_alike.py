@@ -1,0 +1,64 @@
+"""How much a surrogate errs alike at different inputs (`core.surrogate.alike`)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.model import rotor_blade_wide
+from core.surrogate import Surrogate
+from core.surrogate.alike import _same, alike
+from core.surrogate.driven import Driven
+from core.surrogate.kernel import Hyper, SharedGP
+from tests.core.surrogate.test_anchor import ANCHOR, FINE, FIXED, RANGES, WEAR, WIDE
+
+Array = NDArray[np.float64]
+HOUR = 30_000.0
+
+
+def blades(count: int, spread: float) -> Array:
+    """Of one rotor, about the middle of the fine model's box."""
+    u = np.random.default_rng(3).uniform(-1, 1, (count, 4))
+    u[:, 1] = 0.0
+    return np.asarray(FINE.low + 0.5 * (1.0 + spread * u) * (FINE.high - FINE.low))
+
+
+def test_it_is_the_mean_correlation_of_what_a_process_does_not_know() -> None:
+    """Against draws: functions of the prior, conditioned on their values at the runs, are off from
+    the mean by what goes together as is told; at unlike inputs, the control, by less."""
+    rng = np.random.default_rng(5)
+    z, hyper = rng.uniform(-1, 1, (8, 1)), Hyper((0.7,), 1e-6, 0)
+    for at in (np.array([[0.8], [0.86], [0.9]]), np.array([[-0.9], [0.1], [0.95]])):
+        every = np.vstack([z, at])
+        prior = 1.0 / (1.0 + 0.5 * ((every - every.T) / 0.7) ** 2)
+        drawn = np.linalg.cholesky(prior + 1e-6 * np.eye(11)) @ rng.normal(size=(11, 20_000))
+        process = SharedGP.condition(z, drawn[:8], hyper)
+        off = drawn[8:] - process.mean(at)[0]
+        r = np.corrcoef(off)[np.triu_indices(3, 1)]
+        assert _same(process, at) == pytest.approx(max(r.mean(), 0.0), abs=0.03)
+    assert r.mean() < 0.5
+
+
+def test_blades_that_are_nearly_the_same_err_alike_and_others_hardly(model: Surrogate) -> None:
+    assert alike(FINE, blades(40, 0.05), HOUR) > 0.5
+    assert alike(FINE, blades(40, 1.0), HOUR) < 0.2
+    assert alike(FINE, blades(1, 1.0), HOUR) == 1.0
+    assert alike(FINE, blades(500, 1.0), HOUR) == pytest.approx(
+        alike(FINE, blades(100, 1.0), HOUR), abs=0.05
+    )
+
+
+def test_an_anchored_surrogate_without_an_effect_errs_as_its_fine_one() -> None:
+    wide = rotor_blade_wide().surrogate
+    x = blades(40, 1.0)
+    assert alike(wide, x, HOUR) == pytest.approx(alike(FINE, x, HOUR), abs=1e-3)
+
+
+def test_what_an_effect_changes_is_known_alike_badly_in_all_blades() -> None:
+    x, own = blades(40, 0.6), np.full((40, 1), 0.3)
+    without, worn = np.hstack([x, 0.0 * own]), np.hstack([x, own])
+    anchored = Driven(WIDE, (WEAR,), RANGES, FIXED, ANCHOR)
+    assert alike(anchored, worn, HOUR) > alike(anchored, without, HOUR) + 0.02
+    alone = alike(Driven(WIDE, (WEAR,), RANGES, FIXED, None), worn, HOUR)
+    assert 0.0 < alone < 1.0
