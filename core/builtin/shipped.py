@@ -6,5 +6,5 @@ A model that is built anew and shipped has its own here.
 
 WHOLE = {
     "rotor_blade_model": "68942770f0597bc04a3216ab57e64092d158029c9bda29fa335004ded60a0e43",
-    "rotor_blade_wide_model": "42469e0d865b78fefa39b92232650f48226c1d9e5879c9fd361859b1e17f6b3a",
+    "rotor_blade_wide_model": "8d6cdb90a4173e9f2cebc62ee132e39de5739d642c0c6f6bb5a39de2992fdfa9",
 }
