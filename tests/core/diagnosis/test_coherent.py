@@ -9,12 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from core.calibration.online import update
 from core.calibration.scans import Mixing
+from core.calibration.state import RotorSpec
 from core.diagnosis.coherent import discount, joined, loadings
 from core.diagnosis.dealing import dealt_sets
 from core.diagnosis.scan import Scan
 from core.diagnosis.scores import Scores
+from core.diagnosis.scoring import scores
 from core.diagnosis.signature import Signatures
+from core.model import rotor_blade
+from core.observation import Inspection
+from core.surrogate.alike import alike
 from tests.core.diagnosis.fleet import SIGMA, rotor, scan
 
 B = 3
@@ -167,3 +173,34 @@ def test_loadings_of_a_scan_have_the_shape_of_its_modes_errors_and_the_size_of_i
     assert beside.shape == (2, 6, 6)
     assert beside[1, :, 0].tolist() == [1, 1, 0, 0, 0, 0]
     np.testing.assert_array_equal(beside[0, :5, 1:], scan_)
+
+
+def test_scores_of_a_rotor_have_what_its_blades_share_of_each_reading_s_error() -> None:
+    """Elongations, and a scan of every other blade: as long as the row's sd, by how much errors go
+    together between the blades."""
+    model, rng = rotor_blade(), np.random.default_rng(6)
+    blades, hours, nodes = [f"b{k}" for k in range(6)], (8_000.0, 16_000.0), np.arange(0, 5600, 400)
+    x = np.column_stack([rng.uniform(0.8, 1.2, 6), np.full(6, 0.92), rng.normal(size=(6, 2))])
+    tips = model.surrogate.predict(x, "elongation", np.array(hours))[0]
+    fields = model.surrogate.predict(x, "deformation", np.array(hours[1:]), nodes.tolist())[0]
+    given = [
+        Inspection(f"{b}-{h:.0f}", b, "elongation", h, tips[k, [j]] + rng.normal(0, 0.02, 1))
+        for k, b in enumerate(blades)
+        for j, h in enumerate(hours)
+    ]
+    given += [
+        Inspection(f"{b}-scan", b, "deformation", hours[1], y, nodes=nodes, sigma=0.02)
+        for b, y in zip(blades[::2], fields[::2, 0] + rng.normal(0, 0.02, (3, 14, 3)), strict=True)
+    ]
+    found = scores(model, update(model, RotorSpec("r", tuple(blades), 300, 5), given), given)
+    assert found.alike is not None
+    assert found.unsure is not None
+    middle = np.array([[p[n].mean() for n in model.input_names] for p in found.points])
+    rho = alike(model.surrogate, middle, hours[1])
+    assert 0.01 < rho < 0.95
+    long = np.linalg.norm(found.alike, axis=2)
+    np.testing.assert_allclose(long[found.real], np.sqrt(rho) * found.unsure[found.real], rtol=1e-9)
+    assert not long[~found.real].any()
+    single = [found.alike[b, i] for b in range(6) for i in range(2)]
+    assert all(np.count_nonzero(one) == 1 for one in single)
+    assert np.count_nonzero(np.any(found.alike != 0, axis=(0, 1))) > 10
