@@ -135,11 +135,12 @@ def test_what_shared_parameters_make_up_for_is_no_error_of_an_effect() -> None:
     goes as no parameter does, does."""
     one, _ = rotor(4)
     one = replace(one, prior=1e6 * one.prior)
-    turning = np.sign(np.arange(one.q.shape[1]) - 0.5)[None, :, None] * one.real[:, :, None]
-    own, none = np.diag(one.cross(turning)), np.zeros(1, bool)
     moved = one.slope[:, :, :1] * SIGMA / np.abs(one.slope[:, :, :1]).max()
+    turning = np.sign(np.arange(one.q.shape[1]) - 0.5)[None, :, None] * one.real[:, :, None]
+    g, none = turning + 3.0 * moved / SIGMA, np.zeros(1, bool)
+    own = np.diag(one.cross(g))
     hidden, seen_ = (
-        float(discount(replace(one, alike=alike), turning, none, own)[0])
+        float(discount(replace(one, alike=alike), g, none, own)[0])
         for alike in (moved, SIGMA * turning)
     )
     assert seen_ > 1.5

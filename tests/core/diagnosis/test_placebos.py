@@ -81,6 +81,17 @@ def test_what_all_blades_have_is_no_chance_of_signs_and_runs_as_it_is_said_to_ru
     assert torn.won > ALLOWED * torn.count, "each at times of its own"
 
 
+def test_what_simulations_err_by_in_all_blades_is_not_held_against_the_effect_alone() -> None:
+    """A placebo that is turned in half of the blades has no such error: it would win."""
+    seen, facts = rotor(4, lambda b, k: 4 * SIGMA * TIMES[k] ** 2)
+    cell = grown("late", "all")
+    changed = exchanged(seen, cell, facts, {"y": SIGMA}, cast(Any, None))
+    doubted = replace(seen, alike=np.where(seen.real, 2.0 * SIGMA, 0.0)[:, :, None])
+    found = placebos(seen, cell, facts, changed, 4)
+    assert placebos(doubted, cell, facts, changed, 4) == found
+    assert found[0].gained > 5
+
+
 def test_in_sound_rotors_an_effect_beats_its_placebos_as_often_as_chance_has_it() -> None:
     """Exactly 5 % where all places are alike; sixty rotors, of a lot and of a campaign."""
     for cell, by in ((grown("late", "lot", "L1"), BLADES), (CAMPAIGN, READINGS)):

@@ -62,3 +62,39 @@ def test_what_an_effect_changes_is_known_alike_badly_in_all_blades() -> None:
     assert alike(anchored, worn, HOUR) > alike(anchored, without, HOUR) + 0.02
     alone = alike(Driven(WIDE, (WEAR,), RANGES, FIXED, None), worn, HOUR)
     assert 0.0 < alone < 1.0
+
+
+def test_of_two_worn_blades_it_is_what_the_two_surrogates_do_not_know_put_together() -> None:
+    """By the joint covariance of the wide process at both blades, as they ran and before, and of
+    the fine one; shares by their sds of the elongation."""
+    x = np.hstack([blades(2, 0.3), [[0.25], [0.35]]])
+    anchored = Driven(WIDE, (WEAR,), RANGES, FIXED, ANCHOR)
+    assert ANCHOR is not None
+    names = [i.name for i in WIDE.inputs]
+    start = np.array([[{**FIXED, **ANCHOR.asleep}.get(n, np.nan) for n in names]] * 2)
+    start[:, [names.index(i.name) for i in FINE.inputs]] = x[:, :4]
+    middle = start.copy()
+    middle[:, names.index("tbc_thickness")] *= 1.0 - x[:, 4] * 0.5 * HOUR / 5e4
+    z = WIDE.scaled(np.vstack([middle, start]))
+    joint = WIDE.process.cross_covariance(z, z)
+    change = np.hstack([np.eye(2), -np.eye(2)])
+    moved = change @ joint @ change.T
+    nugget = WIDE.process.hyper.nugget
+    lengths = np.array(WIDE.process.hyper.lengths)
+    far = 0.5 * np.sum(((z[:2] - z[2:]) / lengths) ** 2, axis=1)
+    sd = np.sqrt(np.diag(moved) + 2.0 * nugget * far / (1.0 + far))  # the nugget is hardly shared
+    between = moved[0, 1] / (sd[0] * sd[1])
+    zf = FINE.scaled(x[:, :4])
+    own = FINE.process.cross_covariance(zf, zf)[0, 1]
+    own /= np.sqrt(np.prod(FINE.process.mean_and_variance(zf, ())[1]))
+    relative = [
+        sd[:, 0] / y[:, 0]
+        for y, sd in (
+            FINE.predict(x[:, :4], "elongation", [HOUR]),
+            anchored.predict(x, "elongation", np.array([HOUR])),
+        )
+    ]
+    share = np.mean((relative[0] / relative[1]) ** 2)
+    assert 0.05 < share < 0.95
+    told = share * max(own, 0.0) + (1 - share) * max(between, 0.0)
+    assert alike(anchored, x, HOUR) == pytest.approx(told, rel=2e-3)
