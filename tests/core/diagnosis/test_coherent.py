@@ -144,7 +144,7 @@ def test_what_shared_parameters_make_up_for_is_no_error_of_an_effect() -> None:
         for alike in (moved, SIGMA * turning)
     )
     assert seen_ > 1.5
-    assert hidden - 1.0 < 0.01 * (seen_ - 1.0)
+    assert hidden - 1.0 < 1e-4 * (seen_ - 1.0)
 
 
 def test_loadings_of_a_scan_have_the_shape_of_its_modes_errors_and_the_size_of_its_rows() -> None:
