@@ -37,6 +37,7 @@ def kept(name: str) -> dict[str, Any]:
         ("effects-fleet-2", CONDITIONS, 4),
         ("effects-scans-second", CONDITIONS, 1),
         ("effects-scans-second-2", CONDITIONS, 2),
+        ("effects-scans-alike-second", CONDITIONS, {"clean": 2, "planted": 1}),
         ("effects-late", ("some blades late",), 6),
         ("effects-late-second", ("some blades late",), 6),
         ("effects-scans-named", NAMED, 1),
@@ -47,11 +48,14 @@ def kept(name: str) -> dict[str, Any]:
     ],
 )
 def test_every_set_is_there_and_the_seed_comes_from_the_commit(
-    name: str, kinds: tuple[str, ...], sets: int
+    name: str, kinds: tuple[str, ...], sets: int | dict[str, int]
 ) -> None:
     found = kept(name)
     numbers = {(one["condition"], one["number"]) for one in found["sets"]}
-    assert numbers == {(kind, n) for kind in kinds for n in range(sets)}
+    counts = sets if isinstance(sets, dict) else {"clean": sets, "planted": sets}
+    assert numbers == {
+        (kind, n) for kind in kinds for n in range(counts["clean" if kind in CLEAN else "planted"])
+    }
     assert study.table(found["sets"]) == found["table"]
     assert study.marks(found["table"]) == pytest.approx(found["marks"])
     assert improvement(found["sets"]) == found["improvement"]
