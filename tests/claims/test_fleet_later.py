@@ -342,3 +342,29 @@ def test_two_courses_in_the_model_cost_forecasts_of_scanned_fleets_nothing() -> 
         for of in nearer
     ] == [(93, 90, 71, 95, 71), (92, 93, 66, 95, 72)]
     assert "nearer by 93 % with wear (before 92), 90 with a worn lot (93)" in WORDS
+
+
+def test_with_shared_errors_accelerating_creep_has_its_name_and_no_clean_set_alarms() -> None:
+    """One set of each kind; in the two sets of this rotor before it had none."""
+    found = kept("effects-scans-alike-second")
+    assert (found["plan"], found["algorithm"]) == ("fleet-scans-2", "panels-19")
+    named = [s for s in found["sets"] if s["condition"] in NAMED]
+    assert [s["condition"] for s in named if s["outcome"] != "right"] == ["fouling"]
+    assert found["table"]["fouling"]["in the set"] == 1.0
+    (creep,) = (s for s in named if s["condition"] == "tertiary")
+    assert creep["names"] == ["accelerating creep"]
+    clean = [s for s in found["sets"] if s["condition"] in CLEAN]
+    assert (len(clean), sum(s["alarm"] for s in clean)) == (6, 0)
+    assert [round(f([s["p"] for s in clean]), 2) for f in (min, max)] == [0.07, 0.81]
+    outside = {k: found["table"][k]["wrong"] for k in ("pulse", "alternating", "some blades late")}
+    assert outside == {"pulse": 0.0, "alternating": 0.0, "some blades late": 1.0}
+    nearer = {k: round(100 * (1 - v["forecast"])) for k, v in found["improvement"].items()}
+    assert [nearer[k] for k in ("wear", "worn lot", "fouling", "step", "tertiary")] == [
+        80, 99, 59, 81, 64,
+    ]  # fmt: skip
+    every = ("effects-scans-all", "effects-scans-second", "effects-scans-named",
+             "effects-scans-named-second", "effects-scans-second-2")  # fmt: skip
+    more = [s for one in every for s in kept(one)["sets"] if s["condition"] in NAMED]
+    told = [s["outcome"] for s in (*named, *more)]
+    assert (told.count("right"), told.count("wrong"), len(told)) == (69, 1, 80)
+    assert "69 of 80 right names (86 %), 1 of 80 wrong" in WORDS
