@@ -36,10 +36,10 @@ def alike(answers: Answers | Stacked, x: Array, time_h: float) -> float:
     """Mean correlation of the errors at inputs x (n, d) of each other, 0 to 1.
 
     time_h   the hour until which inputs run, and of whose elongation shares of variance are asked
-    1 of one input, and of what is no surrogate of simulation runs.
+    1 of one input, at hour 0, and of what is no surrogate of simulation runs.
     """
     few = x[:: -(-len(x) // (MANY - 1))]
-    if len(few) < 2:
+    if len(few) < 2 or time_h <= 0:
         return 1.0
     if isinstance(answers, Driven):
         return _driven(answers, few, time_h)

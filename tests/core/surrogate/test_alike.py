@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from core.model import rotor_blade_wide
-from core.surrogate import Surrogate
 from core.surrogate.alike import _same, alike
 from core.surrogate.driven import Driven
 from core.surrogate.kernel import Hyper, SharedGP
@@ -40,7 +39,7 @@ def test_it_is_the_mean_correlation_of_what_a_process_does_not_know() -> None:
     assert r.mean() < 0.5
 
 
-def test_blades_that_are_nearly_the_same_err_alike_and_others_hardly(model: Surrogate) -> None:
+def test_blades_that_are_nearly_the_same_err_alike_and_others_hardly() -> None:
     assert alike(FINE, blades(40, 0.05), HOUR) > 0.5
     assert alike(FINE, blades(40, 1.0), HOUR) < 0.2
     assert alike(FINE, blades(1, 1.0), HOUR) == 1.0
@@ -53,6 +52,13 @@ def test_an_anchored_surrogate_without_an_effect_errs_as_its_fine_one() -> None:
     wide = rotor_blade_wide().surrogate
     x = blades(40, 1.0)
     assert alike(wide, x, HOUR) == pytest.approx(alike(FINE, x, HOUR), abs=1e-3)
+
+
+def test_at_hour_0_nothing_has_grown_that_could_be_off() -> None:
+    """Readings of no later hour are no reason to fail a diagnosis."""
+    x = np.hstack([blades(3, 0.6), np.full((3, 1), 0.3)])
+    assert alike(Driven(WIDE, (WEAR,), RANGES, FIXED, ANCHOR), x, 0.0) == 1.0
+    assert alike(rotor_blade_wide().surrogate, blades(3, 0.6), 0.0) == 1.0
 
 
 def test_what_an_effect_changes_is_known_alike_badly_in_all_blades() -> None:
